@@ -1,0 +1,39 @@
+# make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
+# make test   the tests, in the same environment
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: run test test-all lint clean
+run: $(VENV)/.installed
+	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
+
+test: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n 2
+
+test-all: $(VENV)/.installed-oracles
+	$(BIN)/python -m pytest -n 2 -m ''
+
+lint: $(VENV)/.installed-test
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "boresight needs Python 3.11 or newer; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-oracles: $(VENV)/.installed-test
+	$(BIN)/python -m pip install --quiet --editable '.[test,oracles]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out

@@ -1,0 +1,20 @@
+"""Constants of the tracker: value, unit and source side by side."""
+
+import math
+
+SPEED_OF_LIGHT_KM_S = 299_792.458
+"""Exact by the SI definition of the metre."""
+
+J2000_JD_TT = 2_451_545.0
+"""Julian date (TT) of the epoch J2000.0."""
+
+DAYS_PER_JULIAN_YEAR = 365.25
+
+AU_KM = 149_597_870.7
+"""Astronomical unit; exact, IAU 2012 Resolution B2."""
+
+ARCSEC_RAD = math.pi / 648_000.0
+"""One second of arc in radians."""
+
+MAS_RAD = ARCSEC_RAD / 1000.0
+"""One milliarcsecond in radians."""
