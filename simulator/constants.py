@@ -1,0 +1,19 @@
+"""Physical constants of the simulator: value, unit and source side by side."""
+
+EARTH_RADIUS_KM = 6378.137
+"""Equatorial radius; WGS 84."""
+
+EARTH_GM_KM3_S2 = 398_600.4418
+"""Geocentric gravitational constant, atmosphere included; WGS 84 / IERS Conventions 2010 (TCG-compatible value)."""
+
+EARTH_J2 = 1.08262668e-3
+"""Second zonal harmonic, unnormalised; EGM96 / Vallado 2013, table D-5."""
+
+PLANCK_J_S = 6.626_070_15e-34
+"""Exact, SI 2019."""
+
+BOLTZMANN_J_K = 1.380_649e-23
+"""Exact, SI 2019."""
+
+ELEMENTARY_CHARGE_C = 1.602_176_634e-19
+"""Exact, SI 2019."""

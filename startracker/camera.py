@@ -1,0 +1,176 @@
+"""The calibrated camera: pixel ↔ unit vector.
+
+A pixel's centre has integer coordinates, (0, 0) is the centre of the first pixel; points are (x, y) = (column, row).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.distortion import Distortion, distort, undistort
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole with Brown–Conrady distortion.
+
+    Parameters
+    ----------
+    fx, fy : float
+        Focal length in pixels along columns and rows.
+    cx, cy : float
+        Principal point in pixels.
+    width, height : int
+        Size in pixels; where left out, the principal point is taken for the centre.
+    distortion : Distortion or mapping
+        Coefficients on normalised coordinates, OpenCV's names.
+    parity : int
+        +1 for an image seen as the sky is (east to the left of north), −1 for one that a mirror or the reading of the
+        detector has turned over: its columns are reversed before anything else.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int = 0
+    height: int = 0
+    distortion: Distortion = field(default_factory=Distortion)
+    parity: int = 1
+
+    def __post_init__(self) -> None:
+        if isinstance(self.distortion, dict):
+            object.__setattr__(self, "distortion", Distortion(**self.distortion))
+        if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
+            raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
+        if self.parity not in (1, -1):
+            raise InputError(f"parity must be 1 or -1; got {self.parity}")
+        object.__setattr__(self, "width", int(self.width) or round(2 * self.cx + 1))
+        object.__setattr__(self, "height", int(self.height) or round(2 * self.cy + 1))
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"an image needs at least one pixel; got {self.width}×{self.height}")
+
+    # ------------------------------------------------------------------ made from
+    @classmethod
+    def from_fov(cls, fov_deg: float, width: int, height: int, distortion: Distortion | None = None) -> Camera:
+        """Square pixels, centred; `fov_deg` spans the full width, edge to edge, of the undistorted camera."""
+        if not 0 < fov_deg < 180:
+            raise InputError(f"a field of view must be between 0° and 180°; got {fov_deg}°")
+        focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
+        return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height, distortion or Distortion())
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Camera:
+        """Camera from a YAML file whose keys are this class's parameters; `InputError` names every fault."""
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+
+        try:
+            data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); give a camera file") from error
+        except (YAMLError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+        return cls.from_dict(data, where=str(path))
+
+    @classmethod
+    def from_dict(cls, data: Any, where: str = "camera") -> Camera:
+        """Camera from plain values, with each wrong key or type named."""
+        names = [f.name for f in fields(cls)]
+        if not isinstance(data, dict):
+            raise InputError(f"{where}: a camera needs the keys fx, fy, cx, cy; found {type(data).__name__}")
+        distortion = data.get("distortion") or {}
+        faults = [f"unknown key '{key}'" for key in data if key not in names]
+        faults += [f"missing key '{key}'" for key in ("fx", "fy", "cx", "cy") if key not in data]
+        if isinstance(distortion, dict):
+            known = [f.name for f in fields(Distortion)]
+            faults += [f"unknown key 'distortion.{key}'" for key in distortion if key not in known]
+        else:
+            faults.append("'distortion' must hold k1, k2, p1, p2, k3 …")
+            distortion = {}
+        numbers = {k: v for k, v in data.items() if k != "distortion"} | {f"distortion.{k}": v for k, v in distortion.items()}
+        faults += [
+            f"'{key}' must be a finite number, not {value!r}"
+            for key, value in numbers.items()
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)
+        ]
+        if faults:
+            raise InputError(f"{where}: {'; '.join(faults)}")
+        return cls(**{**data, "distortion": Distortion(**distortion)})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that `from_dict` takes."""
+        return asdict(self)
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write a file that `from_yaml` reads."""
+        from ruamel.yaml import YAML
+
+        with Path(path).open("w", encoding="utf-8") as stream:
+            YAML().dump(self.to_dict(), stream)
+
+    # ------------------------------------------------------------------ facts
+    @property
+    def fov_deg(self) -> float:
+        """Field of view across the full width, edge to edge, at the principal point's row; distortion left out."""
+        left, right = (self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx
+        return math.degrees(math.atan(left) + math.atan(right))
+
+    @property
+    def fov_y_deg(self) -> float:
+        """Field of view down the full height; distortion left out."""
+        top, bottom = (self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy
+        return math.degrees(math.atan(top) + math.atan(bottom))
+
+    @property
+    def half_diagonal_rad(self) -> float:
+        """Largest angle between the boresight and a corner of the image, distortion included."""
+        x, y = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
+        corners = self.unproject(np.array([[a, b] for a in x for b in y]))
+        return float(np.arccos(np.clip(np.nanmin(corners[:, 2]), -1.0, 1.0)))
+
+    @property
+    def pixel_rad(self) -> float:
+        """Angle of one pixel at the centre of the field, radians."""
+        return 1.0 / math.sqrt(self.fx * self.fy)
+
+    # ------------------------------------------------------------------ the two maps
+    def project(self, vectors: ArrayLike) -> FloatArray:
+        """Pixels (N, 2) of camera-frame vectors (N, 3); NaN for what lies 90° or more from the boresight.
+
+        The distortion polynomial is valid near the field alone; far outside it can fold back into the image, so
+        select by angle first (`half_diagonal_rad`).
+        """
+        v = np.atleast_2d(np.asarray(vectors, dtype=float))
+        z = np.where(v[:, 2] > 1e-9, v[:, 2], np.nan)
+        xy = np.stack([v[:, 0] / z, v[:, 1] / z], axis=1)
+        if not self.distortion.is_zero:
+            xy = distort(xy, self.distortion.as_array())
+        return np.stack([self.parity * self.fx * xy[:, 0] + self.cx, self.fy * xy[:, 1] + self.cy], axis=1)
+
+    def unproject(self, xy: ArrayLike) -> FloatArray:
+        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone."""
+        p = np.atleast_2d(np.asarray(xy, dtype=float))
+        normalised = np.stack([self.parity * (p[:, 0] - self.cx) / self.fx, (p[:, 1] - self.cy) / self.fy], axis=1)
+        if not self.distortion.is_zero:
+            normalised = undistort(normalised, self.distortion.as_array())
+        vectors = np.concatenate([normalised, np.ones((len(p), 1))], axis=1)
+        return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+    def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Whether pixels (N, 2) lie on the image, grown by a margin."""
+        return (
+            (xy[:, 0] >= -0.5 - margin_px)
+            & (xy[:, 0] < self.width - 0.5 + margin_px)
+            & (xy[:, 1] >= -0.5 - margin_px)
+            & (xy[:, 1] < self.height - 0.5 + margin_px)
+        )

@@ -1,0 +1,123 @@
+"""The star catalogue: one immutable table, propagated to any epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.attitude import radec_to_direction
+from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+_AU_PER_YEAR_IN_KM_S = AU_KM / (DAYS_PER_JULIAN_YEAR * 86_400.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StarCatalog:
+    """Stars as columns of equal length N; every array is read-only.
+
+    Parameters
+    ----------
+    name : str
+        Name of the catalogue, as users write it.
+    epoch_jyear : float
+        Julian epoch of the positions (TT/TCB; the difference is far below the catalogues' errors).
+    id : int array
+        Number in the catalogue (HR for ``bsc5``, HIP for ``hipparcos``; negative: minus the HR number of a bright
+        star that Hipparcos lacks).
+    ra_rad, dec_rad : float array
+        ICRS position at `epoch_jyear`.
+    pm_ra_rad_yr, pm_dec_rad_yr : float array
+        Proper motion, radians a Julian year; RA already times cos Dec.
+    parallax_rad, radial_velocity_km_s : float array
+        Zero where unknown.
+    v_mag : float array
+        Johnson V.
+    b_v : float array
+        B − V; NaN where unknown.
+    spectral_type : str array
+        Empty where unknown.
+    star_name : str array
+        Bayer/Flamsteed or proper name; empty where unknown.
+    """
+
+    name: str
+    epoch_jyear: float
+    id: NDArray[np.int64]
+    ra_rad: FloatArray
+    dec_rad: FloatArray
+    pm_ra_rad_yr: FloatArray
+    pm_dec_rad_yr: FloatArray
+    parallax_rad: FloatArray
+    radial_velocity_km_s: FloatArray
+    v_mag: FloatArray
+    b_v: FloatArray
+    spectral_type: NDArray[np.str_]
+    star_name: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        n = len(self.id)
+        for column in self.columns():
+            array = np.array(getattr(self, column))
+            if array.shape != (n,):
+                raise InputError(f"catalogue {self.name}: column '{column}' has {array.shape} values, not ({n},)")
+            array.flags.writeable = False
+            object.__setattr__(self, column, array)
+
+    @classmethod
+    def columns(cls) -> list[str]:
+        """Names of the columns."""
+        return [f.name for f in fields(cls) if f.name not in ("name", "epoch_jyear")]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def select(self, index: NDArray[Any]) -> StarCatalog:
+        """Part of the catalogue, by boolean mask or by index array (which also orders)."""
+        return StarCatalog(self.name, self.epoch_jyear, **{c: getattr(self, c)[index] for c in self.columns()})
+
+    def brighter_than(self, magnitude: float) -> StarCatalog:
+        """Stars with V ≤ `magnitude`, brightest first."""
+        keep = np.flatnonzero(self.v_mag <= magnitude)
+        return self.select(keep[np.argsort(self.v_mag[keep], kind="stable")])
+
+    def space_motion(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors (N, 3) at the catalogue's epoch and their space motion (N, 3) a Julian year.
+
+        The motion joins proper motion and the perspective term of the radial velocity: u + τ·m points at the star
+        τ years later (Hipparcos catalogue, ESA SP-1200, vol. 1, eq. 1.2.11 to 1.2.13).
+        """
+        u = radec_to_direction(self.ra_rad, self.dec_rad)
+        sin_ra, cos_ra = np.sin(self.ra_rad), np.cos(self.ra_rad)
+        sin_dec, cos_dec = np.sin(self.dec_rad), np.cos(self.dec_rad)
+        east = np.stack([-sin_ra, cos_ra, np.zeros_like(sin_ra)], axis=1)
+        north = np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=1)
+        radial = self.radial_velocity_km_s * self.parallax_rad / _AU_PER_YEAR_IN_KM_S
+        motion = east * self.pm_ra_rad_yr[:, None] + north * self.pm_dec_rad_yr[:, None] + u * radial[:, None]
+        return u, motion
+
+    def directions(self, epoch_jyear: float, observer_au: FloatArray | None = None) -> FloatArray:
+        """ICRS unit vectors (N, 3) at a Julian epoch, seen from the barycentre or from `observer_au`.
+
+        Parameters
+        ----------
+        epoch_jyear : float
+            For example 2026.22; straight space motion holds within a milliarcsecond for centuries.
+        observer_au : float array, shape (3,), optional
+            Observer's barycentric position in au (ICRS); adds the annual parallax.
+        """
+        u, motion = self.space_motion()
+        u = u + (epoch_jyear - self.epoch_jyear) * motion
+        if observer_au is not None:
+            u = u - self.parallax_rad[:, None] * np.asarray(observer_au, dtype=float)
+        return u / np.linalg.norm(u, axis=1, keepdims=True)
+
+
+def mas(values: FloatArray) -> FloatArray:
+    """Milliarcseconds to radians."""
+    return np.asarray(values, dtype=float) * MAS_RAD

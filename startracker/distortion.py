@@ -1,0 +1,107 @@
+"""Brown–Conrady lens distortion in OpenCV's form, forward and back.
+
+With normalised coordinates (x, y) = (X/Z, Y/Z) and r² = x² + y²:
+
+    radial = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)
+    x_d = x · radial + 2 p1 x y + p2 (r² + 2 x²)
+    y_d = y · radial + p1 (r² + 2 y²) + 2 p2 x y
+
+Source: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855; the rational form
+and the order of the coefficients are those of OpenCV's ``calib3d`` module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Coefficients on normalised coordinates, named and ordered as OpenCV does; all zero is a perfect pinhole."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, which this package does not import
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+
+    @property
+    def is_zero(self) -> bool:
+        """True when the lens is a perfect pinhole."""
+        return not any(astuple(self))
+
+    def as_array(self) -> FloatArray:
+        """Coefficients (8,) in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6."""
+        return np.array(astuple(self), dtype=float)
+
+
+@njit(cache=True, error_model="numpy")
+def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
+    r2 = x * x + y * y
+    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+    return (
+        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
+        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
+    """Distorted normalised coordinates, shape (N, 2), of undistorted ones, shape (N, 2)."""
+    out = np.empty_like(xy)
+    for i in range(xy.shape[0]):
+        out[i, 0], out[i, 1] = _distort_point(xy[i, 0], xy[i, 1], k)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
+    """Undistorted normalised coordinates, shape (N, 2), of distorted ones; NaN where the lens model cannot be inverted.
+
+    Newton's method with the analytic Jacobian, from the distorted point; quadratic convergence, so that forward and
+    inverse agree to rounding (1e-13) wherever the distortion is one to one.
+    """
+    out = np.empty_like(xy)
+    for i in range(xy.shape[0]):
+        xd, yd = xy[i, 0], xy[i, 1]
+        x, y = xd, yd
+        converged = False
+        for _ in range(50):
+            r2 = x * x + y * y
+            top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+            bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+            radial = top / bottom
+            slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
+            slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
+            slope = (slope_top - radial * slope_bottom) / bottom  # d radial / d r²
+            fx = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x) - xd
+            fy = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y - yd
+            jxx = radial + 2.0 * x * x * slope + 2.0 * k[2] * y + 6.0 * k[3] * x
+            jxy = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
+            jyy = radial + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
+            det = jxx * jyy - jxy * jxy
+            if not det > 0.0:  # past the fold of the lens model, or NaN
+                break
+            dx = (jyy * fx - jxy * fy) / det
+            dy = (jxx * fy - jxy * fx) / det
+            x -= dx
+            y -= dy
+            if abs(dx) + abs(dy) < 1e-14 * (1.0 + abs(x) + abs(y)):
+                converged = True
+                break
+        if converged:
+            out[i, 0], out[i, 1] = x, y
+        else:
+            out[i, 0], out[i, 1] = np.nan, np.nan
+    return out

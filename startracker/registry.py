@@ -1,0 +1,41 @@
+"""Algorithms by name: the built-in ones in a plain dict, others through entry points."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+from startracker.errors import InputError
+
+T = TypeVar("T")
+
+
+def lookup(kind: str, methods: Mapping[str, T], name: str) -> T:
+    """Algorithm `name` of a kind.
+
+    Parameters
+    ----------
+    kind : str
+        Plural noun, for example ``"identifiers"``; a package that offers others registers them in the entry-point
+        group ``boresight.<kind>``.
+    methods : mapping
+        The built-in ones.
+    name : str
+        What the user wrote.
+
+    Raises
+    ------
+    InputError
+        When there is none of that name; lists those there are.
+    """
+    if name in methods:
+        return methods[name]
+    offered = {entry.name: entry for entry in entry_points(group=f"boresight.{kind}")}
+    if name in offered:
+        return offered[name].load()  # type: ignore[no-any-return]  # an entry point's type is its author's promise
+    known = sorted({*methods, *offered})
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    raise InputError(f"'{name}' is not one of the {kind}: {', '.join(known)}{hint}")
