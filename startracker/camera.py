@@ -97,7 +97,9 @@ class Camera:
         else:
             faults.append("'distortion' must hold k1, k2, p1, p2, k3 …")
             distortion = {}
-        numbers = {k: v for k, v in data.items() if k != "distortion"} | {f"distortion.{k}": v for k, v in distortion.items()}
+        numbers = {k: v for k, v in data.items() if k != "distortion"} | {
+            f"distortion.{k}": v for k, v in distortion.items()
+        }
         faults += [
             f"'{key}' must be a finite number, not {value!r}"
             for key, value in numbers.items()

@@ -1,1 +1,1 @@
-
+"""Where the spacecraft is, how it is turned, and when: clock, orbit, pointing."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
@@ -50,7 +50,7 @@ class PointingSection(Section):
     """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
     offset_deg: Vector3 = (0.0, 0.0, 0.0)
     """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
-    error_deg: NonNegative = 1.0
+    error_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
     """Half width of the random attitude offset a trial and axis: what the other sensors leave unknown."""
     rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
     """Body rate about X, Y, Z on top of the turning of the local-level frame itself."""
@@ -140,17 +140,25 @@ class DetectorSection(Section):
     hot_pixel_fraction: Fraction = 0.0
     """Share of hot pixels."""
     hot_pixel_dark_e_s: NonNegative = 0.0
-    """Mean dark current of a hot pixel at `dark_reference_c` (exponentially distributed)."""
+    """Mean dark current of a hot pixel at `dark_reference_c`, exponentially distributed, on top of the ordinary one."""
     full_well_e: Positive = 30000.0
     """Full well; above it charge is lost."""
     read_noise_e: NonNegative = 0.0
     """Read noise, standard deviation."""
+    reset_capacitance_ff: NonNegative = 0.0
+    """Capacitance of the output node, whose reset (kTC) noise stays in the frame; 0: correlated double sampling."""
     gain_e_per_dn: Positive | Literal["auto"] = "auto"
     """Electrons a digital number; ``auto`` puts the full well at the top of the converter."""
     offset_dn: NonNegative = 0.0
     """Digital offset, so that noise is not cut off at zero."""
     adc_bits: Annotated[int, Field(ge=1, le=16)] | None = 12
     """Resolution of the converter; null: none, the frame stays in fractions of a DN."""
+
+    @property
+    def pitch_um(self) -> tuple[float, float]:
+        """Pixel pitch along columns and along rows."""
+        pitch = self.pixel_pitch_um
+        return pitch if isinstance(pitch, tuple) else (pitch, pitch)
 
 
 class TrackerSection(Section):
@@ -205,7 +213,7 @@ class ScenarioModel(Section):
     """Name; also that of the default output folder."""
     description: str = ""
     """A sentence for the report."""
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     """Seed of every random stream."""
     epoch: Annotated[datetime, AfterValidator(_utc)]
     """UTC, ISO 8601."""
@@ -227,3 +235,33 @@ class ScenarioModel(Section):
     """The accuracy asked for."""
     allow_unphysical: bool = False
     """Let physics pass that cannot be; the report repeats it."""
+
+
+Count = Annotated[int, Field(ge=1)]
+KNOB_LIMITS: dict[type, dict[str, Any]] = {
+    DetectionSettings: {
+        "threshold_sigma": Positive,
+        "min_pixels": Count,
+        "max_pixels": Count,
+        "max_axis_ratio": Annotated[FiniteFloat, Field(ge=1)],
+        "max_stars": Count,
+        "background_tile_px": Annotated[int, Field(ge=4)],
+        "search_step_px": Count,
+    },
+    CentroidSettings: {
+        "window_px": Annotated[int, Field(ge=3, le=101)],
+        "psf_sigma_px": Positive | None,
+    },
+    IdentificationSettings: {
+        "separation_tolerance_deg": Positive | None,
+        "magnitude_tolerance": Positive,
+        "min_stars": Annotated[int, Field(ge=2)],
+        "max_stars": Annotated[int, Field(ge=2)],
+        "group_threshold": Count,
+        "max_groups_per_star": Count,
+        "close_pair_deg": NonNegative,
+        "close_pair_magnitude": NonNegative,
+        "false_alarm_rate": Annotated[FiniteFloat, Field(gt=0, lt=1)],
+    },
+}
+"""Limits of the tracker's knobs, whose classes live in `startracker.settings` and know no pydantic."""

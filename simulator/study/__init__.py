@@ -1,1 +1,1 @@
-
+"""Monte Carlo studies: trials, their statistics, their report."""

@@ -1,1 +1,23 @@
+"""Measuring where a candidate is: centroiders by name in `METHODS`."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.centroid.moments import first_moment
+from startracker.centroid.result import Centroids
+from startracker.detection.background import Background
+from startracker.detection.spots import Spots
+from startracker.settings import CentroidSettings
+
+__all__ = ["METHODS", "Centroider", "Centroids", "first_moment"]
+
+Centroider: TypeAlias = Callable[[NDArray[np.float32], Background, Spots, CentroidSettings, float | None], Centroids]
+"""Signature of a centroider: image, background, spots, settings, gain in electrons a DN or None."""
+
+METHODS: dict[str, Centroider] = {"moment": first_moment}
+"""Centroiders by name; packages add theirs in the entry-point group ``boresight.centroiders``."""

@@ -1,1 +1,23 @@
+"""Finding star images: background, then candidates by one of `METHODS`."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.detection.background import Background, as_image, estimate
+from startracker.detection.components import find_components
+from startracker.detection.region_growing import grow_regions
+from startracker.detection.spots import Spots
+from startracker.settings import DetectionSettings
+
+__all__ = ["METHODS", "Background", "Detector", "Spots", "as_image", "estimate", "find_components", "grow_regions"]
+
+Detector: TypeAlias = Callable[[NDArray[np.float32], Background, DetectionSettings, float | None], Spots]
+"""Signature of a detector: image, background, settings, saturation in DN or None."""
+
+METHODS: dict[str, Detector] = {"components": find_components, "region_growing": grow_regions}
+"""Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""

@@ -1,0 +1,39 @@
+"""A physically based simulator of a star camera in orbit, and the Monte Carlo harness that says how accurate it is.
+
+    from simulator import Scenario, render, run
+    scenario = Scenario.load("scenarios/cubesat.yaml")
+    frame, truth = render(scenario, index=0)
+    study = run(scenario, trials=1000, seed=1)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simulator.frame import Frame, FrameTruth
+    from simulator.renderer import Renderer, render
+    from simulator.scenario import Scenario
+    from simulator.study.run import Study, run
+
+__all__ = ["Frame", "FrameTruth", "Renderer", "Scenario", "Study", "render", "run"]
+
+_HOMES = {
+    "Frame": "simulator.frame",
+    "FrameTruth": "simulator.frame",
+    "Renderer": "simulator.renderer",
+    "Scenario": "simulator.scenario",
+    "Study": "simulator.study.run",
+    "render": "simulator.renderer",
+    "run": "simulator.study.run",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name where it is first used, so that importing the package costs nothing."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'simulator' has no attribute '{name}'")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value

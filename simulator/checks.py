@@ -1,0 +1,72 @@
+"""Names in a scenario that belong to later stages: algorithms, catalogues, mountings, curves.
+
+The scenario's own layer may not import those stages; it takes these checks as an argument instead, so that an unknown
+name is told with its line, together with every other mistake of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from simulator.scenario import Scenario
+from startracker.errors import InputError
+from startracker.registry import lookup
+
+
+def load_scenario(
+    path: str | Path, overrides: Sequence[str] | None = None, *, trials: int | None = None, seed: int | None = None
+) -> Scenario:
+    """`Scenario.load` with every name checked too.
+
+    Raises
+    ------
+    ScenarioError
+        With every mistake of the file, its bases and the options.
+    """
+    return Scenario.load(path, overrides or (), seed=seed, trials=trials, names=NAME_CHECKS)
+
+
+def _registered(kind: str, module: str, registry: str) -> Callable[[Any], str | None]:
+    """Check of a name against a registry and the entry points of its kind; the module loads when a name is checked."""
+
+    def check(name: Any) -> str | None:
+        if not isinstance(name, str):  # a mounting may be a quaternion
+            return None
+        try:
+            lookup(kind, getattr(import_module(module), registry), name)
+        except InputError as error:
+            return str(error)
+        return None
+
+    return check
+
+
+def _curve(kind: str) -> Callable[[Any], str | None]:
+    def check(spec: Any) -> str | None:
+        from simulator.optics.curves import load_curve
+
+        try:
+            load_curve(spec, kind, Path())  # the loader has made file names absolute
+        except InputError as error:
+            return str(error)
+        return None
+
+    return check
+
+
+NAME_CHECKS: Mapping[str, Callable[[Any], str | None]] = {
+    "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
+    "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "optics.transmission": _curve("transmission"),
+    "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),
+    "detector.quantum_efficiency": _curve("quantum_efficiency"),
+    "tracker.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "tracker.detector": _registered("detectors", "startracker.detection", "METHODS"),
+    "tracker.centroider": _registered("centroiders", "startracker.centroid", "METHODS"),
+    "tracker.identifier": _registered("identifiers", "startracker.identification", "METHODS"),
+    "tracker.estimator": _registered("estimators", "startracker.estimation", "METHODS"),
+}
+"""Dotted path of a key to the check of its value, as `Scenario.load` takes them."""

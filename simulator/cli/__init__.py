@@ -1,0 +1,209 @@
+"""The command ``boresight``: a face over the library, nothing of its own inside.
+
+Each command's module loads where it is called, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from startracker._version import __version__
+from startracker.errors import BoresightError
+
+app = typer.Typer(
+    name="boresight",
+    help="A star camera in orbit, simulated; a star tracker that solves its frames, and real photographs of the sky.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ScenarioFile = Annotated[
+    Path,
+    typer.Argument(help="Scenario YAML, or the name of one that ships (sunsat, cubesat, tc211).", show_default=False),
+]
+SetValues = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
+]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's seed.")]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"boresight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("run")
+def run_command(
+    scenario: ScenarioFile,
+    trials: Annotated[
+        int | None, typer.Option("--trials", metavar="N", help="In place of the scenario's number of trials.")
+    ] = None,
+    seed: Seed = None,
+    set_values: SetValues = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            help="Processes on this machine; default: its cores. The rows do not depend on it.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the trials that an interrupted run left in DIR.")
+    ] = False,
+) -> None:
+    """Run a Monte Carlo study: statistics on the terminal, trials.parquet, summary.json and report.html in DIR."""
+    from simulator.cli.run_command import run_study
+
+    raise typer.Exit(run_study(scenario, trials, seed, set_values or [], workers, out, resume))
+
+
+@app.command("render")
+def render_command(
+    scenario: ScenarioFile,
+    index: Annotated[
+        int | None, typer.Option("--index", metavar="I", help="The frame of this trial; default 0.")
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="TIME", help="The frame at this UTC time (ISO 8601) instead.")
+    ] = None,
+    seed: Seed = None,
+    set_values: SetValues = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FRAME.fits", help="Write image, camera and truth as FITS.")
+    ] = None,
+    preview: Annotated[Path | None, typer.Option("--preview", metavar="FRAME.png", help="Write a picture.")] = None,
+    noiseless: Annotated[
+        bool, typer.Option("--noiseless", help="Switch off every noise and flaw of the detector, and the background.")
+    ] = False,
+) -> None:
+    """Render one frame of a scenario."""
+    from simulator.cli.render_command import render_frame
+
+    raise typer.Exit(render_frame(scenario, index, at, seed, set_values or [], out, preview, noiseless))
+
+
+@app.command("solve")
+def solve_command(
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[IMAGE]...", help="PNG, TIFF, JPEG or FITS files, or folders of them.", show_default=False
+        ),
+    ] = None,
+    fov: Annotated[
+        float | None,
+        typer.Option(
+            "--fov", metavar="DEG", help="Field of view across the width, to a few per cent; default: found out."
+        ),
+    ] = None,
+    camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help="Identifier.")] = "match_groups",
+    catalog: Annotated[
+        str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")
+    ] = "hipparcos",
+    magnitude_limit: Annotated[
+        float, typer.Option("--magnitude-limit", metavar="V", help="Faintest guide star.")
+    ] = 6.5,
+    centroids: Annotated[
+        Path | None,
+        typer.Option(
+            "--centroids",
+            metavar="FILE.csv",
+            help="Solve a list of centroids (columns x, y and optionally flux) instead of an image.",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option("--size", metavar="WxH", help="Image size in pixels, for --centroids with --fov.")
+    ] = None,
+    lost_in_space: Annotated[
+        bool, typer.Option("--lost-in-space", help="Ignore the prior attitude in a frame's header.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object an image.")] = False,
+    wcs: Annotated[
+        Path | None, typer.Option("--wcs", metavar="OUT.fits", help="Write the world coordinate system.")
+    ] = None,
+    annotate: Annotated[
+        Path | None, typer.Option("--annotate", metavar="OUT.png", help="Write the picture with its identified stars.")
+    ] = None,
+) -> None:
+    """Solve images of the sky, or lists of centroids: where did the camera look?"""
+    from simulator.cli.solve_command import SolveRequest, solve_images
+
+    request = SolveRequest(
+        images=images or [], fov_deg=fov, camera=camera, method=method, catalog=catalog, magnitude_limit=magnitude_limit,
+        centroids=centroids, size=size, lost_in_space=lost_in_space, as_json=as_json, wcs=wcs, annotate=annotate,
+    )  # fmt: skip
+    raise typer.Exit(solve_images(request))
+
+
+@app.command("validate")
+def validate_command(
+    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO...", show_default=False)],
+) -> None:
+    """Check scenarios: every mistake at once, each with file, line and key."""
+    from simulator.cli.scenario_commands import validate
+
+    raise typer.Exit(validate(scenarios))
+
+
+@app.command("show")
+def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
+    """Print a scenario with every default spelled out."""
+    from simulator.cli.scenario_commands import show
+
+    raise typer.Exit(show(scenario, set_values or []))
+
+
+@app.command("schema")
+def schema_command() -> None:
+    """Print the JSON schema of scenarios, for editors."""
+    from simulator.cli.scenario_commands import schema
+
+    raise typer.Exit(schema())
+
+
+def main() -> None:
+    """Entry point: every failure one clear line on standard error, status 2; never a traceback for a user's mistake."""
+    sys.exit(_run(sys.argv[1:]))
+
+
+def _run(arguments: list[str]) -> int:
+    try:
+        code: Any = app(args=arguments, standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except typer.TyperException as error:  # a wrong option or argument
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        print(f"boresight: {' '.join(message.split())} (boresight --help tells more)", file=sys.stderr)
+        return 2
+    except BoresightError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        print("boresight: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141

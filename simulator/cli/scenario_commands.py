@@ -1,0 +1,73 @@
+"""``boresight validate``, ``show`` and ``schema``. Each returns the exit status."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def validate(paths: Sequence[str | Path]) -> int:
+    """Check scenario files: a line "… : ok" each on standard output, or every mistake on standard error.
+
+    Returns
+    -------
+    int
+        0 when all are right, 2 when one is not.
+    """
+    from simulator.checks import load_scenario
+    from simulator.scenario import ScenarioError
+
+    status = 0
+    for path in paths:
+        try:
+            scenario = load_scenario(path)
+        except ScenarioError as error:
+            print(error, file=sys.stderr)
+            status = 2
+            continue
+        print(f"{path}: ok")
+        for reason in scenario.unphysical:
+            print(f"{path}: unphysical, but allowed: {reason}")
+    return status
+
+
+def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
+    """Print a scenario with every default spelled out and every key explained; it loads again to an equal one.
+
+    Returns
+    -------
+    int
+        0, or 2 with every mistake on standard error.
+    """
+    from simulator.checks import load_scenario
+    from simulator.scenario import ScenarioError
+
+    try:
+        scenario = load_scenario(path, set_)
+    except ScenarioError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(scenario.to_yaml(), end="")
+    return 0
+
+
+def schema() -> int:
+    """Print the JSON schema of a scenario file, for editors.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    print(schema_text(), end="")
+    return 0
+
+
+def schema_text() -> str:
+    """The JSON schema as it is committed in ``scenarios/schema.json``."""
+    import json
+
+    from simulator.scenario.output import json_schema
+
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"

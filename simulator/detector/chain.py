@@ -1,0 +1,152 @@
+"""The order of the detector's effects, declared once, and the walk along it.
+
+`CHARGE` is what happens in the pixels, in electrons; `READOUT` what happens on the way to the numbers of the frame.
+An effect that is off is passed over: it costs nothing, changes nothing and draws from no stream. Each random effect has
+a stream of its own, by name, so that switching one changes no other's draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.detector import exposure, readout
+from simulator.detector.fixed_pattern import FixedPattern
+from simulator.scenario.schema import DetectorSection
+from startracker.errors import InputError
+
+Array = NDArray[Any]
+Streams = Callable[[str], np.random.Generator]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect: its name, whether a detector has it, and what it makes of the signal (a new array)."""
+
+    name: str
+    on: Callable[[DetectorSection, FixedPattern], bool]
+    apply: Callable[[Array, DetectorSection, FixedPattern, Streams], Array]
+
+
+# s: signal (H, W); d: detector section; p: fixed pattern; rng: random stream by name
+CHARGE: tuple[Effect, ...] = (
+    Effect(
+        "photo_response",  # mean photo-electrons → the same, by the response of each pixel
+        lambda d, p: np.ndim(p.prnu) > 0 or p.prnu != 1.0,
+        lambda s, d, p, rng: exposure.photo_response(s, p.prnu),
+    ),
+    Effect(
+        "dark_signal",  # + mean dark electrons: temperature, DSNU, hot pixels
+        lambda d, p: np.ndim(p.dark_e) > 0 or bool(p.dark_e > 0),
+        lambda s, d, p, rng: exposure.dark_signal(s, p.dark_e),
+    ),
+    Effect(
+        "shot_noise",  # mean → counted electrons
+        lambda d, p: d.shot_noise,
+        lambda s, d, p, rng: exposure.shot_noise(s, rng("shot_noise")),
+    ),
+    Effect(
+        "full_well",
+        lambda d, p: True,
+        lambda s, d, p, rng: exposure.full_well(s, d.full_well_e),
+    ),
+)
+READOUT: tuple[Effect, ...] = (
+    Effect(
+        "reset_noise",
+        lambda d, p: d.reset_capacitance_ff > 0,
+        lambda s, d, p, rng: readout.gaussian_noise(s, readout.section_reset_noise_e(d), rng("reset_noise")),
+    ),
+    Effect(
+        "read_noise",
+        lambda d, p: d.read_noise_e > 0,
+        lambda s, d, p, rng: readout.gaussian_noise(s, d.read_noise_e, rng("read_noise")),
+    ),
+    Effect(
+        "gain_offset",  # electrons → DN
+        lambda d, p: True,
+        lambda s, d, p, rng: readout.amplify(s, readout.gain_e_per_dn(d), d.offset_dn),
+    ),
+    Effect(
+        "adc",  # fractional DN → whole DN
+        lambda d, p: d.adc_bits is not None,
+        lambda s, d, p, rng: readout.convert(s, 2 ** (d.adc_bits or 0) - 1),
+    ),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """A frame as it leaves the detector.
+
+    Parameters
+    ----------
+    image : (H, W) uint16, or float64 without a converter
+        Digital numbers.
+    electrons : (H, W) float64
+        Charge in the pixels at the end of the exposure, before the noise of the readout.
+    saturated : (H, W) bool
+        Pixels at the full well or at the top of the converter: truth, which a tracker has to find by `saturation_dn`.
+    saturation_dn : float
+        DN from which on a pixel counts as saturated.
+    gain_e_per_dn : float
+        Electrons a DN.
+    """
+
+    image: NDArray[np.uint16] | NDArray[np.float64]
+    electrons: NDArray[np.float64]
+    saturated: NDArray[np.bool_]
+    saturation_dn: float
+    gain_e_per_dn: float
+
+
+def detect(
+    mean_photo_e: NDArray[np.float64], section: DetectorSection, pattern: FixedPattern, streams: Streams
+) -> Readout:
+    """Expose and read out the detector.
+
+    Parameters
+    ----------
+    mean_photo_e : (H, W) float64
+        Mean photo-electrons of each pixel over the exposure, stars and background, quantum efficiency included.
+        Left as it is.
+    section : DetectorSection
+        The detector.
+    pattern : FixedPattern
+        From `build_fixed_pattern` with the same section.
+    streams : callable
+        Gives the generator of a stream by name: ``shot_noise``, ``reset_noise``, ``read_noise``. Asked only for those
+        that are on.
+
+    Raises
+    ------
+    InputError
+        When the image or the pattern has another size than the detector, a mean is negative or not finite, or the
+        offset leaves nothing of the converter.
+    """
+    shape = (section.height, section.width)
+    named = {"mean_photo_e": mean_photo_e, "pattern.prnu": pattern.prnu, "pattern.dark_e": pattern.dark_e}
+    for name, array in named.items():
+        if np.shape(array) != shape and (array is mean_photo_e or np.ndim(array) > 0):
+            raise InputError(f"{name} has the shape {np.shape(array)}; this detector has {shape} (rows, columns)")
+    if not (np.min(mean_photo_e) >= 0.0 and np.max(mean_photo_e) < np.inf):
+        raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
+
+    electrons = np.asarray(mean_photo_e, dtype=np.float64)
+    for effect in CHARGE:
+        if effect.on(section, pattern):
+            electrons = effect.apply(electrons, section, pattern, streams)
+    image: Array = electrons
+    for effect in READOUT:
+        if effect.on(section, pattern):
+            image = effect.apply(image, section, pattern, streams)
+
+    saturated = electrons >= section.full_well_e
+    top = readout.highest_dn(section)
+    if top is not None:
+        saturated |= image >= top
+    return Readout(image, electrons, saturated, readout.saturation_dn(section), readout.gain_e_per_dn(section))

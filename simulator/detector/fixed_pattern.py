@@ -1,0 +1,103 @@
+"""What belongs to the device and is the same in every frame: response and dark current of each pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.detector.poisson import LARGEST_MEAN
+from simulator.randomness import stream
+from simulator.scenario.schema import DetectorSection
+from startracker.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPattern:
+    """Fixed pattern of one device at one temperature and exposure.
+
+    Parameters
+    ----------
+    prnu : (H, W) float64 or float
+        Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
+    dark_e : (H, W) float64 or float
+        Mean dark electrons of each pixel over the exposure; a scalar where all pixels are alike.
+    """
+
+    prnu: NDArray[np.float64] | float
+    dark_e: NDArray[np.float64] | float
+
+
+def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
+    """Draw the fixed pattern of a device.
+
+    Response and dark current of a pixel are products of many small independent factors (area, thickness, coating;
+    volume, generation rate, activation energy), hence log-normal with mean 1 and the relative standard deviation asked
+    for: never negative at any value, without clipping. Up to a few percent this is the Gaussian by which EMVA 1288
+    describes PRNU; at tens of percent it has the long upper tail of measured dark-current histograms. The dark pattern
+    scales as a whole with temperature and exposure, as the thesis has it (Greyling 1995, section 3.4.2).
+
+    Hot pixels: a binomial number of different pixels, anywhere; each has an exponentially distributed dark current on
+    top of the ordinary one.
+
+    Parameters
+    ----------
+    section : DetectorSection
+        Its size, exposure, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
+    seed : int
+        Seed of the run; the streams are ``prnu``, ``dsnu`` and ``hot_pixels`` of the device, so that none of the three
+        changes another's draws.
+
+    Raises
+    ------
+    InputError
+        When the dark signal is beyond anything that can be counted.
+    """
+    shape = (section.height, section.width)
+    prnu: NDArray[np.float64] | float = 1.0
+    if section.prnu > 0:
+        prnu = _unit_mean_lognormal(section.prnu, shape, stream(seed, "prnu"))
+
+    factor = section.exposure_s * dark_current_factor(
+        section.temperature_c, section.dark_reference_c, section.dark_doubling_c
+    )
+    dark: NDArray[np.float64] | float = section.dark_current_e_s * factor if section.dark_current_e_s > 0 else 0.0
+    if section.dsnu > 0 and dark > 0:
+        dark = dark * _unit_mean_lognormal(section.dsnu, shape, stream(seed, "dsnu"))
+    if section.hot_pixel_fraction > 0 and section.hot_pixel_dark_e_s > 0:
+        rng = stream(seed, "hot_pixels")
+        count = rng.binomial(shape[0] * shape[1], section.hot_pixel_fraction)
+        places = rng.choice(shape[0] * shape[1], size=count, replace=False)
+        hot = np.zeros(shape)
+        hot.flat[places] = rng.exponential(section.hot_pixel_dark_e_s * factor, size=count)
+        dark = dark + hot
+    _check_countable(float(np.max(dark)), section)
+    return FixedPattern(prnu, dark)
+
+
+def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: float) -> float:
+    """Dark current relative to that at the reference temperature.
+
+    2^((T − T_reference) / T_doubling): the diode law over the range in which a detector is used. It doubles every 6 to
+    8 °C in silicon of today, every 10 °C above −15 °C in the thesis (Greyling 1995, eq. 3.11).
+
+    Returns infinity where the power overflows.
+    """
+    doublings = (temperature_c - reference_c) / doubling_c
+    return math.inf if doublings > 1000.0 else 2.0**doublings
+
+
+def _unit_mean_lognormal(sigma: float, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
+    variance = math.log1p(sigma * sigma)  # of the logarithm
+    return np.exp(math.sqrt(variance) * rng.standard_normal(shape) - 0.5 * variance)
+
+
+def _check_countable(dark_e: float, section: DetectorSection) -> None:
+    if not dark_e <= LARGEST_MEAN:
+        raise InputError(
+            f"the dark signal comes to {dark_e:.3g} electrons a pixel at detector.temperature_c = "
+            f"{section.temperature_c:g}; lower dark_current_e_s, hot_pixel_dark_e_s, dsnu, temperature_c or "
+            "exposure_s, or raise dark_doubling_c"
+        )

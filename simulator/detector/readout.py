@@ -1,0 +1,103 @@
+"""From charge to numbers: output node, amplifier, converter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
+from simulator.scenario.schema import DetectorSection
+from startracker.errors import InputError
+
+SATURATION_MARGIN_SIGMA = 3.0
+"""A full pixel reads less than this many standard deviations of the readout noise below its mean in 0.1 % of cases."""
+
+
+def reset_noise_e(capacitance_f: float, temperature_c: float) -> float:
+    """Noise of charging the output node to its reference, electrons.
+
+    √(k T C) / q (Greyling 1995, eq. 3.12), 400 electrons × √(C / pF) at 25 °C.
+
+    Parameters
+    ----------
+    capacitance_f : float
+        Capacitance of the output node, farad.
+    temperature_c : float
+        Its temperature, °C.
+    """
+    return math.sqrt(BOLTZMANN_J_K * (temperature_c + 273.15) * capacitance_f) / ELEMENTARY_CHARGE_C
+
+
+def section_reset_noise_e(section: DetectorSection) -> float:
+    """Reset noise of a detector as its scenario describes it, electrons; 0 with correlated double sampling."""
+    return reset_noise_e(section.reset_capacitance_ff * 1e-15, section.temperature_c)
+
+
+def gaussian_noise(electrons: NDArray[np.float64], sigma_e: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Charge as the amplifier sees it: electrons + normal noise of `sigma_e`, (H, W) electrons, negative ones included.
+
+    Reset noise and read noise are sums of very many thermal motions, not counts: normal is what they are.
+    """
+    noisy = rng.standard_normal(electrons.shape)
+    noisy *= sigma_e
+    noisy += electrons
+    return noisy
+
+
+def amplify(electrons: NDArray[np.float64], gain_e_per_dn: float, offset_dn: float) -> NDArray[np.float64]:
+    """Signal at the converter: electrons / gain + offset, (H, W) fractional DN."""
+    signal = electrons / gain_e_per_dn
+    signal += offset_dn
+    return signal
+
+
+def convert(signal_dn: NDArray[np.float64], highest_dn: int) -> NDArray[np.uint16]:
+    """Numbers of the converter: rounded to the nearest and clipped to 0 … `highest_dn`.
+
+    Always uint16, whatever the number of bits up to 16, so that no arithmetic on an 8-bit frame wraps by surprise.
+    """
+    rounded = np.rint(signal_dn)
+    np.clip(rounded, 0.0, highest_dn, out=rounded)
+    return rounded.astype(np.uint16)
+
+
+def highest_dn(section: DetectorSection) -> int | None:
+    """Top of the converter, 2^bits − 1; None without one."""
+    return None if section.adc_bits is None else 2**section.adc_bits - 1
+
+
+def gain_e_per_dn(section: DetectorSection) -> float:
+    """Electrons a DN. ``auto``: the full well, on top of the offset, is the top of the converter; 1 without one.
+
+    Raises
+    ------
+    InputError
+        When the gain is to be automatic and the offset fills the converter.
+    """
+    top = highest_dn(section)
+    if section.gain_e_per_dn != "auto":
+        return section.gain_e_per_dn
+    if top is None:
+        return 1.0
+    if section.offset_dn >= top:
+        raise InputError(
+            f"detector.offset_dn = {section.offset_dn:g} leaves nothing of the {section.adc_bits} bits (top {top}); "
+            "lower it or raise adc_bits"
+        )
+    return section.full_well_e / (top - section.offset_dn)
+
+
+def saturation_dn(section: DetectorSection) -> float:
+    """DN from which on a pixel counts as saturated.
+
+    The top of the converter or the DN of the full well, whichever is lower. The charge of a full pixel is blurred by
+    the readout noise, so the latter is taken `SATURATION_MARGIN_SIGMA` below its mean; without readout noise it is the
+    full well itself. Rounded as the converter rounds.
+    """
+    gain = gain_e_per_dn(section)
+    noise_e = math.hypot(section.read_noise_e, section_reset_noise_e(section))
+    well = (section.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) / gain + section.offset_dn
+    top = highest_dn(section)
+    return well if top is None else float(np.rint(min(well, top)))

@@ -1,0 +1,84 @@
+"""The scenario's clock: elapsed seconds since the epoch → TT, Julian epoch, UTC."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import overload
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+SECONDS_PER_DAY = 86_400.0
+FIRST_YEAR_OF_UTC = 1960
+
+
+@dataclass(frozen=True)
+class Clock:
+    """SI seconds elapsed since an epoch, given in the time scales that the physics needs.
+
+    The epoch goes from UTC to TT once, by ERFA's table of leap seconds (``eraUtctai``, ``eraTaitt``; IAU SOFA); after
+    that elapsed seconds add to TT, which is uniform, so that a leap second between the epoch and an instant shifts
+    nothing but the UTC label. Dates after the end of the table keep its last offset, as ERFA and astropy do.
+
+    Parameters
+    ----------
+    epoch : datetime
+        With a time zone; UTC. `InputError` without one, or before UTC began (1960).
+    """
+
+    epoch: datetime
+    _tt: tuple[float, float] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.epoch.tzinfo is None:
+            raise InputError(f"the epoch {self.epoch} has no time zone; write it in UTC, for example {self.epoch}Z")
+        utc = self.epoch.astimezone(UTC)
+        if utc.year < FIRST_YEAR_OF_UTC:
+            raise InputError(f"the epoch {utc.isoformat()} lies before UTC began; take a date from 1960 on")
+        second = utc.second + utc.microsecond * 1e-6
+        # the ufuncs themselves, as their wrappers warn of every date after the table of leap seconds ("dubious year")
+        utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, second)
+        tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
+        tt1, tt2, _ = erfa.ufunc.taitt(tai1, tai2)
+        object.__setattr__(self, "epoch", utc)
+        object.__setattr__(self, "_tt", (float(tt1), float(tt2)))
+
+    @overload
+    def tt_jd(self, t_s: float) -> tuple[float, float]: ...
+    @overload
+    def tt_jd(self, t_s: FloatArray) -> tuple[float, FloatArray]: ...
+    def tt_jd(self, t_s: float | FloatArray) -> tuple[float, float | FloatArray]:
+        """Two-part Julian date TT, days; the sum is the date, the first part the same at every instant.
+
+        Good to 5 ns a year away from the epoch (rounding of the second part).
+        """
+        return self._tt[0], self._tt[1] + t_s / SECONDS_PER_DAY
+
+    @overload
+    def jyear(self, t_s: float) -> float: ...
+    @overload
+    def jyear(self, t_s: FloatArray) -> FloatArray: ...
+    def jyear(self, t_s: float | FloatArray) -> float | FloatArray:
+        """Julian epoch, TT: 2000 + (JD − 2451545) / 365.25."""
+        jd1, jd2 = self.tt_jd(t_s)
+        return 2000.0 + ((jd1 - J2000_JD_TT) + jd2) / DAYS_PER_JULIAN_YEAR
+
+    def utc_jd(self, t_s: float) -> tuple[float, float]:
+        """Two-part quasi Julian date UTC (ERFA's form: a day with a leap second is one day long)."""
+        tt1, tt2 = self.tt_jd(t_s)
+        tai1, tai2, _ = erfa.ufunc.tttai(tt1, tt2)
+        utc1, utc2, _ = erfa.ufunc.taiutc(tai1, tai2)
+        return float(utc1), float(utc2)
+
+    def isot(self, t_s: float) -> str:
+        """UTC as ISO 8601 without a zone, rounded to milliseconds; a leap second is written as second 60."""
+        year, month, day, fields, _ = erfa.ufunc.d2dtf("UTC", 3, *self.utc_jd(t_s))
+        hour, minute, second, millisecond = (int(fields[name]) for name in ("h", "m", "s", "f"))
+        return f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}.{millisecond:03d}"

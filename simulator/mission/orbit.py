@@ -1,0 +1,301 @@
+"""The spacecraft's orbit: circular, from the scenario's section, by an analytic J2 model or by SGP4.
+
+Elements refer to the true equator and equinox of date, as the Earth's bulge turns the orbit about the true pole; states
+come out in GCRS through precession and nutation (`simulator.mission.frames`).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
+from simulator.mission.clock import SECONDS_PER_DAY, Clock
+from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, teme, true_of_date
+from simulator.mission.secular import (
+    CircularElements,
+    latitude_rate,
+    mean_motion,
+    nodal_rate,
+    sun_synchronous_inclination,
+)
+from simulator.scenario.schema import OrbitSection
+from startracker.errors import InputError
+from startracker.registry import lookup
+
+__all__ = ["PROPAGATORS", "J2Orbit", "Orbit", "Sgp4Orbit", "build_orbit"]
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_LTAN_H = 22.5
+"""Local mean solar time of the ascending node where the section gives no node: 10:30, within 3° of the
+thesis' node (Ω = 155° at the vernal equinox)."""
+
+SPHERE_OF_INFLUENCE_KM = 925_000.0
+"""Radius of the Earth's sphere of influence, a⊕ (m⊕/m☉)^(2/5); beyond it the Sun rules the orbit."""
+
+SMALLEST_RADIUS_EARTHS = 0.5
+"""Below this many Earth radii the J2 expansion means nothing. The surface itself is the scenario's limit, as what is
+unphysical may be let through on purpose."""
+
+
+@runtime_checkable
+class Orbit(Protocol):
+    """What a propagator gives; immutable and picklable."""
+
+    @property
+    def clock(self) -> Clock:
+        """Epoch to which `t_s` counts."""
+        ...
+
+    @property
+    def period_s(self) -> float:
+        """Nodal period: from one ascending node to the next, mean."""
+        ...
+
+    @property
+    def inclination_rad(self) -> float:
+        """Mean inclination to the true equator of date."""
+        ...
+
+    @property
+    def nodal_rate_rad_s(self) -> float:
+        """Secular rate of the ascending node, positive to the east."""
+        ...
+
+    def raan_rad(self, t_s: ArrayLike) -> Any:
+        """Mean right ascension of the ascending node in [0, 2π), true equator and equinox of date, shape of `t_s`."""
+        ...
+
+    def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
+        ...
+
+
+@dataclass(frozen=True)
+class J2Orbit:
+    """Analytic circular orbit whose node and argument of latitude advance at their secular J2 rates.
+
+    With P towards the node, Q ahead of it by 90° in the orbit's plane, u = u₀ + u̇ t and Ω = Ω₀ + Ω̇ t:
+
+        r = a (P cos u + Q sin u),   v = a (u̇ + Ω̇ cos i) (−P sin u + Q cos u)
+
+    v is the derivative of r but for Ω̇ sin i cos u · a across the orbit (1.4 m/s at 800 km), left out together with the
+    short-period terms of J2, which are of its size, so that the plane of r and v is the mean plane. Left out as well:
+    the mean radius' own J2 offset (+4.3 km at 800 km), the eccentricity of 1e-3 that J3 forces, J4, drag, Sun and Moon.
+    All told the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°.
+
+    Parameters
+    ----------
+    elements : CircularElements
+        Mean elements at the epoch.
+    clock : Clock
+        Epoch.
+    """
+
+    elements: CircularElements
+    clock: Clock
+
+    @functools.cached_property
+    def _latitude_rate(self) -> float:
+        return latitude_rate(self.elements.semi_major_axis_km, self.elements.inclination_rad)
+
+    @property
+    def period_s(self) -> float:
+        """Nodal period; at 800 km it is 0.12 % longer than the Keplerian one, which published figures often mean."""
+        return 2.0 * math.pi / self._latitude_rate
+
+    @property
+    def inclination_rad(self) -> float:
+        """Inclination to the true equator of date, constant."""
+        return self.elements.inclination_rad
+
+    @functools.cached_property
+    def nodal_rate_rad_s(self) -> float:
+        """Secular rate of the ascending node, positive to the east."""
+        return nodal_rate(self.elements.semi_major_axis_km, self.elements.inclination_rad)
+
+    def raan_rad(self, t_s: ArrayLike) -> Any:
+        """Right ascension of the ascending node in [0, 2π), true equator and equinox of date, shape of `t_s`."""
+        return _wrapped(self.elements.raan_rad + self.nodal_rate_rad_s * np.asarray(t_s, dtype=float))
+
+    def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
+        t = np.asarray(t_s, dtype=float)
+        cos_i, sin_i = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
+        node = self.elements.raan_rad + self.nodal_rate_rad_s * t
+        u = self.elements.argument_of_latitude_rad + self._latitude_rate * t
+        cos_n, sin_n, cos_u, sin_u = np.cos(node), np.sin(node), np.cos(u), np.sin(u)
+        radial = [cos_n * cos_u - sin_n * cos_i * sin_u, sin_n * cos_u + cos_n * cos_i * sin_u, sin_i * sin_u]
+        ahead = [-cos_n * sin_u - sin_n * cos_i * cos_u, -sin_n * sin_u + cos_n * cos_i * cos_u, sin_i * cos_u]
+        radius = self.elements.semi_major_axis_km
+        speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
+        matrix = true_of_date(self.clock, t)
+        return _to_gcrs(matrix, radius * np.stack(radial, axis=-1)), _to_gcrs(matrix, speed * np.stack(ahead, axis=-1))
+
+
+@dataclass(frozen=True)
+class Sgp4Orbit:
+    """The same mean elements through SGP4 (Vallado et al. 2006; python-sgp4), without drag, from TEME into GCRS.
+
+    SGP4 adds to `J2Orbit` the short-period terms of J2 (about 1 km, and 4 km of radius), the eccentricity forced by J3
+    (1e-3: 7 km in radius, 15 km along the orbit), and the secular rates of J2² and J4 (along the orbit 1 to 2 km a day;
+    the node of a sun-synchronous orbit leaves the mean Sun by about 1° a year). Above a period of
+    225 minutes it is SDP4, with Sun and Moon.
+
+    Parameters
+    ----------
+    elements : CircularElements
+        Mean elements at the epoch. SGP4's input is Kozai's mean motion, from which it recovers Brouwer's; here the
+        conversion goes the other way, so that the semi-major axis is Brouwer's in both propagators.
+    clock : Clock
+        Epoch.
+    """
+
+    elements: CircularElements
+    clock: Clock
+
+    @property
+    def period_s(self) -> float:
+        """Nodal period from SGP4's secular rates of mean anomaly and perigee."""
+        satellite = _satellite(self.elements, self.clock)
+        return 60.0 * 2.0 * math.pi / float(satellite.mdot + satellite.argpdot)
+
+    @property
+    def inclination_rad(self) -> float:
+        """Mean inclination to the true equator of date."""
+        return self.elements.inclination_rad
+
+    @property
+    def nodal_rate_rad_s(self) -> float:
+        """Secular rate of the ascending node, positive to the east."""
+        return float(_satellite(self.elements, self.clock).nodedot) / 60.0
+
+    def raan_rad(self, t_s: ArrayLike) -> Any:
+        """Mean right ascension of the ascending node in [0, 2π), true equator and equinox of date, shape of `t_s`."""
+        t = np.asarray(t_s, dtype=float)
+        equinoxes = equation_of_equinoxes(self.clock, t, true_of_date(self.clock, t))
+        return _wrapped(float(_satellite(self.elements, self.clock).nodeo) + self.nodal_rate_rad_s * t + equinoxes)
+
+    def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...).
+
+        `InputError` where SGP4 itself reports an error (an orbit below the surface, elements that ran away).
+        """
+        t = np.asarray(t_s, dtype=float)
+        satellite = _satellite(self.elements, self.clock)
+        # as its own epoch is subtracted again inside, these are elapsed SI seconds whatever the leap seconds
+        days = satellite.jdsatepochF + t.ravel() / SECONDS_PER_DAY
+        error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
+        if error.any():
+            from sgp4.api import SGP4_ERRORS  # type: ignore[import-untyped]  # python-sgp4 ships no types
+
+            raise InputError(
+                f"orbit: SGP4 cannot follow this orbit ({SGP4_ERRORS[int(error[error != 0][0])]}); "
+                "change orbit.altitude_km or take orbit.propagator: j2"
+            )
+        matrix = teme(self.clock, t)
+        return _to_gcrs(matrix, position.reshape(*t.shape, 3)), _to_gcrs(matrix, velocity.reshape(*t.shape, 3))
+
+
+PROPAGATORS: dict[str, Callable[[CircularElements, Clock], Orbit]] = {"j2": J2Orbit, "sgp4": Sgp4Orbit}
+"""Propagators by name; each makes an `Orbit` of mean elements and a clock."""
+
+
+def build_orbit(section: OrbitSection, epoch: datetime) -> Orbit:
+    """Orbit of a scenario's section.
+
+    Parameters
+    ----------
+    section : OrbitSection
+        Altitude above the equatorial radius, inclination or ``auto`` (sun-synchronous), node by right ascension or by
+        local mean solar time (22.5 h where neither is given), argument of latitude, propagator.
+    epoch : datetime
+        With a time zone.
+
+    Raises
+    ------
+    InputError
+        For both node keys at once; an altitude outside what the model can mean, or without a sun-synchronous
+        inclination; an unknown propagator.
+    """
+    radius = EARTH_RADIUS_KM + section.altitude_km
+    if not SMALLEST_RADIUS_EARTHS * EARTH_RADIUS_KM <= radius <= SPHERE_OF_INFLUENCE_KM:
+        raise InputError(
+            f"orbit.altitude_km: no orbit around the Earth at {section.altitude_km:g} km; "
+            f"allowed is up to {SPHERE_OF_INFLUENCE_KM - EARTH_RADIUS_KM:.0f} km"
+        )
+    if section.raan_deg is not None and section.ltan_h is not None:
+        raise InputError("orbit: raan_deg and ltan_h both give the node; leave one out")
+    clock = Clock(epoch)
+    if section.raan_deg is not None:
+        raan_rad = math.radians(section.raan_deg % 360.0)
+    else:
+        raan_rad = raan_of_local_time(clock, DEFAULT_LTAN_H if section.ltan_h is None else section.ltan_h)
+    inclination = section.inclination_deg
+    elements = CircularElements(
+        semi_major_axis_km=radius,
+        inclination_rad=sun_synchronous_inclination(radius) if inclination == "auto" else math.radians(inclination),
+        raan_rad=raan_rad,
+        argument_of_latitude_rad=math.radians(section.argument_of_latitude_deg % 360.0),
+    )
+    return lookup("propagators", PROPAGATORS, section.propagator)(elements, clock)
+
+
+def _wrapped(angle: FloatArray) -> Any:
+    """Angle in [0, 2π); a plain float for a single one."""
+    wrapped = np.mod(angle, 2.0 * np.pi)
+    return float(wrapped) if np.ndim(wrapped) == 0 else wrapped
+
+
+def _to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (..., 3) taken back through matrices (..., 3, 3) out of GCRS."""
+    turned: FloatArray = np.einsum("...ji,...j->...i", matrix, vectors)
+    return turned
+
+
+def _kozai_mean_motion(elements: CircularElements) -> float:
+    """Kozai's mean motion, rad/s, of Brouwer's: SGP4's first step undone (Hoots & Roehrich 1980, section 6)."""
+    brouwer = mean_motion(elements.semi_major_axis_km)
+    d1 = 0.75 * EARTH_J2 * (3.0 * math.cos(elements.inclination_rad) ** 2 - 1.0)
+    a1 = elements.semi_major_axis_km / EARTH_RADIUS_KM
+    kozai = brouwer
+    for _ in range(20):  # each round gains three digits
+        ak = a1 * (brouwer / kozai) ** (2.0 / 3.0)
+        delta = d1 / ak**2
+        adel = ak * (1.0 - delta * (1.0 / 3.0 + delta * (1.0 + 134.0 / 81.0 * delta)))
+        kozai = brouwer * (1.0 + d1 / adel**2)
+    return kozai
+
+
+@functools.lru_cache(maxsize=64)
+def _satellite(elements: CircularElements, clock: Clock) -> Any:
+    """SGP4's record of an orbit; kept beside it, as the record itself cannot be pickled."""
+    from sgp4.api import WGS84, Satrec
+
+    node = elements.raan_rad - float(equation_of_equinoxes(clock, 0.0, true_of_date(clock, 0.0)))
+    satellite = Satrec()
+    epoch_days = (clock.epoch - datetime(1949, 12, 31, tzinfo=UTC)).total_seconds() / SECONDS_PER_DAY
+    satellite.sgp4init(
+        WGS84,
+        "i",  # the improved mode of operation
+        0,  # satellite number
+        epoch_days,
+        0.0,  # B*: no drag
+        0.0,  # first and second derivative of the mean motion, which SGP4 does not use
+        0.0,
+        0.0,  # eccentricity
+        0.0,  # argument of perigee, so that the mean anomaly counts from the node
+        elements.inclination_rad,
+        elements.argument_of_latitude_rad,
+        60.0 * _kozai_mean_motion(elements),
+        node % (2.0 * math.pi),
+    )
+    return satellite

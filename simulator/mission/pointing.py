@@ -1,0 +1,222 @@
+"""Where the camera looks: local level → body (offset, random error) → camera (mounting), and how fast it turns.
+
+Local level (also the nominal body): +X along the velocity, +Y = minus the orbit normal, +Z to the Earth's centre.
+Angles about X, Y, Z are roll, pitch, yaw, taken as one rotation vector.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.mission.frames import true_of_date
+from simulator.mission.orbit import Orbit
+from simulator.scenario.schema import PointingSection
+from startracker.attitude import Attitude, direction_to_radec
+from startracker.errors import InputError
+from startracker.registry import lookup
+
+__all__ = [
+    "MOUNTINGS",
+    "BoresightPath",
+    "Pointing",
+    "attitude_at",
+    "boresight_path",
+    "local_level",
+    "mounting_of",
+    "point",
+    "point_at_random",
+    "random_attitude",
+]
+
+FloatArray = NDArray[np.float64]
+
+_X, _Y, _Z = np.eye(3)
+
+
+def _mounting(boresight: FloatArray, up: FloatArray) -> Attitude:
+    """Body → camera: +z along `boresight`, −y along `up`, both in body axes."""
+    return Attitude.from_matrix(np.stack([np.cross(-up, boresight), -up, boresight]), "body", "camera")
+
+
+MOUNTINGS: dict[str, Attitude] = {
+    "orbit_normal": _mounting(boresight=_Y, up=-_Z),
+    "anti_orbit_normal": _mounting(boresight=-_Y, up=-_Z),
+    "zenith": _mounting(boresight=-_Z, up=_X),
+    "forward": _mounting(boresight=_X, up=-_Z),
+    "backward": _mounting(boresight=-_X, up=-_Z),
+}
+"""Body → camera by name. The camera's up (−y) is the zenith, for ``zenith`` itself the velocity. ``orbit_normal`` is
+the reference mounting, along +Y, which is *minus* the angular momentum; the name is the thesis'."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pointing:
+    """Attitude at mid-exposure.
+
+    Parameters
+    ----------
+    body, camera : Attitude
+        True attitudes, ICRS → body and ICRS → camera.
+    prior : Attitude
+        ICRS → camera without the random error: what the other sensors say.
+    mounting : Attitude
+        Body → camera.
+    rate_camera_rad_s : array, shape (3,)
+        Angular velocity against inertial space in camera axes.
+    """
+
+    body: Attitude
+    camera: Attitude
+    prior: Attitude
+    mounting: Attitude
+    rate_camera_rad_s: FloatArray
+
+
+def mounting_of(section: PointingSection) -> Attitude:
+    """Body → camera of a section: by name, or its quaternion (x, y, z, w).
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or a quaternion that is zero.
+    """
+    if isinstance(section.mounting, str):
+        return lookup("mountings", MOUNTINGS, section.mounting)
+    return Attitude(np.array(section.mounting), "body", "camera")
+
+
+def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
+    """Attitude ICRS → local level from position and velocity (3,) in GCRS axes.
+
+    Z = −r/|r|, Y = −(r × v)/|r × v|, X = Y × Z: the velocity, made square to Z (Wertz 1978, *Spacecraft Attitude
+    Determination and Control*, section 2.2).
+
+    Raises
+    ------
+    InputError
+        Where position and velocity span no plane.
+    """
+    r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
+    momentum = np.cross(r, v)
+    if not float(np.linalg.norm(momentum)) > 1e-9 * float(np.linalg.norm(r) * np.linalg.norm(v)):
+        raise InputError(f"no local level: position {r} km and velocity {v} km/s span no plane")
+    return Attitude.from_matrix(_axes(r, v), "icrs", "local_level")
+
+
+def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: np.random.Generator) -> Pointing:
+    """Attitude and rate of a spacecraft that holds the local level, at a position and velocity (3,) in GCRS.
+
+    The body is turned from the local level by the fixed `offset_deg`, and from there, about its own axes, by a random
+    rotation vector, each component uniform within ±`error_deg`. Its rate against inertial space is that of the local
+    level, ω = r × v / r² = (0, −n, 0) in local-level axes, plus `rate_deg_s` in body axes.
+
+    Parameters
+    ----------
+    section : PointingSection
+        Mounting, offset, error, rate.
+    r_km, v_km_s : array, shape (3,)
+        State of the spacecraft.
+    rng : Generator
+        Always draws three uniform numbers, whatever the section says.
+
+    Raises
+    ------
+    InputError
+        For an unknown mounting, or a state without an orbital plane.
+    """
+    nominal = _offset(section) @ local_level(r_km, v_km_s)
+    orbital_rate = float(np.linalg.norm(np.cross(r_km, v_km_s)) / (r_km @ r_km))
+    return _pointing(section, nominal, orbital_rate, rng.uniform(-1.0, 1.0, 3))
+
+
+def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_rate_rad_s: float = 0.0) -> Pointing:
+    """`point` with a nominal camera attitude that is uniform over all attitudes in place of the local level's.
+
+    Offset, error and rates act as they do in orbit: the local level, here a random frame, turns by
+    (0, −`orbital_rate_rad_s`, 0). The generator draws three numbers for the error, then three for the
+    attitude.
+    """
+    draws = rng.uniform(-1.0, 1.0, 3)
+    nominal = mounting_of(section).inverse @ random_attitude(rng)
+    return _pointing(section, nominal, orbital_rate_rad_s, draws)
+
+
+def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:
+    """True camera attitude `dt_s` seconds from mid-exposure: A(t + dt) = exp(−[ω×] dt) A(t).
+
+    Constant rate in camera axes; exact while the body holds the local level, else good to ω² dt² times the angle that
+    the body turns against it meanwhile.
+    """
+    turn = Attitude.from_rotation_vector(pointing.rate_camera_rad_s * dt_s, "camera", "camera")
+    return turn @ pointing.camera
+
+
+def random_attitude(rng: np.random.Generator, source: str = "icrs", target: str = "camera") -> Attitude:
+    """Attitude uniform over all rotations (Shoemake 1992, "Uniform random rotations", *Graphics Gems III*)."""
+    u, a, b = rng.random(3)
+    a, b = 2.0 * math.pi * a, 2.0 * math.pi * b
+    outer, inner = math.sqrt(1.0 - u), math.sqrt(u)
+    quat = np.array([outer * math.sin(a), outer * math.cos(a), inner * math.sin(b), inner * math.cos(b)])
+    return Attitude(quat, source, target)
+
+
+@dataclass(frozen=True, eq=False)
+class BoresightPath:
+    """Path of the nominal boresight; arrays of the shape of the times, degrees, right ascension in [0, 360).
+
+    Parameters
+    ----------
+    ra_deg, dec_deg : array
+        ICRS.
+    ra_date_deg, dec_date_deg : array
+        True equator and equinox of date, in which the orbit's node and inclination are given.
+    """
+
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    ra_date_deg: FloatArray
+    dec_date_deg: FloatArray
+
+
+def boresight_path(orbit: Orbit, section: PointingSection, t_s: ArrayLike) -> BoresightPath:
+    """Geometric path over the sky, without the random error, at seconds since the epoch of any shape."""
+    t = np.asarray(t_s, dtype=float)
+    in_level = (mounting_of(section) @ _offset(section)).boresight
+    direction = np.einsum("...ji,j->...i", _axes(*orbit.state(t)), in_level)
+    of_date = np.einsum("...ij,...j->...i", true_of_date(orbit.clock, t), direction)
+    ra, dec = np.degrees(direction_to_radec(direction))
+    ra_date, dec_date = np.degrees(direction_to_radec(of_date))
+    return BoresightPath(ra, dec, ra_date, dec_date)
+
+
+def _axes(r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) from GCRS into the local level."""
+    momentum = np.cross(r_km, v_km_s)
+    z = -r_km / np.linalg.norm(r_km, axis=-1, keepdims=True)
+    y = -momentum / np.linalg.norm(momentum, axis=-1, keepdims=True)
+    return np.stack([np.cross(y, z), y, z], axis=-2)
+
+
+def _offset(section: PointingSection) -> Attitude:
+    """Local level → body, without the random error."""
+    return Attitude.from_rotation_vector(np.radians(section.offset_deg), "local_level", "body")
+
+
+def _pointing(section: PointingSection, nominal: Attitude, orbital_rate_rad_s: float, draws: FloatArray) -> Pointing:
+    """Pointing around a nominal body attitude (ICRS → body) from three numbers uniform in [−1, 1)."""
+    error = Attitude.from_rotation_vector(math.radians(section.error_deg) * draws, "body", "body")
+    mounting = mounting_of(section)
+    level_rate = np.array([0.0, -orbital_rate_rad_s, 0.0])
+    rate_body = error.apply(_offset(section).apply(level_rate)) + np.radians(section.rate_deg_s)
+    body = error @ nominal
+    return Pointing(
+        body=body,
+        camera=mounting @ body,
+        prior=mounting @ nominal,
+        mounting=mounting,
+        rate_camera_rad_s=mounting.apply(rate_body),
+    )

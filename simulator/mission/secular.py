@@ -1,0 +1,80 @@
+"""Circular orbits under the secular part of J2: rates of the node and of the argument of latitude, sun-synchronism."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
+from simulator.mission.sampling import TROPICAL_YEAR_S
+from startracker.errors import InputError
+
+MEAN_SUN_RATE_RAD_S = 2.0 * math.pi / TROPICAL_YEAR_S
+"""Motion of the mean Sun against the equinox of date: a turn in a tropical year."""
+
+
+@dataclass(frozen=True)
+class CircularElements:
+    """Mean elements of a circular orbit at the epoch, in the true equator and equinox of date.
+
+    Parameters
+    ----------
+    semi_major_axis_km : float
+        Brouwer's mean semi-major axis.
+    inclination_rad, raan_rad, argument_of_latitude_rad : float
+        Inclination, right ascension of the ascending node, angle from the node along the motion.
+    """
+
+    semi_major_axis_km: float
+    inclination_rad: float
+    raan_rad: float
+    argument_of_latitude_rad: float
+
+
+def mean_motion(semi_major_axis_km: float) -> float:
+    """Keplerian mean motion, rad/s: n = √(μ / a³)."""
+    return math.sqrt(EARTH_GM_KM3_S2 / semi_major_axis_km**3)
+
+
+def nodal_rate(semi_major_axis_km: float, inclination_rad: float) -> float:
+    """Secular rate of the ascending node, rad/s, positive to the east.
+
+    Ω̇ = −(3/2) n J₂ (R/a)² cos i (Vallado 2013, *Fundamentals of Astrodynamics and Applications*, section 9.6; Wertz &
+    Larson 1999, *Space Mission Analysis and Design*, eq. 6-19). J₂² and J₄, left out, come to 3e-3 of it at 800 km, 1°
+    a year. It is counted from the equinox of date, as the mean Sun is; that equinox itself moves by 46″ a year along
+    the equator, less than what is left out.
+    """
+    oblateness = EARTH_J2 * (EARTH_RADIUS_KM / semi_major_axis_km) ** 2
+    return -1.5 * oblateness * mean_motion(semi_major_axis_km) * math.cos(inclination_rad)
+
+
+def latitude_rate(semi_major_axis_km: float, inclination_rad: float) -> float:
+    """Secular rate of the argument of latitude u = ω + M, rad/s: 2π over the nodal period.
+
+    u̇ = n [1 + (3/4) J₂ (R/a)² (6 − 8 sin² i)], the sum of Ṁ − n ∝ 2 − 3 sin² i and ω̇ ∝ 4 − 5 sin² i for e = 0
+    (Vallado 2013, section 9.6, with Brouwer's mean semi-major axis).
+    """
+    oblateness = EARTH_J2 * (EARTH_RADIUS_KM / semi_major_axis_km) ** 2
+    sin2 = math.sin(inclination_rad) ** 2
+    return mean_motion(semi_major_axis_km) * (1.0 + 0.75 * oblateness * (6.0 - 8.0 * sin2))
+
+
+def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
+    """Inclination, radians, at which the node keeps up with the mean Sun.
+
+    Solves `nodal_rate` = 360° in a tropical year: cos i = −(2/3) Ω̇ (a/R)² / (n J₂) (Wertz & Larson 1999, section 6.2).
+
+    Raises
+    ------
+    InputError
+        Above some 5,970 km, where even an equatorial retrograde orbit turns too slowly.
+    """
+    cosine = MEAN_SUN_RATE_RAD_S / nodal_rate(semi_major_axis_km, 0.0)
+    if cosine < -1.0:
+        slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate goes as a^(−7/2)
+        altitude = semi_major_axis_km - EARTH_RADIUS_KM
+        raise InputError(
+            f"orbit.inclination_deg: auto has no sun-synchronous inclination at {altitude:g} km, where the node turns "
+            f"too slowly; go below {slowest:.0f} km or give orbit.inclination_deg"
+        )
+    return math.acos(cosine)

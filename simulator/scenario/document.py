@@ -1,0 +1,285 @@
+"""A YAML 1.2 file as a tree that knows the line and column of every key.
+
+Built from the parser's events, so that duplicate keys, tags and merge keys can be told from what is plainly written.
+Plain scalars follow YAML 1.2's core schema (``yes`` is text, ``012`` is twelve); dates stay text until a key asks for
+one. Anchors and aliases work within a file. Nothing in a file is ever executed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from simulator.scenario.errors import Place, Problem
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+MAX_NODES = 20_000  # after expansion of aliases, which would otherwise multiply without end
+
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"([-+]?)\.(inf|Inf|INF)")
+_WORDS: dict[str, bool | None] = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
+_WORDS |= dict.fromkeys(("true", "True", "TRUE"), True) | dict.fromkeys(("false", "False", "FALSE"), False)
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
+
+
+class Entry(NamedTuple):
+    """A key of a table: where the key stands, and its value."""
+
+    place: Place
+    node: Table | Value
+
+
+@dataclass
+class Value:
+    """A scalar or a list, as plain Python values."""
+
+    data: Any
+    place: Place
+
+
+@dataclass
+class Table:
+    """A mapping; `place` is where it begins."""
+
+    place: Place
+    entries: dict[str, Entry] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, Any]:
+        """The same without places."""
+        return {k: e.node.plain() if isinstance(e.node, Table) else e.node.data for k, e in self.entries.items()}
+
+
+def read_text(path: Path, name: str, place: Place | None = None, key: str = "") -> str | Problem:
+    """Text of a UTF-8 file, or why there is none (told at `place`, where given, else at the file)."""
+    at = place or Place(name)
+    named = f": {name}" if place else ""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+    except (FileNotFoundError, NotADirectoryError):
+        return Problem(at, key, f"no such file{named}")
+    except IsADirectoryError:
+        return Problem(at, key, f"is a folder, not a scenario file{named}")
+    except PermissionError:
+        return Problem(at, key, f"may not be read (permission denied){named}")
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        return Problem(at, key, f"cannot be read: {getattr(error, 'strerror', None) or error}{named}")
+    if len(raw) > MAX_BYTES:
+        return Problem(Place(name), "", f"is larger than {MAX_BYTES // 1000} kB, which no scenario is")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
+        message = f"is not UTF-8 text: byte 0x{raw[error.start]:02x}; save the file as UTF-8"
+        return Problem(Place(name, line, column), "", message)
+
+
+def parse_document(text: str, name: str, problems: list[Problem]) -> Table | None:
+    """Tree of a scenario file; None when it cannot be read as one. Mistakes are appended to `problems`."""
+    node = _parse(text, Place(name, 1, 1), problems)
+    if isinstance(node, Table) or node is None:
+        return node
+    if node.data is None:
+        problems.append(
+            Problem(Place(name), "", "is empty; a scenario needs at least name, epoch, optics and detector")
+        )
+    else:
+        problems.append(Problem(node.place, "", f"must be keys and values (key: value), not {show_value(node.data)}"))
+    return None
+
+
+def parse_value(text: str, place: Place, problems: list[Problem]) -> Table | Value | None:
+    """Value of an option of the command line, read as YAML; every place in it is `place`."""
+    return _parse(text, place, problems)
+
+
+def show_value(value: Any) -> str:
+    """A value as a message quotes it: short, in YAML's words."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a section"
+    if isinstance(value, (list, tuple)):
+        shown = "[" + ", ".join(show_value(v) for v in value[:8]) + (", …]" if len(value) > 8 else "]")
+    elif isinstance(value, int):
+        shown = str(value) if abs(value) < 10**40 else f"a number of {value.bit_length()} bits"
+    else:
+        shown = repr(value)
+    return shown if len(shown) <= 80 else shown[:79] + "…"
+
+
+def _parse(text: str, start: Place, problems: list[Problem]) -> Table | Value | None:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    fixed = start.line == 0  # an option of the command line
+    if bad := _FORBIDDEN.search(text):
+        line, column = text.count("\n", 0, bad.start()) + 1, bad.start() - text.rfind("\n", 0, bad.start())
+        place = start if fixed else Place(start.source, line, column)
+        problems.append(Problem(place, "", f"invalid YAML: character U+{ord(bad.group()):04X} is not allowed"))
+        return None
+    try:
+        events = list(YAML(typ="safe", pure=True).parse(text))
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = Place(start.source, mark.line + 1, mark.column + 1) if mark and not fixed else start
+        problems.append(Problem(place, "", _syntax_message(str(error.problem or error.context))))
+        return None
+    except (YAMLError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        # the parser stumbles over some malformed directives and escapes with an error of its own making
+        reason = (str(error).splitlines() or ["unreadable"])[0]
+        problems.append(Problem(start, "", f"invalid YAML: {reason}"))
+        return None
+    return _Builder(iter(events), start, problems).document()
+
+
+def _syntax_message(problem: str) -> str:
+    if "'\\t'" in problem or "\t" in problem:
+        return "invalid YAML: a tab; indent with spaces"
+    if "mapping values are not allowed" in problem:
+        return "invalid YAML: a ':' is not expected here; check the indentation, or quote the text"
+    if "could not find expected ':'" in problem:
+        return "invalid YAML: a ':' is missing after the key"
+    return f"invalid YAML: {problem}"
+
+
+class _Builder:
+    """Turns the parser's events into a tree."""
+
+    def __init__(self, events: Iterator[Any], start: Place, problems: list[Problem]) -> None:
+        self.events, self.start, self.problems = events, start, problems
+        self.anchors: dict[str, tuple[Table | Value, int] | None] = {}  # None: still being built
+        self.count = 0
+        self.full = False
+
+    def document(self) -> Table | Value:
+        node: Table | Value = Value(None, self.start)
+        documents = 0
+        for event in self.events:
+            kind = type(event).__name__
+            if kind == "DocumentStartEvent":
+                documents += 1
+                if event.version and tuple(event.version) != (1, 2):
+                    self.report(event, "only YAML 1.2 is read here; take out the %YAML line")
+                if documents == 2:
+                    self.report(event, "a second document begins here; one file holds one scenario")
+                read = self.node(next(self.events), 0)
+                if documents == 1:
+                    node = read
+        return node
+
+    def place(self, event: Any) -> Place:
+        if self.start.line == 0:
+            return self.start
+        return Place(self.start.source, event.start_mark.line + 1, event.start_mark.column + 1)
+
+    def report(self, event: Any, message: str, key: str = "") -> None:
+        self.problems.append(Problem(self.place(event), key, message))
+
+    def node(self, event: Any, depth: int) -> Table | Value:
+        kind, place = type(event).__name__, self.place(event)
+        self.count += 1
+        if kind == "AliasEvent":
+            return self.alias(event, place)
+        first = self.count
+        anchor = getattr(event, "anchor", None)
+        if anchor:
+            self.anchors[anchor] = None
+        if getattr(event, "tag", None) is not None:
+            self.report(event, f"tags ('{event.tag}') are not used in scenarios; write the plain value")
+        node: Table | Value
+        if kind == "ScalarEvent":
+            node = Value(self.scalar(event), place)
+        elif kind == "SequenceStartEvent":
+            node = self.sequence(event, place, depth)
+        else:
+            node = self.table(event, place, depth)
+        if anchor:
+            self.anchors[anchor] = (node, self.count - first + 1)
+        return node
+
+    def alias(self, event: Any, place: Place) -> Table | Value:
+        if event.anchor not in self.anchors:
+            self.report(event, f"alias '*{event.anchor}' has no anchor '&{event.anchor}' above it")
+            return Value(None, place)
+        target = self.anchors[event.anchor]
+        if target is None:
+            self.report(event, f"alias '*{event.anchor}' stands inside its own anchor")
+            return Value(None, place)
+        self.count += target[1]
+        if self.count > MAX_NODES:
+            if not self.full:
+                self.report(event, f"the aliases expand to more than {MAX_NODES} values, which no scenario needs")
+            self.full = True
+            return Value(None, place)
+        return target[0]
+
+    def too_deep(self, event: Any, depth: int) -> bool:
+        if depth < MAX_DEPTH:
+            return False
+        if depth == MAX_DEPTH:
+            self.report(event, f"nested more than {MAX_DEPTH} levels deep, which no scenario is")
+        level = 1
+        while level:  # skip it without recursion
+            kind = type(next(self.events)).__name__
+            level += kind.endswith("StartEvent") - kind.endswith("EndEvent")
+        return True
+
+    def sequence(self, event: Any, place: Place, depth: int) -> Value:
+        if self.too_deep(event, depth):
+            return Value([], place)
+        items = []
+        while type(item := next(self.events)).__name__ != "SequenceEndEvent":
+            node = self.node(item, depth + 1)
+            items.append(node.plain() if isinstance(node, Table) else node.data)
+        return Value(items, place)
+
+    def table(self, event: Any, place: Place, depth: int) -> Table:
+        table = Table(place)
+        if self.too_deep(event, depth):
+            return table
+        while type(key_event := next(self.events)).__name__ != "MappingEndEvent":
+            key_node = self.node(key_event, depth + 1)
+            key = getattr(key_event, "value", None)
+            if type(key_event).__name__ == "AliasEvent" and isinstance(key_node, Value):
+                key = key_node.data
+            value = self.node(next(self.events), depth + 1)
+            if not isinstance(key, str):
+                self.report(key_event, "a key must be a plain word")
+            elif key == "<<" and not key_event.style:
+                self.report(key_event, "merge keys (<<) are not part of YAML 1.2; use base: or write the keys out")
+            elif key in table.entries:
+                first = table.entries[key].place
+                where = f"; first given in line {first.line}" if first.line else ""
+                self.report(key_event, f"duplicate key{where}; keep one of them", key)
+            else:
+                table.entries[key] = Entry(self.place(key_event), value)
+        return table
+
+    def scalar(self, event: Any) -> Any:
+        text: str = event.value
+        if _FORBIDDEN.search(text) or re.search("[\ud800-\udfff]", text):
+            self.report(event, "text holds a control character or half a surrogate pair; take it out")
+            return ""
+        if event.style:  # quoted or block: text
+            return text
+        if text in _WORDS:
+            return _WORDS[text]
+        if _INT.fullmatch(text):
+            if len(text) > 400:
+                self.report(event, "a number of more than 400 digits is none that can be used")
+                return 0
+            return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+        if _FLOAT.fullmatch(text):
+            return float(text)
+        if match := _INFINITY.fullmatch(text):
+            return float(match.group(1) + "inf")
+        return float("nan") if text in (".nan", ".NaN", ".NAN") else text

@@ -1,0 +1,65 @@
+"""Where a mistake stands and what it is; a `ScenarioError` tells all mistakes of a scenario at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from startracker.errors import InputError
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a key was written: a line of a file, or an option of the command line.
+
+    Parameters
+    ----------
+    source : str
+        File name as the user wrote it, or the option (``--set optics.aperture_mm``).
+    line, column : int
+        Counted from 1; 0 means the whole source.
+    key : str
+        For an option: the key it sets, which a message then need not repeat.
+    """
+
+    source: str
+    line: int = 0
+    column: int = 0
+    key: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake: its place, the dotted key it is about (or an empty string), and what to do."""
+
+    place: Place
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        subject = f"{self.key}: " if self.key and self.key != self.place.key else ""
+        return f"{self.place}: {subject}{self.message}"
+
+
+class ScenarioError(InputError):
+    """Everything that is wrong with a scenario, a line each.
+
+    Attributes
+    ----------
+    problems : tuple of Problem
+        In the order of the files and their lines; options of the command line last.
+    """
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        unique = list(dict.fromkeys(problems))
+        rank = {source: i for i, source in enumerate(dict.fromkeys(p.place.source for p in unique))}
+        unique.sort(key=lambda p: (p.place.source.startswith("--"), rank[p.place.source], p.place.line, p.place.column))
+        self.problems: tuple[Problem, ...] = tuple(unique)
+        super().__init__("\n".join(map(str, self.problems)))
+
+    def __reduce__(self) -> tuple[Any, ...]:  # the default would hand the text to __init__ when it crosses processes
+        return type(self), (self.problems,)

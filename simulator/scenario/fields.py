@@ -1,0 +1,279 @@
+"""The schema read as a table of keys: type, limits, default, description and unit of each.
+
+The loader's messages, `boresight show` and the JSON schema all come from here, so that they cannot disagree.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+import types
+import typing
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from functools import cache
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+
+from simulator.scenario.document import show_value
+from simulator.scenario.schema import KNOB_LIMITS, ScenarioModel
+
+MISSING = dataclasses.MISSING
+
+_UNITS = {
+    "deg_s": "degrees/s",
+    "e_s": "electrons/s",
+    "e_per_dn": "electrons/DN",
+    "deg": "degrees",
+    "km": "km",
+    "mm": "mm",
+    "um": "µm",
+    "nm": "nm",
+    "px": "pixels",
+    "h": "hours",
+    "s": "s",
+    "c": "°C",
+    "ff": "fF",
+    "e": "electrons",
+    "dn": "DN",
+    "bits": "bits",
+    "s10": "10th-magnitude stars a square degree",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """One key of the schema.
+
+    Parameters
+    ----------
+    path : str
+        Dotted path from the top.
+    annotation : type expression
+        Type with its limits.
+    default : object
+        `MISSING` where the user must give it.
+    description : str
+        One or two sentences, on one line.
+    section : type or None
+        The class of a section; None for a plain key.
+    """
+
+    path: str
+    annotation: Any
+    default: Any
+    description: str
+    section: type | None
+
+    @property
+    def name(self) -> str:
+        """The last part of the path."""
+        return self.path.rpartition(".")[2]
+
+    @property
+    def unit(self) -> str:
+        """Unit spelled out, from the ending of the name; empty where there is none."""
+        return _UNITS.get(self.unit_suffix[1:], "")
+
+    @property
+    def unit_suffix(self) -> str:
+        """The ending of the name that tells the unit, underscore included."""
+        ending = self.name.partition("_")[2]
+        while ending and ending not in _UNITS:
+            ending = ending.partition("_")[2]
+        return ending and f"_{ending}"
+
+
+@cache
+def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
+    """Keys of a section, a pydantic model or a dataclass, by name, in their order."""
+    hints = typing.get_type_hints(section, include_extras=True)
+    limits = KNOB_LIMITS.get(section, {})
+    keys = {}
+    if issubclass(section, BaseModel):
+        rows = [
+            (name, MISSING if info.is_required() else info.default, info.description or "")
+            for name, info in section.model_fields.items()
+        ]
+    else:
+        words = _parameter_docs(section.__doc__ or "")
+        rows = [(f.name, f.default, words.get(f.name, "")) for f in dataclasses.fields(cast(Any, section))]
+    for name, default, description in rows:
+        annotation = limits.get(name, hints[name])
+        base = _strip(annotation)[0]
+        nested = isinstance(base, type) and (issubclass(base, BaseModel) or dataclasses.is_dataclass(base))
+        path = f"{prefix}.{name}" if prefix else name
+        keys[name] = Key(path, annotation, default, " ".join(description.split()), base if nested else None)
+    return keys
+
+
+def all_keys(section: type = ScenarioModel, prefix: str = "") -> Iterator[Key]:
+    """Every key of the schema, sections before what is in them."""
+    for key in keys_of(section, prefix).values():
+        yield key
+        if key.section:
+            yield from all_keys(key.section, key.path)
+
+
+def flatten(section: object, prefix: str = "") -> dict[str, Any]:
+    """Dotted path to value of every plain key of a section object."""
+    flat: dict[str, Any] = {}
+    for name, key in keys_of(type(section) if prefix else ScenarioModel, prefix).items():
+        value = getattr(section, name)
+        flat |= flatten(value, key.path) if key.section else {key.path: value}
+    return flat
+
+
+def nest(flat: dict[str, Any]) -> dict[str, Any]:
+    """The reverse of `flatten`, as plain dictionaries."""
+    nested: dict[str, Any] = {}
+    for path, value in flat.items():
+        *sections, name = path.split(".")
+        table = nested
+        for part in sections:
+            table = table.setdefault(part, {})
+        table[name] = value
+    return nested
+
+
+def check_value(key: Key, data: Any) -> tuple[Any, str]:
+    """A value as read from YAML turned into what the key wants, and an empty string; or None and what is wrong.
+
+    Strict: text is no number even where it looks like one, true is not 1, a fraction is no whole number. A whole
+    number does where a number is asked for, a list where a tuple is, ISO 8601 text where a date is.
+    """
+    base = _strip(key.annotation)[0]
+    given = data
+    if base is datetime and isinstance(data, str):
+        try:
+            data = datetime.fromisoformat(data.strip())
+            data = data.replace(tzinfo=UTC) if data.tzinfo is None else data.astimezone(UTC)
+        except (ValueError, OverflowError):
+            data = given
+    try:
+        return _adapter(key)(tuple(data) if isinstance(data, list) else data), ""
+    except (ValidationError, OverflowError):
+        return None, f"must be {describe(key.annotation)}, not {show_value(given)}{_hint(key.annotation, given)}"
+
+
+def describe(annotation: Any) -> str:
+    """What a type expression allows, in words: "a number above 0", "'j2' or 'sgp4'"."""
+    base, limits = _strip(annotation)
+    if get_origin(base) is Literal:
+        return _join([f"'{word}'" for word in get_args(base)])
+    if get_origin(base) in (Union, types.UnionType):
+        parts = [describe(part) for part in get_args(base)]
+        return _join(["a name" if part == "text" else part for part in parts])
+    if get_origin(base) is tuple:
+        items = get_args(base)
+        return f"a list of {len(items)} numbers{_bounds(_strip(items[0])[1])}"
+    if "pattern" in limits:
+        return "a name of letters, digits, '.', '_' and '-' that begins with a letter or digit"
+    words = {
+        float: "a number",
+        int: "a whole number",
+        bool: "true or false",
+        str: "text",
+        type(None): "null",
+        datetime: "a date and time in UTC such as 2026-03-21T12:00:00Z",
+    }
+    return words[base] + _bounds(limits)
+
+
+def _bounds(limits: dict[str, Any]) -> str:
+    low, high = (_number(limits.get(a, limits.get(b))) for a, b in (("ge", "gt"), ("le", "lt")))
+    if low and high:
+        return f" {'from' if 'ge' in limits else 'above'} {low} {'to' if 'le' in limits else 'to below'} {high}"
+    if low:
+        return f" {'of at least' if 'ge' in limits else 'above'} {low}"
+    if high:
+        return f" {'of at most' if 'le' in limits else 'below'} {high}"
+    return ""
+
+
+def _number(limit: float | None) -> str:
+    return "" if limit is None else str(limit) if isinstance(limit, int) else f"{limit:g}"
+
+
+def _hint(annotation: Any, value: Any) -> str:
+    accepted = {_strip(part)[0] for part in _branches(annotation)}
+    if isinstance(value, str):
+        choices = [word for part in _branches(annotation) if get_origin(part) is Literal for word in get_args(part)]
+        if close := difflib.get_close_matches(value, choices, n=1):
+            return f"; did you mean '{close[0]}'?"
+        if bool in accepted and value.lower() in ("yes", "no", "on", "off", "true", "false"):
+            return f"; write {'true' if value.lower() in ('yes', 'on', 'true') else 'false'}, without quotes"
+        if {float, int} & accepted:
+            if re.fullmatch(r"[-+]?[0-9.]+([eE][-+]?[0-9]+)?", value):
+                return "; take off the quotes"
+            if re.fullmatch(r"[-+]?[0-9.]+ *[^\W\d_]\S*", value):
+                return "; write the bare number, the unit is in the key's name"
+            if re.fullmatch(r"[-+]?[0-9]+,[0-9]+", value):
+                return "; write a decimal point"
+    if int in accepted and isinstance(value, float) and value.is_integer():
+        return f"; write {int(value)}" if abs(value) < 1e15 else ""
+    return ""
+
+
+def _branches(annotation: Any) -> tuple[Any, ...]:
+    base = _strip(annotation)[0]
+    return get_args(base) if get_origin(base) in (Union, types.UnionType) else (base,)
+
+
+def _strip(annotation: Any) -> tuple[Any, dict[str, Any]]:
+    """The bare type, and its limits by name (gt, ge, lt, le, pattern)."""
+    limits: dict[str, Any] = {}
+    while get_origin(annotation) is Annotated:
+        annotation, *extras = get_args(annotation)
+        for extra in [m for e in extras for m in (e.metadata if isinstance(e, FieldInfo) else [e])]:
+            for name in ("gt", "ge", "lt", "le", "pattern"):
+                if (limit := getattr(extra, name, None)) is not None:
+                    limits[name] = limit
+    return annotation, limits
+
+
+_ADAPTERS: dict[str, Callable[[Any], Any]] = {}
+
+
+def _adapter(key: Key) -> Callable[[Any], Any]:
+    if key.path not in _ADAPTERS:
+        _ADAPTERS[key.path] = _make_adapter(key)
+    return _ADAPTERS[key.path]
+
+
+def _make_adapter(key: Key) -> Callable[[Any], Any]:
+    adapter: TypeAdapter[Any] = TypeAdapter(key.annotation)
+    finite = {_strip(part)[0] for part in _branches(key.annotation)} == {float}
+
+    def validate(data: Any) -> Any:
+        if isinstance(data, int) and not isinstance(data, bool) and finite:
+            data = float(data)
+        value = adapter.validate_python(data, strict=True)
+        if isinstance(value, float) and not abs(value) < float("inf"):
+            raise OverflowError("not finite")
+        return value
+
+    return validate
+
+
+def _join(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " or " + parts[-1]
+
+
+def _parameter_docs(doc: str) -> dict[str, str]:
+    """Descriptions out of a numpydoc ``Parameters`` section."""
+    words: dict[str, str] = {}
+    names: list[str] = []
+    for line in doc.partition("----------\n")[2].splitlines():
+        text = line.strip()
+        if match := re.fullmatch(r"([a-z_0-9]+(?:, [a-z_0-9]+)*) : .*", text):
+            names = match.group(1).split(", ")
+        elif text:
+            for name in names:
+                words[name] = f"{words.get(name, '')} {text}".strip()
+        else:
+            names = []
+    return words

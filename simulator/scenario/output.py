@@ -1,0 +1,120 @@
+"""A scenario as YAML with every default spelled out, and the schema as JSON schema for editors."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from datetime import UTC, datetime
+from typing import Any
+
+from simulator.scenario.fields import MISSING, Key, keys_of
+from simulator.scenario.schema import ScenarioModel
+
+SCHEMA_ID = "https://json-schema.org/draft/2020-12/schema"
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*( [A-Za-z0-9_./-]+)*")
+_RESERVED = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
+
+
+def scenario_yaml(scenario: ScenarioModel, comments: bool = True) -> str:
+    """Every key with its value, in the schema's order; above each, where asked for, its meaning and unit."""
+    lines: list[str] = []
+    _write(scenario, "", 0, comments, lines)
+    return "\n".join(lines) + "\n"
+
+
+def _write(section: object, prefix: str, depth: int, comments: bool, lines: list[str]) -> None:
+    indent = "  " * depth
+    for name, key in keys_of(type(section) if prefix else ScenarioModel, prefix).items():
+        value = getattr(section, name)
+        if comments:
+            if key.section and depth == 0:
+                lines.append("")
+            lines += [f"{indent}# {line}" for line in textwrap.wrap(_comment(key), 110 - len(indent))]
+        if key.section:
+            lines.append(f"{indent}{name}:")
+            _write(value, key.path, depth + 1, comments, lines)
+        else:
+            lines.append(f"{indent}{name}: {yaml_value(value)}")
+
+
+def _comment(key: Key) -> str:
+    words = key.description.replace("``", "").replace("`", "")
+    unit = f"[{key.unit}]" if key.unit and not key.section and key.unit not in words else ""
+    return f"{words} {unit}".strip()
+
+
+def yaml_value(value: Any) -> str:
+    """One value as YAML 1.2 that reads back as the very same."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, datetime):
+        return value.astimezone(UTC).isoformat().replace("+00:00", "Z")
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(map(yaml_value, value)) + "]"
+    text = str(value)
+    if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
+        return text
+    return '"' + "".join(map(_escaped, text)) + '"'
+
+
+def _escaped(character: str) -> str:
+    if character in '"\\':
+        return "\\" + character
+    if character.isprintable():
+        return character
+    code = ord(character)
+    if code < 0x100:
+        return f"\\x{code:02x}"
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file: titles with units, descriptions, limits, defaults.
+
+    Required keys are asked for only in files without ``base``, which may take them from there.
+    """
+    needed: dict[str, Any] = {"required": [], "properties": {}}
+    schema = _object_schema(ScenarioModel, "", needed)
+    base = {
+        "type": "string",
+        "title": "Base",
+        "description": "Another scenario, relative to this file, that this one overrides key by key.",
+    }
+    return {
+        "$schema": SCHEMA_ID,
+        "title": "boresight scenario",
+        "description": "A star camera in orbit, its star tracker, and the Monte Carlo study of both.",
+        **schema,
+        "properties": {"base": base, **schema["properties"]},
+        "if": {"not": {"required": ["base"]}},
+        "then": needed,
+    }
+
+
+def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[str, Any]:
+    from pydantic import TypeAdapter
+
+    properties: dict[str, Any] = {}
+    for name, key in keys_of(section, prefix).items():
+        if key.section:
+            inner: dict[str, Any] = {"required": [], "properties": {}}
+            body = _object_schema(key.section, key.path, inner)
+            if inner["required"]:
+                needed["required"].append(name)
+                needed["properties"][name] = {"required": inner["required"]}
+        else:
+            body = TypeAdapter(key.annotation).json_schema()
+            if key.default is MISSING:
+                needed["required"].append(name)
+            else:
+                body["default"] = list(key.default) if isinstance(key.default, tuple) else key.default
+        words = name.removesuffix(key.unit_suffix).replace("_", " ")
+        title = words[:1].upper() + words[1:]
+        properties[name] = {"title": f"{title} ({key.unit})" if key.unit else title, **body}
+        if words := key.description.replace("``", "").replace("`", ""):
+            properties[name]["description"] = words
+    return {"type": "object", "additionalProperties": False, "properties": properties}

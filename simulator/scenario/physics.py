@@ -1,0 +1,287 @@
+"""What cannot be: contradictions between keys, which nothing allows, and unphysical values, which
+``allow_unphysical: true`` lets pass and the report then repeats.
+
+Each rule reads the values it needs and names the key at fault. A rule whose values are themselves wrong is skipped, so
+that physics is checked, and told, together with every other mistake.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any, NamedTuple
+
+from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
+
+ALLOW = "; or set allow_unphysical: true"
+
+MIN_F_NUMBER = 0.5
+"""Limit of an aplanatic lens in air: N = 1 / (2 sin θ) with θ = 90° (Born & Wolf 1999, section 4.8)."""
+
+MIN_ORBIT_KM = 150.0
+"""Below this, drag brings a satellite down within a turn or so (Vallado 2013, section 8.6)."""
+
+SUN_RATE_RAD_S = 2.0 * math.pi / (365.2422 * 86400.0)
+"""Mean motion of the Sun in right ascension: a turn a tropical year."""
+
+EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
+"""Span of DE421 as it ships (Folkner et al. 2009), a day inside its ends."""
+
+SILICON_C = (-230.0, 150.0)
+"""Below, the dopants freeze out; above, silicon conducts by itself (Janesick 2001; Sze & Ng 2007, chapter 1)."""
+
+MIN_PIXEL_UM = 0.4
+"""About a wavelength of light; the smallest pixels made are 0.5 µm."""
+
+GAUSSIAN_SIGMA = 0.42
+"""Standard deviation of the Gaussian nearest to an Airy pattern, in λN (Zhang, Zerubia & Olivo-Marin 2007)."""
+
+MAX_FIELD_DEG = 170.0
+"""Across the diagonal: r = f tan θ has no room for more."""
+
+
+class Violation(NamedTuple):
+    """A rule that does not hold: the key at fault, why, and whether ``allow_unphysical`` lets it pass."""
+
+    key: str
+    message: str
+    overridable: bool
+
+
+Values = Mapping[str, Any]
+Rule = Callable[[Values], Iterator[Violation]]
+
+
+def violations(values: Values) -> list[Violation]:
+    """All rules that do not hold.
+
+    Parameters
+    ----------
+    values : mapping
+        Dotted path to value, defaults included; keys whose value is wrong are left out, and so is what depends on them.
+    """
+    found: list[Violation] = []
+    for rule in RULES:
+        try:
+            found.extend(rule(values))
+        except KeyError:  # a value that is wrong in itself, which is told elsewhere
+            continue
+    return found
+
+
+def _impossible(key: str, message: str) -> Violation:
+    return Violation(key, message, overridable=False)
+
+
+def _unphysical(key: str, message: str) -> Violation:
+    return Violation(key, message, overridable=True)
+
+
+def _node(v: Values) -> Iterator[Violation]:
+    if v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
+        message = "the node is already given by orbit.ltan_h; give one of them, and set the other to null"
+        yield _impossible("orbit.raan_deg", message)
+
+
+def sun_synchronous_limit_km() -> float:
+    """Greatest altitude of a circular sun-synchronous orbit, where J2 turns the node just fast enough at i = 180°.
+
+    From dΩ/dt = −(3/2) J2 (R/a)² n cos i (Vallado 2013, eq. 9-37): a^(7/2) = (3/2) J2 R² √GM / (dΩ/dt).
+    """
+    a: float = (1.5 * EARTH_J2 * EARTH_RADIUS_KM**2 * math.sqrt(EARTH_GM_KM3_S2) / SUN_RATE_RAD_S) ** (2.0 / 7.0)
+    return a - EARTH_RADIUS_KM
+
+
+def _altitude(v: Values) -> Iterator[Violation]:
+    altitude_km = v["orbit.altitude_km"]
+    if altitude_km <= -EARTH_RADIUS_KM:
+        yield _impossible("orbit.altitude_km", f"{altitude_km:g} km lies beyond the Earth's centre; use 150 km or more")
+    elif altitude_km < 0:
+        message = f"{altitude_km:g} km is inside the Earth; use {MIN_ORBIT_KM:g} km or more"
+        if v["orbit.propagator"] == "sgp4":
+            yield _impossible("orbit.altitude_km", message + " (sgp4 knows no such orbit)")
+        else:
+            yield _unphysical("orbit.altitude_km", message)
+    elif altitude_km < MIN_ORBIT_KM:
+        message = f"{altitude_km:g} km is within the atmosphere, where no orbit lasts; use {MIN_ORBIT_KM:g} km or more"
+        yield _unphysical("orbit.altitude_km", message)
+
+
+def _sun_synchronous(v: Values) -> Iterator[Violation]:
+    limit_km = sun_synchronous_limit_km()
+    if v["orbit.inclination_deg"] == "auto" and v["orbit.altitude_km"] > limit_km:
+        message = (
+            f"no orbit at {v['orbit.altitude_km']:g} km is sun-synchronous, only up to {limit_km:.0f} km; "
+            "give the inclination in degrees"
+        )
+        yield _impossible("orbit.inclination_deg", message)
+
+
+def _epoch(v: Values) -> Iterator[Violation]:
+    epoch, (first, last) = v["epoch"], EPHEMERIS
+    span = timedelta(days=366) if v["study.sampling"] == "mission_year" else timedelta(days=2)
+    if not first <= epoch <= last - span:
+        message = f"{epoch:%Y-%m-%d} is outside the ephemeris DE421; use {first:%Y-%m-%d} to {last - span:%Y-%m-%d}"
+        yield _impossible("epoch", message)
+
+
+def _mounting(v: Values) -> Iterator[Violation]:
+    mounting = v["pointing.mounting"]
+    if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
+        yield _impossible("pointing.mounting", "a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all")
+
+
+def _f_number(v: Values) -> Iterator[Violation]:
+    focal_mm, aperture_mm = v["optics.focal_length_mm"], v["optics.aperture_mm"]
+    if focal_mm < MIN_F_NUMBER * aperture_mm:
+        message = (
+            f"{aperture_mm:g} mm at a focal length of {focal_mm:g} mm is f/{focal_mm / aperture_mm:.3g}, "
+            f"but no lens in air is faster than f/{MIN_F_NUMBER:g}; use at most {focal_mm / MIN_F_NUMBER:g} mm"
+        )
+        yield _unphysical("optics.aperture_mm", message)
+
+
+def _field(v: Values) -> Iterator[Violation]:
+    pitch_x, pitch_y = _pitch_um(v)
+    diagonal_mm = math.hypot(v["detector.width"] * pitch_x, v["detector.height"] * pitch_y) * 1e-3
+    focal_mm = v["optics.focal_length_mm"]
+    field_deg = 2.0 * math.degrees(math.atan2(diagonal_mm / 2.0, focal_mm))
+    if field_deg > MAX_FIELD_DEG:
+        message = (
+            f"{focal_mm:g} mm before a detector of {diagonal_mm:.3g} mm diagonal sees {field_deg:.4g}°, "
+            f"more than the {MAX_FIELD_DEG:g}° a flat image holds; use a longer one"
+        )
+        yield _unphysical("optics.focal_length_mm", message)
+
+
+def _pitch_um(v: Values) -> tuple[float, float]:
+    pitch = v["detector.pixel_pitch_um"]
+    return (pitch, pitch) if isinstance(pitch, float) else pitch
+
+
+def _pixel(v: Values) -> Iterator[Violation]:
+    smallest = min(_pitch_um(v))
+    if smallest < MIN_PIXEL_UM:
+        message = f"{smallest:g} µm is smaller than a wavelength of light; use {MIN_PIXEL_UM:g} µm or more"
+        yield _unphysical("detector.pixel_pitch_um", message)
+
+
+def _psf_keys(v: Values) -> Iterator[Violation]:
+    sigma, ring = v["optics.psf.sigma_px"], v["optics.psf.first_dark_ring_px"]
+    if sigma is not None and v["optics.psf.model"] == "airy":
+        message = "an airy image has no sigma_px; use first_dark_ring_px, or model: gaussian"
+        yield _impossible("optics.psf.sigma_px", message)
+    elif sigma is not None and ring is not None:
+        message = "the width is already given by first_dark_ring_px; give one of them, and set the other to null"
+        yield _impossible("optics.psf.sigma_px", message)
+
+
+def _diffraction(v: Values) -> Iterator[Violation]:
+    number = v["optics.focal_length_mm"] / v["optics.aperture_mm"]
+    scale_px = v["optics.psf.wavelength_nm"] * 1e-3 * number / _pitch_um(v)[0]  # λN
+    for name, factor in (("sigma_px", GAUSSIAN_SIGMA), ("first_dark_ring_px", 1.22)):
+        given, least = v[f"optics.psf.{name}"], factor * scale_px
+        if given is not None and given < 0.95 * least:  # 5 % for the roundness of the factors
+            message = (
+                f"{given:g} px is sharper than diffraction at f/{number:.3g} and "
+                f"{v['optics.psf.wavelength_nm']:g} nm allows; use {least:.3g} px or more"
+            )
+            yield _unphysical(f"optics.psf.{name}", message)
+
+
+def _full_well(v: Values) -> Iterator[Violation]:
+    if v["detector.full_well_e"] < v["detector.read_noise_e"]:
+        message = f"{v['detector.full_well_e']:g} e⁻ is less than the read noise of {v['detector.read_noise_e']:g} e⁻"
+        yield _unphysical("detector.full_well_e", message + "; no signal could be told from it")
+
+
+def _temperature(v: Values) -> Iterator[Violation]:
+    low, high = SILICON_C
+    if not low <= v["detector.temperature_c"] <= high:
+        message = f"no silicon detector works at {v['detector.temperature_c']:g} °C; use {low:g} to {high:g} °C"
+        yield _unphysical("detector.temperature_c", message)
+
+
+def _dark_signal(v: Values) -> Iterator[Violation]:
+    doublings = (v["detector.temperature_c"] - v["detector.dark_reference_c"]) / v["detector.dark_doubling_c"]
+    dark_e = v["detector.dark_current_e_s"] * v["detector.exposure_s"] * 2.0 ** min(doublings, 900.0)
+    if dark_e > v["detector.full_well_e"]:
+        message = (
+            f"within {v['detector.exposure_s']:g} s at {v['detector.temperature_c']:g} °C the dark current alone gives "
+            f"{dark_e:.3g} e⁻ and fills the well of {v['detector.full_well_e']:g} e⁻; shorten it, or cool the detector"
+        )
+        yield _unphysical("detector.exposure_s", message)
+
+
+def _exposure(v: Values) -> Iterator[Violation]:
+    a_km = EARTH_RADIUS_KM + v["orbit.altitude_km"]
+    if a_km > 0:
+        period_s = 2.0 * math.pi * math.sqrt(a_km**3 / EARTH_GM_KM3_S2)
+        if v["detector.exposure_s"] > period_s:
+            message = f"{v['detector.exposure_s']:g} s is longer than the orbit of {period_s:.0f} s; shorten it"
+            yield _unphysical("detector.exposure_s", message)
+
+
+def _converter(v: Values) -> Iterator[Violation]:
+    bits, gain = v["detector.adc_bits"], v["detector.gain_e_per_dn"]
+    top_dn = math.inf if bits is None else 2**bits - 1
+    if v["detector.offset_dn"] >= top_dn:
+        message = f"{v['detector.offset_dn']:g} DN leaves nothing of the converter's {top_dn} DN ({bits} bits)"
+        yield _impossible("detector.offset_dn", message + "; lower it, or raise adc_bits")
+    elif gain != "auto":
+        span_e = gain * (top_dn - v["detector.offset_dn"])
+        if span_e < v["detector.read_noise_e"]:
+            message = (
+                f"{gain:g} e⁻/DN puts the converter's top at {span_e:.3g} e⁻, "
+                f"below the read noise of {v['detector.read_noise_e']:g} e⁻; raise it, or adc_bits"
+            )
+            yield _unphysical("detector.gain_e_per_dn", message)
+        if bits is not None and gain > v["detector.full_well_e"]:
+            message = f"{gain:g} e⁻/DN makes less than one DN of a full well of {v['detector.full_well_e']:g} e⁻"
+            yield _unphysical("detector.gain_e_per_dn", message + "; lower it")
+
+
+def _guide_stars(v: Values) -> Iterator[Violation]:
+    if v["tracker.magnitude_limit"] < -1.5:
+        message = f"no star is brighter than V = {v['tracker.magnitude_limit']:g} (Sirius: −1.46); 6.5 is usual"
+        yield _impossible("tracker.magnitude_limit", message)
+
+
+def _least_and_most(low: str, high: str) -> Rule:
+    def rule(v: Values) -> Iterator[Violation]:
+        if v[high] < v[low]:
+            yield _impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")
+
+    return rule
+
+
+def _window(v: Values) -> Iterator[Violation]:
+    size = v["tracker.centroid.window_px"]
+    if size % 2 == 0:
+        message = f"must be odd, so that it has a middle pixel, not {size}; use {size - 1} or {size + 1}"
+        yield _impossible("tracker.centroid.window_px", message)
+
+
+RULES: tuple[Rule, ...] = (
+    _node,
+    _altitude,
+    _sun_synchronous,
+    _epoch,
+    _mounting,
+    _f_number,
+    _field,
+    _pixel,
+    _psf_keys,
+    _diffraction,
+    _full_well,
+    _temperature,
+    _dark_signal,
+    _exposure,
+    _converter,
+    _guide_stars,
+    _window,
+    _least_and_most("tracker.detection.min_pixels", "tracker.detection.max_pixels"),
+    _least_and_most("tracker.identification.min_stars", "tracker.identification.max_stars"),
+    _least_and_most("tracker.identification.min_stars", "tracker.detection.max_stars"),
+)

@@ -1,0 +1,147 @@
+"""One trial: a frame rendered, solved, and its error measured; one row of ``trials.parquet``."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from startracker.tracker import StarTracker
+
+from simulator.frame import Frame, FrameTruth
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.statistics import WRONG_FACTOR
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.solution import Solution
+
+FloatArray = NDArray[np.float64]
+
+TIMING_COLUMNS = ("render_ms", "solve_ms", "detect_ms", "centroid_ms", "identify_ms", "attitude_ms")
+"""The only columns that may differ between two runs of the same scenario and seed."""
+
+
+def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
+    """Star tracker that a scenario's ``tracker`` section describes, for a camera."""
+    section = scenario.tracker
+    return StarTracker(
+        camera,
+        catalog=section.catalog,
+        magnitude_limit=section.magnitude_limit,
+        detector=section.detector,
+        centroider=section.centroider,
+        identifier=section.identifier,
+        estimator=section.estimator,
+        detection=section.detection,
+        centroid=section.centroid,
+        identification=section.identification,
+    )
+
+
+def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
+    """Solve a frame with all that the spacecraft knows of it."""
+    return tracker.solve(
+        frame.image,
+        prior=frame.prior,
+        prior_deg=frame.prior_deg,
+        observer=frame.observer,
+        saturation_dn=frame.saturation_dn,
+        gain_e_per_dn=frame.gain_e_per_dn,
+    )
+
+
+def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
+    """Rotation vector from the true to the estimated attitude, in camera axes and in body axes, degrees."""
+    camera = np.degrees(truth.rotation_vector_to(estimate))
+    body = mounting.inverse.apply(camera)
+    names = ("cross_x", "cross_y", "about_boresight", "roll", "pitch", "yaw")
+    return dict(zip(names, (float(v) for v in (*camera, *body)), strict=True))
+
+
+def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
+    """Number of matched stars with no true star of that number within `tolerance_px` of the centroid.
+
+    A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
+    """
+    wrong = 0
+    for xy, number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True):
+        same = truth.sources.xy[(truth.sources.id == number) & (truth.sources.kind == "star")]
+        if not (len(same) and float(np.min(np.hypot(*(same - xy).T))) <= tolerance_px):
+            wrong += 1
+    return wrong
+
+
+class TrialRunner:
+    """Renders and solves trials of one scenario; what they share is built once."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.renderer = Renderer(scenario)
+        self.tracker = build_tracker(scenario, self.renderer.camera)
+        self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
+
+    def run(self, index: int) -> dict[str, Any]:
+        """Row of trial `index`."""
+        started = time.perf_counter()
+        frame, truth = self.renderer.frame(index)
+        rendered = time.perf_counter()
+        solution = solve_frame(self.tracker, frame)
+        solved = time.perf_counter()
+        row = self._row(index, frame, truth, solution)
+        row["render_ms"] = (rendered - started) * 1e3
+        row["solve_ms"] = (solved - rendered) * 1e3
+        for stage in ("detect", "centroid", "identify", "attitude"):
+            row[f"{stage}_ms"] = float(solution.times_ms.get(stage, math.nan))
+        return row
+
+    def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+        scenario, sources = self.scenario, truth.sources
+        inside = frame.camera.contains(sources.xy)
+        row: dict[str, Any] = {
+            "index": index,
+            "t_s": truth.t_s,
+            "utc": frame.utc,
+            "status": str(solution.status),
+            "reason": solution.reason,
+            "wrong": False,
+            "true_ra_deg": truth.attitude.ra_deg,
+            "true_dec_deg": truth.attitude.dec_deg,
+            "true_roll_deg": truth.attitude.roll_deg,
+        }
+        row |= {f"true_q{axis}": float(v) for axis, v in zip("xyzw", truth.attitude.quat, strict=True)}
+        errors = dict.fromkeys(("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"), math.nan)
+        sigma = np.full(3, math.nan)
+        estimate = np.full(4, math.nan)
+        pointing = (math.nan, math.nan, math.nan)
+        if solution.attitude is not None:
+            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+            limits = scenario.specification
+            row["wrong"] = any(
+                abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
+            )
+            estimate = solution.attitude.quat
+            pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
+            if solution.covariance is not None:
+                sigma = np.degrees(np.sqrt(np.diag(solution.covariance)))
+        row |= dict(zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True))
+        row |= {f"q{axis}": float(v) for axis, v in zip("xyzw", estimate, strict=True)}
+        row |= {f"error_{axis}_deg": value for axis, value in errors.items()}
+        row |= {
+            f"sigma_{axis}_deg": float(v)
+            for axis, v in zip(("cross_x", "cross_y", "about_boresight"), sigma, strict=True)
+        }
+        bright = sources.v_mag <= scenario.tracker.magnitude_limit
+        residuals = solution.stars.residual_px
+        row |= {
+            "stars_in_field": int(np.sum(inside & bright & (sources.kind == "star"))),
+            "bodies_in_field": int(np.sum(inside & (sources.kind != "star"))),
+            "stars_detected": len(solution.centroids),
+            "stars_matched": solution.matched,
+            "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
+            "residual_rms_px": float(np.sqrt(np.mean(residuals**2))) if len(residuals) else math.nan,
+            "rate_deg_s": math.degrees(float(np.linalg.norm(truth.rate_camera_rad_s))),
+        }
+        return row

@@ -1,0 +1,70 @@
+"""The Yale Bright Star Catalogue, 5th revised edition (preliminary version), as published: parsed on load.
+
+Credit: D. Hoffleit, W. H. Warren Jr., *The Bright Star Catalogue, 5th Revised Ed. (Preliminary Version)*,
+Astronomical Data Center, NSSDC/ADC, 1991 (CDS V/50). The file ships unmodified, as its terms ask.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.fixed_width import FixedWidth
+from startracker.catalog.stars import StarCatalog
+from startracker.constants import ARCSEC_RAD
+
+__all__ = ["EPOCH_JYEAR", "load_bsc5", "parse_bsc5"]
+
+EPOCH_JYEAR = 2000.0
+"""Epoch and equinox of the positions used here; FK5 system, which ICRS equals to 0.1″, below the file's rounding."""
+
+
+def load_bsc5() -> StarCatalog:
+    """The catalogue's 9,096 stars; the 14 rows of novae, clusters and galaxies that kept a number only are left out.
+
+    Positions are rounded to 0.1 s and 1″ in the file: against Hipparcos the median error is 0.65″. Proper motions
+    are FK5's, RA already times cos Dec. Trigonometric and dynamical parallaxes are taken alike.
+    """
+    return parse_bsc5((files("startracker.catalog") / "data" / "bsc5.dat").read_bytes())
+
+
+def parse_bsc5(data: bytes) -> StarCatalog:
+    """Catalogue from the bytes of a file in the layout of CDS V/50.
+
+    Raises
+    ------
+    InputError
+        When a row is not in that layout.
+    """
+    table = FixedWidth.from_bytes(data, width=197, where="bsc5")
+    table = table.rows(table.text(76, 77) != "")  # what is no star has no position
+    ra_h = table.number(76, 77) + table.number(78, 79) / 60 + table.number(80, 83) / 3600
+    dec_deg = table.number(85, 86) + table.number(87, 88) / 60 + table.number(89, 90) / 3600
+    dec_deg = np.where(table.text(84, 84) == "-", -dec_deg, dec_deg)
+    return StarCatalog(
+        name="bsc5",
+        epoch_jyear=EPOCH_JYEAR,
+        id=table.number(1, 4).astype(np.int64),
+        ra_rad=np.radians(15.0 * ra_h),
+        dec_rad=np.radians(dec_deg),
+        pm_ra_rad_yr=table.number(149, 154, missing=0.0) * ARCSEC_RAD,
+        pm_dec_rad_yr=table.number(155, 160, missing=0.0) * ARCSEC_RAD,
+        # a few trigonometric parallaxes came out negative: no distance is known then
+        parallax_rad=np.maximum(table.number(162, 166, missing=0.0), 0.0) * ARCSEC_RAD,
+        radial_velocity_km_s=table.number(167, 170, missing=0.0),
+        v_mag=table.number(103, 107),
+        b_v=table.number(110, 114),
+        spectral_type=table.text(128, 147),
+        star_name=_names(table),
+    )
+
+
+def _names(table: FixedWidth) -> NDArray[np.str_]:
+    """Bayer letter and constellation ("Alp1 Cen"), else the Flamsteed number ("33 Psc"), else nothing."""
+    flamsteed, bayer, constellation = table.text(5, 7), table.text(8, 11), table.text(12, 14)
+    # a superscript stands in a column of its own
+    designation = np.where(bayer != "", np.char.replace(bayer, " ", ""), flamsteed)
+    names = np.char.add(np.char.add(designation, " "), constellation)
+    return np.where(designation != "", names, "")

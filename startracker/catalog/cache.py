@@ -1,0 +1,58 @@
+"""Parsed catalogues in the user's cache folder. It only saves time: any fault of it counts as "nothing there"."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from startracker.catalog.stars import StarCatalog
+
+__all__ = ["folder", "load", "store"]
+
+_UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+def folder() -> Path:
+    """The folder; the environment variable ``BORESIGHT_CACHE`` names another."""
+    own = os.environ.get("BORESIGHT_CACHE")
+    if own:
+        return Path(own)
+    import platformdirs
+
+    return platformdirs.user_cache_path("boresight")
+
+
+def load(key: str) -> StarCatalog | None:
+    """The catalogue stored under `key`; None when there is none or it cannot be read."""
+    try:
+        with np.load(folder() / f"{key}.npz", allow_pickle=False) as stored:
+            columns = {column: stored[column] for column in StarCatalog.columns()}
+            return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
+    except _UNUSABLE:
+        return None
+
+
+def store(key: str, catalog: StarCatalog) -> None:
+    """Store a catalogue under `key`: written beside and moved into place, so that no reader meets half a file."""
+    columns = {column: getattr(catalog, column) for column in StarCatalog.columns()}
+    temporary = ""
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder(), prefix=f"{key}.", suffix=".tmp", delete=False) as file:
+            temporary = file.name
+            np.savez(
+                file,
+                allow_pickle=False,
+                name=np.array(catalog.name),
+                epoch_jyear=np.array(catalog.epoch_jyear),
+                **columns,
+            )
+        os.replace(temporary, folder() / f"{key}.npz")
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)

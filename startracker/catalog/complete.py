@@ -1,0 +1,110 @@
+"""A precise catalogue and the Bright Star Catalogue made one: what each knows of the same star, and what one lacks.
+
+The two are matched one to one. A bright star left over is either the companion of a matched one that the precise
+catalogue has as a single entry of both (nothing to add), or it is missing there (added).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from startracker.attitude import direction_to_radec
+from startracker.catalog.stars import StarCatalog
+from startracker.constants import ARCSEC_RAD
+
+__all__ = ["at_epoch", "complete", "match"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_SEARCH_ARCSEC = 25.0
+"""The Bright Star Catalogue is off by 15″ for the worst of its fast stars (61 Cygni)."""
+_CERTAIN_ARCSEC = 10.0
+"""Within it Hipparcos has two close stars as one entry; beyond it a match needs like brightness too."""
+_ARCSEC_PER_MAG = 5.0
+"""How a difference in brightness is weighed against one in position."""
+_LIKE_MAG = 0.5
+
+
+def match(bright: StarCatalog, precise: StarCatalog) -> IntArray:
+    """Index (N,) into `precise` of each star of `bright`, −1 where it has none; no entry is given twice.
+
+    Pairs are taken in the order of distance + 5″ per magnitude, up to 25″.
+    """
+    star, entry, distance = _neighbours(bright, precise)
+    difference = np.abs(bright.v_mag[star] - precise.v_mag[entry])
+    plausible = (distance < _CERTAIN_ARCSEC) | (difference < _LIKE_MAG)
+    found = np.full(len(bright), -1, dtype=np.int64)
+    taken = np.zeros(len(precise), dtype=bool)
+    for k in np.argsort(distance + _ARCSEC_PER_MAG * difference, kind="stable"):
+        if plausible[k] and found[star[k]] < 0 and not taken[entry[k]]:
+            found[star[k]] = entry[k]
+            taken[entry[k]] = True
+    return found
+
+
+def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
+    """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it lacks.
+
+    Stars that are added carry minus their number as id and are moved to the epoch of `precise`. Brightness, colour,
+    position and motion of a star that both have are those of `precise`.
+    """
+    found = match(bright, precise)
+    has = np.flatnonzero(found >= 0)
+    columns = {column: getattr(precise, column) for column in StarCatalog.columns()}
+    for column in ("radial_velocity_km_s", "spectral_type", "star_name"):
+        source = getattr(bright, column)
+        values = columns[column].astype(np.result_type(columns[column], source))
+        values[found[has]] = source[has]
+        columns[column] = values
+    added = at_epoch(bright.select(np.flatnonzero(_missing(bright, precise, found))), precise.epoch_jyear)
+    joined = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
+    joined["id"] = np.concatenate([precise.id, -added.id])
+    return StarCatalog(precise.name, precise.epoch_jyear, **joined)
+
+
+def at_epoch(catalog: StarCatalog, epoch_jyear: float) -> StarCatalog:
+    """The catalogue with positions and proper motions at another Julian epoch (straight space motion)."""
+    u, motion = catalog.space_motion()
+    moved = u + (epoch_jyear - catalog.epoch_jyear) * motion
+    distance = np.linalg.norm(moved, axis=1)
+    ra, dec = direction_to_radec(moved)
+    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=1)
+    columns = {column: getattr(catalog, column) for column in StarCatalog.columns()}
+    columns |= {
+        "ra_rad": ra,
+        "dec_rad": dec,
+        "pm_ra_rad_yr": np.einsum("ij,ij->i", east, motion) / distance,
+        "pm_dec_rad_yr": np.einsum("ij,ij->i", north, motion) / distance,
+        "parallax_rad": catalog.parallax_rad / distance,
+    }
+    return StarCatalog(catalog.name, epoch_jyear, **columns)
+
+
+def _missing(bright: StarCatalog, precise: StarCatalog, found: IntArray) -> NDArray[np.bool_]:
+    """Which stars of `bright` are in `precise` neither on their own nor in the light of another's entry."""
+    star, entry, distance = _neighbours(bright, precise)
+    light = np.zeros(len(precise))  # of the matched star alone, on the scale of `bright`
+    has = found >= 0
+    light[found[has]] = 10.0 ** (-0.4 * bright.v_mag[has])
+    missing = ~has
+    for k in np.flatnonzero(missing[star]):
+        if light[entry[k]] == 0.0:
+            continue
+        alone = -2.5 * np.log10(light[entry[k]])
+        together = -2.5 * np.log10(light[entry[k]] + 10.0 ** (-0.4 * bright.v_mag[star[k]]))
+        of_both = abs(precise.v_mag[entry[k]] - together) < abs(precise.v_mag[entry[k]] - alone)
+        if distance[k] < _CERTAIN_ARCSEC or of_both:
+            missing[star[k]] = False
+    return missing
+
+
+def _neighbours(bright: StarCatalog, precise: StarCatalog) -> tuple[IntArray, IntArray, FloatArray]:
+    """All pairs within the search radius at the epoch of `bright`: indices and separation, arcseconds."""
+    u, w = bright.directions(bright.epoch_jyear), precise.directions(bright.epoch_jyear)
+    near = cKDTree(u).sparse_distance_matrix(cKDTree(w), _SEARCH_ARCSEC * ARCSEC_RAD, output_type="ndarray")
+    near = near[np.lexsort((near["j"], near["i"]))]
+    return near["i"].astype(np.int64), near["j"].astype(np.int64), near["v"] / ARCSEC_RAD

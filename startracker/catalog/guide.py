@@ -1,0 +1,252 @@
+"""The guide-star database: the stars a camera can tell apart and the pairs they make, ready for identification.
+
+Thesis section 5.2.1: stars down to the camera's limit, doubles merged, close pairs kept out of the patterns, and the
+list of separations that fit into the field, sorted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from startracker.camera import Camera
+from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.stars import StarCatalog
+from startracker.errors import InputError
+from startracker.observer import Observer, aberrate
+from startracker.settings import IdentificationSettings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+RESOLVED_PX = 2.0
+"""Two stars closer than this are one blur spot (Greyling 1995, eq. 5.1)."""
+PATTERN_STARS_IN_FIELD = 60
+"""Guide stars that make patterns, at most, in a circle around the field; fainter ones serve for verification."""
+_PAIR_EPOCH_STEP = 5.0  # years; the fastest naked-eye star moves 18″ in half a step, the 100th fastest 2.5″
+_DRIFT_MARGIN_RAD = math.radians(0.1)  # motion since the catalogue's epoch, and aberration, at most
+
+
+@dataclass(frozen=True, eq=False)
+class PairList:
+    """Pairs of stars sorted by separation: `first` and `second` index a table of stars, `separation_rad` ascends."""
+
+    first: IntArray
+    second: IntArray
+    separation_rad: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.separation_rad)
+
+    @classmethod
+    def of(cls, directions: FloatArray, index: IntArray, max_rad: float, min_rad: float = 0.0) -> PairList:
+        """Pairs of the stars `index` of unit vectors `directions` (N, 3), `min_rad` ≤ separation ≤ `max_rad`."""
+        points = directions[index]
+        if len(index) < 500:  # a prior's cone: all pairs at once
+            i, j = np.triu_indices(len(index), 1)
+        else:
+            pairs = cKDTree(points).query_pairs(2.0 * math.sin(min(max_rad, math.pi) / 2.0), output_type="ndarray")
+            i, j = pairs[:, 0], pairs[:, 1]
+        chord = np.linalg.norm(points[i] - points[j], axis=1)
+        separation = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+        keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
+        order = keep[np.argsort(separation[keep], kind="stable")]
+        return cls(index[i[order]].astype(np.int64), index[j[order]].astype(np.int64), separation[order])
+
+
+def close_pairs(directions: FloatArray, v_mag: FloatArray, separation_rad: float, magnitude: float) -> NDArray[np.bool_]:
+    """Stars (N,) whose measured position a neighbour can pull away.
+
+    A star is marked when another lies within `separation_rad` that is brighter, or less than `magnitude` fainter (the
+    thesis program's 0.08° and 0.77 mag).
+    """
+    marked = np.zeros(len(directions), dtype=bool)
+    if len(directions) < 2 or separation_rad <= 0:
+        return marked
+    pairs = cKDTree(directions).query_pairs(2.0 * math.sin(separation_rad / 2.0), output_type="ndarray")
+    fainter_by = v_mag[pairs[:, 1]] - v_mag[pairs[:, 0]]
+    marked[pairs[fainter_by < magnitude, 0]] = True
+    marked[pairs[-fainter_by < magnitude, 1]] = True
+    return marked
+
+
+def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) -> NDArray[np.bool_]:
+    """Stars (N,), given brightest first, with fewer than about `limit` brighter chosen ones within `radius_rad`.
+
+    Evens the density out, so that rich and poor parts of the sky give equally many patterns. Works in growing
+    batches of equal treatment; the number in any circle exceeds `limit` by a batch's share at most.
+    """
+    n = len(directions)
+    chosen = np.zeros(n, dtype=bool)
+    chord = 2.0 * math.sin(min(radius_rad, math.pi) / 2.0)
+    start = 0
+    while start < n:
+        stop = min(n, start + max(limit, start // 8))
+        known = np.flatnonzero(chosen[:start])
+        if len(known) == 0:
+            chosen[start:stop] = True
+        else:
+            count = cKDTree(directions[known]).query_ball_point(directions[start:stop], chord, return_length=True)
+            chosen[start:stop] = count < limit
+        start = stop
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class GuideDatabase:
+    """Guide stars of one camera, at one epoch, as one observer sees them.
+
+    Parameters
+    ----------
+    camera : Camera
+        For the field's size and shape.
+    catalog : StarCatalog
+        Guide stars, unresolved doubles merged, brightest first.
+    directions : array, shape (G, 3)
+        Unit vectors in which the observer sees them, ICRS axes.
+    pattern : bool array, shape (G,)
+        Stars fit to make patterns; the others only verify.
+    epoch_jyear : float
+        Epoch of `directions`.
+    """
+
+    camera: Camera
+    catalog: StarCatalog
+    directions: FloatArray
+    pattern: NDArray[np.bool_]
+    epoch_jyear: float
+    _tree: cKDTree
+    _field: tuple[float, float]
+    _pairs: dict[float, PairList] = field(default_factory=dict)
+
+    # ------------------------------------------------------------------ made from
+    @classmethod
+    def build(
+        cls,
+        catalog: StarCatalog,
+        camera: Camera,
+        magnitude_limit: float,
+        settings: IdentificationSettings | None = None,
+    ) -> GuideDatabase:
+        """Database of a catalogue for a camera; kept in memory, so that the same request costs nothing again.
+
+        Raises
+        ------
+        InputError
+            When the limit leaves fewer than three stars of the catalogue.
+        """
+        chosen = settings or IdentificationSettings()
+        return _build(catalog, camera, float(magnitude_limit), chosen.close_pair_deg, chosen.close_pair_magnitude)
+
+    def seen_by(self, observer: Observer | None) -> GuideDatabase:
+        """The same stars from where and when the observer is: space motion, annual parallax, aberration of light."""
+        if observer is None:
+            return self
+        directions = self.catalog.directions(observer.epoch_jyear, observer.position_au)
+        if observer.velocity_km_s is not None:
+            directions = aberrate(directions, observer.velocity_km_s)
+        return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
+
+    # ------------------------------------------------------------------ facts
+    def __len__(self) -> int:
+        return len(self.catalog)
+
+    @property
+    def v_mag(self) -> FloatArray:
+        """Catalogue V (G,), ascending."""
+        return self.catalog.v_mag
+
+    @property
+    def half_diagonal_rad(self) -> float:
+        """Largest angle between the boresight and a corner of the image."""
+        return self._field[0]
+
+    @property
+    def solid_angle_sr(self) -> float:
+        """Solid angle of the image."""
+        return self._field[1]
+
+    @property
+    def pairs(self) -> PairList:
+        """All pairs of pattern stars that fit into the field, over the whole sky; made when first asked for.
+
+        Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`: aberration changes
+        them by 1e-4 at most, and whoever matches allows for that.
+        """
+        epoch = _PAIR_EPOCH_STEP * round(self.epoch_jyear / _PAIR_EPOCH_STEP)
+        if epoch not in self._pairs:
+            index = np.flatnonzero(self.pattern)
+            widest = min(2.0 * self.half_diagonal_rad, math.pi)
+            self._pairs[epoch] = PairList.of(
+                self.catalog.directions(epoch), index, widest, RESOLVED_PX * self.camera.pixel_rad
+            )
+        return self._pairs[epoch]
+
+    def in_cone(self, axis: FloatArray, radius_rad: float) -> IntArray:
+        """Indices of the guide stars within `radius_rad` of a unit vector, ascending (brightest first)."""
+        chord = 2.0 * math.sin(min(radius_rad + _DRIFT_MARGIN_RAD, math.pi) / 2.0)
+        near = np.array(self._tree.query_ball_point(axis, chord), dtype=np.int64)
+        near.sort()
+        return near[self.directions[near] @ axis >= math.cos(min(radius_rad, math.pi))]
+
+    def in_field(self, matrix: FloatArray, margin_px: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Guide stars on the image of a camera whose attitude is `matrix` (3, 3), ICRS to camera.
+
+        Returns
+        -------
+        index (K,), vectors (K, 3) in the camera frame, pixels (K, 2); brightest first.
+        """
+        margin = margin_px * self.camera.pixel_rad
+        near = self.in_cone(matrix[2], self.half_diagonal_rad + 1.5 * margin)
+        vectors = self.directions[near] @ matrix.T
+        xy = self.camera.project(vectors)
+        inside = self.camera.contains(xy, margin_px)
+        return near[inside], vectors[inside], xy[inside]
+
+
+def field_of(camera: Camera) -> tuple[float, float]:
+    """Half diagonal (rad) and solid angle (sr) of a camera's image, distortion included.
+
+    The solid angle is the sum over a 24 × 24 grid of the cells' areas on the sphere, good to 1e-3.
+    """
+    x = np.linspace(-0.5, camera.width - 0.5, 25)
+    y = np.linspace(-0.5, camera.height - 0.5, 25)
+    grid = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(25, 25, 3)
+    down, across = grid[1:, 1:] - grid[:-1, :-1], grid[:-1, 1:] - grid[1:, :-1]
+    area = 0.5 * np.linalg.norm(np.cross(down, across), axis=-1)
+    half_diagonal = camera.half_diagonal_rad
+    if not (math.isfinite(half_diagonal) and np.isfinite(area).any()):
+        raise InputError("the camera's distortion cannot be undone anywhere on the image: check its coefficients")
+    return half_diagonal, float(np.nansum(area))
+
+
+@lru_cache(maxsize=16)
+def _build(
+    catalog: StarCatalog, camera: Camera, magnitude_limit: float, close_deg: float, close_magnitude: float
+) -> GuideDatabase:
+    merged = merge_doubles(_deep_enough(catalog, magnitude_limit), RESOLVED_PX * camera.pixel_rad)
+    merged = merged.brighter_than(magnitude_limit)
+    if len(merged) < 3:
+        faintest = float(catalog.v_mag.min()) if len(catalog) else math.nan
+        raise InputError(
+            f"magnitude limit {magnitude_limit}: the catalogue {catalog.name} has {len(merged)} stars down to it; "
+            f"give a fainter limit (its brightest star is V = {faintest:.2f})"
+        )
+    half_diagonal, solid_angle = field_of(camera)
+    directions = merged.directions(merged.epoch_jyear)
+    pattern = ~close_pairs(directions, merged.v_mag, math.radians(close_deg), close_magnitude)
+    even = brightest_everywhere(directions[pattern], half_diagonal, PATTERN_STARS_IN_FIELD)
+    pattern[np.flatnonzero(pattern)[~even]] = False
+    return GuideDatabase(
+        camera, merged, directions, pattern, merged.epoch_jyear, cKDTree(directions), (half_diagonal, solid_angle)
+    )
+
+
+def _deep_enough(catalog: StarCatalog, magnitude_limit: float) -> StarCatalog:
+    # two equal stars merge to one 0.75 mag brighter, so that fainter components can enter
+    return catalog.brighter_than(magnitude_limit + 0.8)

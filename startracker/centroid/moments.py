@@ -1,0 +1,135 @@
+"""First moment over a small window, freed of its bias (Greyling 1995, section 4.3)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.centroid.bias import SMALLEST_SIGMA_PX
+from startracker.centroid.result import Centroids
+from startracker.centroid.window import measure_stars, measure_widths
+from startracker.detection.background import Background, as_image
+from startracker.detection.spots import Spots
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings
+
+__all__ = ["first_moment", "measure_psf_sigma"]
+
+_WIDTH_STARS = 15
+"""Brightest clean stars of whose widths the median is taken."""
+_UNKNOWN_SIGMA_PX = 1.0
+SYSTEMATIC_PX = 0.003
+"""What no noise model knows (the star image is not quite the assumed one): floor of a position's standard deviation."""
+_FLAT_TOP_ERROR = 0.1
+
+
+def first_moment(
+    image: NDArray[np.float32],
+    background: Background,
+    spots: Spots,
+    settings: CentroidSettings | None = None,
+    gain_e_per_dn: float | None = None,
+) -> Centroids:
+    """Centroids by the first moment of the signal over a window about the brightest pixel.
+
+    The moment of a truncated window falls short of the offset (thesis Table 4.1). For a star image that is a Gaussian
+    integrated over pixels the shortfall along x depends on x alone, and is undone exactly, axis by axis, by solving
+    m(d) = m for the offset d (see `startracker.centroid.bias`), windows cut off by the image's border included.
+    Smear widens the Gaussian along its axis: widths are per axis. When the offset exceeds half a pixel the window is
+    moved and measured again, so that it does not matter which of two equal pixels was taken for the brightest.
+
+    The covariance is that of the moments under photon and background noise, times the slope of the correction, plus
+    a floor of 0.003 px. A saturated star is measured over a window grown by its radius, uncorrected, and its standard
+    deviation grows by a tenth of its radius.
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        DN.
+    background : Background
+        Level and noise, of the same shape.
+    spots : Spots
+        Candidates.
+    settings : CentroidSettings
+        Window, correction and width; a width of None is measured from the frame (`measure_psf_sigma`).
+    gain_e_per_dn : float, optional
+        Conversion for the photon noise; None: the background's noise is taken for the photon noise of its level.
+
+    Returns
+    -------
+    Centroids
+        Brightest first. Candidates without a positive signal, with a pixel in the window that is not finite, or whose
+        moment no star in the window explains, are left out.
+
+    Raises
+    ------
+    InputError
+        Window not odd or below 3, width or gain not positive, shapes that differ.
+    """
+    settings = settings or CentroidSettings()
+    window = settings.window_px
+    if window < 3 or window % 2 == 0:
+        raise InputError(f"centroid.window_px is {window}; it must be an odd number of at least 3 pixels")
+    given = settings.psf_sigma_px
+    if given is not None and not SMALLEST_SIGMA_PX <= given < math.inf:
+        raise InputError(f"centroid.psf_sigma_px is {given}; it must be at least {SMALLEST_SIGMA_PX} pixels, or left out")
+    if gain_e_per_dn is not None and not 0 < gain_e_per_dn < math.inf:
+        raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
+    pixels = as_image(image)
+    level, noise = background.level, background.noise
+    if pixels.shape != level.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {level.shape}; make it anew")
+    if not len(spots):
+        return Centroids.none()
+    sigma_x, sigma_y = (given, given) if given else measure_psf_sigma(pixels, background, spots, window)
+    gain = gain_e_per_dn or _gain_from_background(background)
+    table = measure_stars(
+        pixels,
+        level,
+        noise,
+        spots.x_peak,
+        spots.y_peak,
+        spots.pixels,
+        spots.saturated,
+        window // 2,
+        sigma_x,
+        sigma_y,
+        settings.bias_correction,
+        1.0 / gain,
+        _FLAT_TOP_ERROR,
+    )
+    good = np.flatnonzero(np.isfinite(table).all(axis=1))
+    order = good[np.argsort(-table[good, 2], kind="stable")]
+    table = table[order]
+    covariance = np.empty((len(table), 2, 2))
+    covariance[:, 0, 0] = table[:, 3] + SYSTEMATIC_PX**2
+    covariance[:, 1, 1] = table[:, 4] + SYSTEMATIC_PX**2
+    covariance[:, 0, 1] = covariance[:, 1, 0] = table[:, 5]
+    return Centroids(table[:, :2].copy(), table[:, 2].copy(), covariance, spots.saturated[order])
+
+
+def measure_psf_sigma(
+    image: NDArray[np.float32], background: Background, spots: Spots, window_px: int = 5
+) -> tuple[float, float]:
+    """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
+
+    The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has
+    them; saturated stars and those on the border are left out. (1, 1) when no star tells.
+    """
+    clean = np.flatnonzero(~spots.saturated & ~spots.edge)[:_WIDTH_STARS]
+    widths = measure_widths(
+        as_image(image), background.level, background.noise, spots.x_peak[clean], spots.y_peak[clean], window_px // 2
+    )
+    widths = widths[np.isfinite(widths).all(axis=1)]
+    if not len(widths):
+        return _UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX
+    sigma_x, sigma_y = np.median(widths, axis=0)
+    return float(sigma_x), float(sigma_y)
+
+
+def _gain_from_background(background: Background) -> float:
+    """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
+    level, noise = float(np.median(background.level[::16, ::16])), float(np.median(background.noise[::16, ::16]))
+    return max(level, noise) / noise**2

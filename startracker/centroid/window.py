@@ -1,0 +1,181 @@
+"""Kernels that read a star's window: moments, their noise, and the corrected position."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.centroid.bias import invert_moment, invert_moments, window_moments
+
+__all__ = ["MEASURED", "measure_stars", "measure_widths", "read_window"]
+
+FloatImage = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MEASURED = 6
+"""Columns of a measurement: x, y, flux, var x, var y, cov xy."""
+
+_RECENTRINGS = 3
+_LARGEST_FLAT_TOP_PX = 12
+
+
+@njit(cache=True, error_model="numpy")
+def read_window(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    x: int,
+    y: int,
+    half: int,
+    inverse_gain: float,
+) -> FloatArray:
+    """Moments of the signal over the pixels within `half` of (x, y) that lie on the image.
+
+    Returns
+    -------
+    array, shape (12,)
+        Signal S; mean x and y about (x, y); variances of x and y; the noise variances of the two means and their
+        covariance; limits low x, high x, low y, high y of the window about (x, y). S is NaN when a pixel is not finite.
+
+    Notes
+    -----
+    var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: pixels independent, first order in noise.
+    """
+    height, width = image.shape
+    low_x, high_x = -min(half, x), min(half, width - 1 - x)
+    low_y, high_y = -min(half, y), min(half, height - 1 - y)
+    total, sum_x, sum_y, sum_xx, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(low_y, high_y + 1):
+        for i in range(low_x, high_x + 1):
+            signal = float(image[y + j, x + i]) - float(level[y + j, x + i])
+            total += signal
+            sum_x += signal * i
+            sum_y += signal * j
+            sum_xx += signal * i * i
+            sum_yy += signal * j * j
+    out = np.empty(12)
+    mean_x, mean_y = sum_x / total, sum_y / total
+    noise_x, noise_y, noise_xy = 0.0, 0.0, 0.0
+    for j in range(low_y, high_y + 1):
+        for i in range(low_x, high_x + 1):
+            signal = float(image[y + j, x + i]) - float(level[y + j, x + i])
+            variance = float(noise[y + j, x + i]) ** 2 + max(signal, 0.0) * inverse_gain
+            noise_x += (i - mean_x) ** 2 * variance
+            noise_y += (j - mean_y) ** 2 * variance
+            noise_xy += (i - mean_x) * (j - mean_y) * variance
+    out[0], out[1], out[2] = total, mean_x, mean_y
+    out[3], out[4] = sum_xx / total - mean_x**2, sum_yy / total - mean_y**2
+    out[5], out[6], out[7] = noise_x / total**2, noise_y / total**2, noise_xy / total**2
+    out[8], out[9], out[10], out[11] = low_x, high_x, low_y, high_y
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def measure_widths(
+    image: FloatImage, level: FloatImage, noise: FloatImage, xs: IntArray, ys: IntArray, half: int
+) -> FloatArray:
+    """Gaussian widths (N, 2) of stars whose brightest pixels are given; NaN where the window does not tell.
+
+    Each axis on its own: mean and variance of the marginal over the window, inverted for centre and width.
+    """
+    out = np.full((len(xs), 2), np.nan)
+    for index in range(len(xs)):
+        w = read_window(image, level, noise, xs[index], ys[index], half, 0.0)
+        if not w[0] > 0.0:
+            continue
+        for axis in range(2):
+            if abs(w[1 + axis]) < half and w[3 + axis] > 0.0:
+                out[index, axis] = invert_moments(w[1 + axis], w[3 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis]))[1]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _recentred(image: FloatImage, level: FloatImage, noise: FloatImage, x: int, y: int, half: int) -> tuple[int, int]:
+    """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
+    height, width = image.shape
+    for _ in range(8):
+        w = read_window(image, level, noise, x, y, half, 0.0)
+        if not w[0] > 0.0:
+            break
+        dx, dy = int(round(w[1])), int(round(w[2]))
+        if dx == 0 and dy == 0:
+            break
+        x, y = min(max(x + dx, 0), width - 1), min(max(y + dy, 0), height - 1)
+    return x, y
+
+
+@njit(cache=True, error_model="numpy")
+def measure_stars(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    xs: IntArray,
+    ys: IntArray,
+    pixels: IntArray,
+    saturated: NDArray[np.bool_],
+    half: int,
+    sigma_x: float,
+    sigma_y: float,
+    correct: bool,
+    inverse_gain: float,
+    flat_top_error: float,
+) -> FloatArray:
+    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where there is no signal.
+
+    Parameters
+    ----------
+    sigma_x, sigma_y : float
+        Widths for the bias correction.
+    correct : bool
+        Whether to take the bias off; the flux is corrected for the window either way.
+    inverse_gain : float
+        DN an electron.
+    flat_top_error : float
+        Standard deviation added to a saturated star's position, as a share of its radius.
+    """
+    height, width = image.shape
+    out = np.full((len(xs), MEASURED), np.nan)
+    for index in range(len(xs)):
+        x, y = xs[index], ys[index]
+        if saturated[index]:
+            radius = math.sqrt(pixels[index] / math.pi)
+            reach = min(half + int(math.ceil(radius)), _LARGEST_FLAT_TOP_PX)
+            x, y = _recentred(image, level, noise, x, y, reach)
+            w = read_window(image, level, noise, x, y, reach, inverse_gain)
+            if not w[0] > 0.0:
+                continue
+            extra = (flat_top_error * max(radius, 1.0)) ** 2
+            out[index] = (x + w[1], y + w[2], w[0], w[5] + extra, w[6] + extra, w[7])
+            continue
+        for _ in range(_RECENTRINGS):
+            w = read_window(image, level, noise, x, y, half, inverse_gain)
+            if not w[0] > 0.0:
+                break
+            if correct:
+                dx, slope_x = invert_moment(w[1], sigma_x, int(w[8]), int(w[9]))
+                dy, slope_y = invert_moment(w[2], sigma_y, int(w[10]), int(w[11]))
+            else:
+                dx, dy, slope_x, slope_y = w[1], w[2], 1.0, 1.0
+            move_x = int(round(min(max(dx, -half), half)))
+            move_y = int(round(min(max(dy, -half), half)))
+            x_next = min(max(x + move_x, 0), width - 1)
+            y_next = min(max(y + move_y, 0), height - 1)
+            if x_next == x and y_next == y:
+                break
+            if _ < _RECENTRINGS - 1:
+                x, y = x_next, y_next
+        if not w[0] > 0.0 or not (math.isfinite(slope_x) and math.isfinite(slope_y)):
+            continue
+        inside = (
+            window_moments(dx, sigma_x, int(w[8]), int(w[9]), True)[0]
+            * window_moments(dy, sigma_y, int(w[10]), int(w[11]), True)[0]
+        )
+        out[index, 0], out[index, 1] = x + dx, y + dy
+        out[index, 2] = w[0] / max(inside, 0.05)
+        out[index, 3], out[index, 4] = w[5] * slope_x**2, w[6] * slope_y**2
+        out[index, 5] = w[7] * slope_x * slope_y
+    return out

@@ -1,0 +1,124 @@
+"""Local background and its noise: robust statistics of tiles, smoothed and interpolated to every pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics
+from startracker.errors import InputError
+
+__all__ = ["Background", "as_image", "estimate", "noise_floor"]
+
+FloatImage = NDArray[np.float32]
+
+_SMALLEST_TILE_PX = 8
+_STEP_SAMPLES = 4096
+_NOISE_FREE = 1e-5
+"""Noise ascribed to an image that has none, as a share of its range: the tails of a bright star stay a small spot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """Background of an image.
+
+    Parameters
+    ----------
+    level : float32 array, shape (H, W)
+        Local background, DN.
+    noise : float32 array, shape (H, W)
+        Local standard deviation of one pixel, DN; never zero.
+    """
+
+    level: FloatImage
+    noise: FloatImage
+
+
+def as_image(image: ArrayLike) -> FloatImage:
+    """Image as a C-contiguous float32 array (H, W); `InputError` when it is not two-dimensional and numeric."""
+    array = np.asarray(image)
+    if array.ndim != 2:
+        raise InputError(f"an image must have two dimensions (rows, columns); got the shape {array.shape}")
+    if array.dtype.kind not in "buif":
+        raise InputError(f"an image must hold real numbers; got the type {array.dtype}")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
+    """Background level and noise of an image.
+
+    The image is cut into tiles of about `tile_px`; up to 1024 pixels of each, spread over all its rows, give a median
+    and a lower quantile (the sky below the median is free of stars), then a mean and a standard deviation clipped at
+    3σ about them, the latter corrected for the clipping. Tiles pass a 3×3 median, which a bright star or
+    the Moon does not survive, and are interpolated bilinearly between their centres; the level goes on
+    linearly to the borders. The procedure is that of Bertin & Arnouts 1996 (SExtractor, section 4).
+
+    The noise never falls below the rounding error of the image's own digitisation, step/√12, nor, in an image without
+    a step, below 1e-5 of its range: what has no noise (a rendered frame, the black of an 8-bit photograph) still gets
+    a threshold that its stars alone exceed.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        DN, any real type. Values that are not finite are left out.
+    tile_px : int
+        Side of a tile, at least 8. A tile should be far larger than a star.
+
+    Returns
+    -------
+    Background
+        Level 0 and noise 1 when no pixel is finite.
+
+    Raises
+    ------
+    InputError
+        Not a two-dimensional numeric image; tile too small.
+    """
+    if tile_px < _SMALLEST_TILE_PX:
+        raise InputError(f"detection.background_tile_px is {tile_px}; it must be at least {_SMALLEST_TILE_PX} pixels")
+    pixels = as_image(image)
+    height, width = pixels.shape
+    if pixels.size == 0:
+        return Background(np.zeros_like(pixels), np.ones_like(pixels))
+    step, floor = noise_floor(pixels)
+    rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
+    level, noise = tile_statistics(pixels, rows, columns, step)
+    valid = np.isfinite(level)
+    if not valid.any():
+        return Background(np.zeros_like(pixels), np.ones_like(pixels))
+    if not valid.all():
+        level[~valid], noise[~valid] = np.median(level[valid]), np.median(noise[valid])
+    level = smooth_tiles(level)
+    noise = np.maximum(smooth_tiles(noise), floor)
+    return Background(
+        interpolate_tiles(level, height, width, True),
+        interpolate_tiles(noise, height, width, False),
+    )
+
+
+def noise_floor(image: FloatImage) -> tuple[float, float]:
+    """Digitisation step of an image and the least noise it can have, DN.
+
+    The step is the greatest common divisor of the differences of whole-numbered values (16 for a 12-bit image
+    stretched to 16 bits); of other images whose values repeat (means of colour channels) the median gap between them;
+    else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5 of the range where values are
+    not whole.
+    """
+    flat = image.reshape(-1)
+    sample = flat[:: max(1, flat.size // _STEP_SAMPLES)]
+    values = np.unique(sample[np.isfinite(sample)])
+    if values.size and float(np.abs(values).max()) < 2**31 and np.array_equal(values, np.rint(values)):
+        divisor = int(np.gcd.reduce(np.diff(values).astype(np.int64))) if values.size > 1 else 1
+        return float(divisor), divisor / math.sqrt(12.0)
+    finite = flat[np.isfinite(flat)] if not np.isfinite(flat.sum(dtype=np.float64)) else flat
+    if not values.size or not finite.size:
+        return 0.0, 1.0
+    span = float(finite.max()) - float(np.median(values))
+    step = min(float(np.median(np.diff(values))), span / 255.0) if 2 < values.size <= sample.size // 4 else 0.0
+    # float32 cannot tell values closer than this apart
+    resolution = float(np.finfo(np.float32).eps) * float(np.abs(finite).max())
+    return step, max(step / math.sqrt(12.0), _NOISE_FREE * span, resolution, float(np.finfo(np.float32).tiny))

@@ -1,0 +1,70 @@
+"""What an attitude estimator hands on, and the checks of what goes in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.errors import InputError
+
+__all__ = ["Estimate", "check_directions"]
+
+FloatArray = NDArray[np.float64]
+
+_DISTINCT_RAD = 1e-9
+"""Directions nearer than this (0.2 mas) to one axis say nothing of the turn about it in double precision."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Attitude estimate.
+
+    Parameters
+    ----------
+    matrix : array, shape (3, 3)
+        Proper rotation, ``observed = matrix @ reference``.
+    covariance : array, shape (3, 3)
+        Of the error's rotation vector, rad², in the axes of the observed vectors.
+    """
+
+    matrix: FloatArray
+    covariance: FloatArray
+
+
+def check_directions(
+    observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit vectors (M, 3), unit vectors (M, 3) and standard deviations (M,) that determine an attitude.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, values that are not finite, a vector of length zero, a standard deviation that is not
+        positive, or fewer than two distinct directions (a direction and its opposite are one axis).
+    """
+    b, r = np.array(observed, dtype=float), np.array(reference, dtype=float)
+    if b.ndim != 2 or b.shape[1] != 3 or b.shape != r.shape:
+        raise InputError(f"observed and reference directions must both be (M, 3); got {b.shape} and {r.shape}")
+    sigma = np.asarray(sigma_rad, dtype=float)
+    if sigma.ndim == 0:
+        sigma = np.full(len(b), float(sigma))
+    if sigma.shape != (len(b),):
+        raise InputError(f"{len(b)} directions need as many standard deviations; got the shape {sigma.shape}")
+    if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+        raise InputError("standard deviations of directions must be positive and finite")
+    for name, vectors in (("observed", b), ("reference", r)):
+        length = np.linalg.norm(vectors, axis=1, keepdims=True)
+        if not (np.isfinite(length).all() and (length > 0).all()):
+            raise InputError(f"{name} directions must be finite and not zero")
+        vectors /= length
+        if len(vectors) < 2 or _spread(vectors) < _DISTINCT_RAD:
+            raise InputError(f"an attitude needs two distinct {name} directions; {len(vectors)} given lie along one axis")
+    return b, r, sigma
+
+
+def _spread(vectors: FloatArray) -> float:
+    """Largest angle, radians, of a direction from the axis that fits them all best."""
+    axis = np.linalg.eigh(vectors.T @ vectors)[1][:, 2]
+    return float(np.linalg.norm(np.cross(vectors, axis), axis=1).max())

@@ -1,0 +1,96 @@
+"""Attitude from one pair of stars (Greyling 1995, section 5.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.estimation.result import Estimate, check_directions
+
+__all__ = ["pitch_error_deg", "star_pair"]
+
+FloatArray = NDArray[np.float64]
+
+
+def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLike) -> FloatArray:
+    """Largest error of the angle of the line through two stars: thesis eq. 5.13.
+
+    θ_err = atan((y + 2δ) / (x − 2δ)) − atan((y − 2δ) / (x + 2δ)), with x, y the separation along the two axes and δ
+    the accuracy of a star's position along either.
+
+    Parameters
+    ----------
+    dx_deg, dy_deg : array_like
+        Separation of the stars along columns and rows, degrees, ≥ 0.
+    accuracy_deg : array_like
+        Accuracy δ, degrees.
+
+    Returns
+    -------
+    array
+        Degrees. With δ = 0.002°: 0.0458° for stars 10° apart along both axes, 7.628° for 0.06° (three pixels);
+        0.286° is kept from 1.6027° on.
+    """
+    x, y, slack = np.asarray(dx_deg, float), np.asarray(dy_deg, float), 2.0 * np.asarray(accuracy_deg, float)
+    return np.asarray(np.degrees(np.arctan2(y + slack, x - slack) - np.arctan2(y - slack, x + slack)))
+
+
+def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude from the pair of stars whose line is known best.
+
+    Of all pairs that with the smallest `pitch_error_deg` is taken: the widest of equally well measured ones. The thesis
+    turns the plane of the sky by θ = ρ − ξ, the difference between the angles of the line in the image and in the
+    catalogue (eqs. 5.6 to 5.8, its pitch), and then shifts it until the stars fall on each other (eqs. 5.9 to 5.12, its
+    roll and yaw). On the sphere that is the rotation which lays the great circle through the two catalogue stars on
+    the one through the two observed stars, midpoint on midpoint: A = M_b M_rᵀ, with the columns of M the midpoint
+    (b₁ + b₂), the way between the stars (b₂ − b₁) and their cross product, each of length one. It needs no small angle
+    and no plane; the separation's error drops out. Of the other stars no use is made.
+
+    Parameters
+    ----------
+    observed, reference : array_like, shape (M, 3)
+        Directions in the camera and in the catalogue's frame, M ≥ 2.
+    sigma_rad : array_like, shape (M,)
+        Standard deviation of each observed direction about each cross axis, radians.
+
+    Returns
+    -------
+    Estimate
+        Covariance to first order: about the pair's pole (σ₁² + σ₂²)/4; about its way (σ₁² + σ₂²)/(4 cos² h); about its
+        midpoint (σ₁² + σ₂²)/(4 sin² h), with h half the separation; the last two correlated by (σ₁² − σ₂²)/(2 sin 2h).
+
+    Raises
+    ------
+    InputError
+        See `startracker.estimation.result.check_directions`.
+    """
+    b, r, sigma = check_directions(observed, reference, sigma_rad)
+    first, second = _best_pair(b, sigma)
+    frame_b, frame_r = _pair_frame(b[first], b[second]), _pair_frame(r[first], r[second])
+    half = 0.5 * float(np.arctan2(np.linalg.norm(np.cross(b[first], b[second])), b[first] @ b[second]))
+    var_1, var_2 = sigma[first] ** 2, sigma[second] ** 2
+    cosine, sine = np.cos(half), np.sin(half)
+    along = (var_1 - var_2) / (4.0 * cosine * sine)
+    total = 0.25 * (var_1 + var_2)
+    covariance = np.array([[total / sine**2, along, 0.0], [along, total / cosine**2, 0.0], [0.0, 0.0, total]])
+    return Estimate(frame_b @ frame_r.T, frame_b @ covariance @ frame_b.T)
+
+
+def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
+    """Indices of the pair with the smallest error of the line's angle, its separation taken along the diagonal."""
+    first, second = np.triu_indices(len(b), 1)
+    # the sine: opposite directions share an axis and are as bad as equal ones
+    apart = np.degrees(np.linalg.norm(np.cross(b[first], b[second]), axis=1)) * np.sqrt(0.5)
+    accuracy = np.degrees(np.sqrt(0.5 * (sigma[first] ** 2 + sigma[second] ** 2)))
+    best = int(np.argmin(pitch_error_deg(apart, apart, accuracy)))
+    return int(first[best]), int(second[best])
+
+
+def _pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Matrix (3, 3) whose columns are the unit vectors midpoint, way from one to two, pole."""
+    middle, way = one + two, two - one
+    middle, way = middle / np.linalg.norm(middle), way / np.linalg.norm(way)
+    # unit vectors make the two perpendicular exactly; rounding does not
+    way -= middle * (middle @ way)
+    way /= np.linalg.norm(way)
+    return np.stack([middle, way, np.cross(middle, way)], axis=1)

@@ -1,0 +1,211 @@
+"""Identification by match groups (Van Bezooijen 1989; Greyling 1995, section 5.2).
+
+1. Every observed pair is looked up in the sorted guide pairs; each agreement makes two couples (observed, guide)
+   support each other. A couple and all that support it are a match group.
+2. Groups smaller than a threshold are discarded with all that leaned on them; the threshold starts two below the
+   largest group and is lowered while nothing is accepted.
+3. Mutual validation and the mirror test: within a group the members must support each other, too.
+4. The best groups, by size and then by the RSS of the separations' errors, are checked against all stars of the field
+   and accepted by probability (`hypothesis`), where the thesis takes the best group as it is.
+
+Separations are matched within the stated errors first, then within 3 and 10 times those.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.identification import match_kernels as kernels
+from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
+from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
+from startracker.settings import IdentificationSettings
+from startracker.solution import Status
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_MOST_STARS = 64  # bits of a word
+
+
+def match_groups(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """Identify observed stars, lost in space or around a prior attitude.
+
+    Parameters
+    ----------
+    observed : Observed
+        Brightest first; the brightest `settings.max_stars` make match groups, all of them verify.
+    guide : GuideDatabase
+        As the observer sees it.
+    settings : IdentificationSettings
+        Tolerances and limits.
+    prior : Prior, optional
+        Confines guide stars and couples to what the prior allows.
+
+    Returns
+    -------
+    Identification
+        Status, reason and pairs. Never raises for what was observed.
+    """
+    settings = settings or IdentificationSettings()
+    n = min(len(observed), settings.max_stars, _MOST_STARS)
+    if n < max(settings.min_stars, 3):
+        reason = f"{len(observed)} stars seen, {max(settings.min_stars, 3)} are needed"
+        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+    bench = Bench(settings)
+    fixed = settings.separation_tolerance_deg
+    for scale in SCALES if fixed is None else SCALES[-1:]:
+        search = _Search.prepare(observed, n, guide, settings, prior, scale)
+        bench.trials += search.trials
+        bench.largest_group = max(bench.largest_group, search.largest)
+        for hypothesis_matrix in search.attitudes():
+            bench.add(_within(verify(hypothesis_matrix, observed, guide, scale), prior))
+            if bench.surely:
+                break
+        verdict = bench.judge(observed, prior)
+        if verdict.status is Status.SOLVED:
+            break
+    return verdict
+
+
+def _within(hypothesis, prior: Prior | None):  # type: ignore[no-untyped-def]
+    """The hypothesis, or None where it leaves the prior's range."""
+    if hypothesis is None or prior is None:
+        return hypothesis
+    turn = hypothesis.matrix @ prior.attitude.as_matrix().T
+    return hypothesis if (np.trace(turn) - 1.0) / 2.0 >= math.cos(min(prior.radius_rad * 1.05, math.pi)) else None
+
+
+@dataclass(eq=False)
+class _Search:
+    """One pass over the pairs at one tolerance."""
+
+    observed: Observed
+    n: int
+    guide: GuideDatabase
+    settings: IdentificationSettings
+    pair_args: tuple[IntArray, ...]
+    magnitude: FloatArray
+    tolerance_mag: float
+    allowed: NDArray[np.bool_]
+    tolerance: FloatArray
+    separations: FloatArray
+    sizes: IntArray
+    trials: float
+
+    @classmethod
+    def prepare(
+        cls,
+        observed: Observed,
+        n: int,
+        guide: GuideDatabase,
+        settings: IdentificationSettings,
+        prior: Prior | None,
+        scale: float,
+    ) -> _Search:
+        vectors, sigma = observed.vectors[:n], observed.sigma_rad[:n] * scale
+        i, j, separations = observed_pairs(vectors)
+        fixed = settings.separation_tolerance_deg
+        tolerance = pair_tolerance(sigma, i, j, separations, None if fixed is None else math.radians(fixed))
+        allowed = np.zeros((0, 0), dtype=bool)
+        pairs = guide.pairs if prior is None else _pairs_near(guide, prior)
+        if prior is not None:
+            expected = vectors @ prior.attitude.as_matrix()
+            slack = prior.radius_rad + float(tolerance.max())
+            allowed = expected @ guide.directions.T >= math.cos(min(slack, math.pi))
+        low, high = windows(pairs, separations, tolerance)
+        magnitude, tolerance_mag = observed.magnitudes(), settings.magnitude_tolerance
+        if magnitude is None:
+            magnitude, tolerance_mag = np.zeros(len(observed)), math.inf
+        partners = np.zeros((n, len(guide)), dtype=np.uint64)
+        pair_args = (i, j, low, high, pairs.first, pairs.second)
+        trials = float(kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners))
+        if prior is not None:
+            trials = _expected_trials(guide, prior, separations, tolerance)
+        sizes = kernels.group_sizes(partners)
+        return cls(
+            observed, n, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes,
+            trials,
+        )  # fmt: skip
+
+    @property
+    def largest(self) -> int:
+        """Stars in the largest match group."""
+        return int(self.sizes.max())
+
+    def attitudes(self):  # type: ignore[no-untyped-def]
+        """Attitudes of the validated groups, best first; the threshold is lowered as long as the caller asks on."""
+        least = max(self.settings.min_stars, 3)
+        threshold = max(least, min(self.settings.group_threshold, self.largest - 2))
+        tried: set[bytes] = set()
+        while threshold >= least:
+            for found in self._validated(threshold):
+                code = found.tobytes()
+                if code in tried:
+                    continue
+                tried.add(code)
+                seen = np.flatnonzero(found >= 0)
+                yield fit_rotation(
+                    self.observed.vectors[seen],
+                    self.guide.directions[found[seen]],
+                    1.0 / self.observed.sigma_rad[seen] ** 2,
+                )
+            threshold -= 1
+
+    def _validated(self, threshold: int) -> IntArray:
+        """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
+        kernel_obs, kernel_guide = np.nonzero(self.sizes >= threshold)
+        group = np.full(self.sizes.shape, -1, dtype=np.int64)
+        group[kernel_obs, kernel_guide] = np.arange(len(kernel_obs))
+        start, members = kernels.collect(
+            *self.pair_args, self.magnitude, self.guide.v_mag, self.tolerance_mag, self.allowed, group, len(kernel_obs)
+        )
+        i, j = self.pair_args[0], self.pair_args[1]
+        low, high = np.ones((2, self.n, self.n))
+        mirror = np.zeros((self.n, self.n))
+        low[i, j] = low[j, i] = np.cos(np.minimum(self.separations + self.tolerance, math.pi))
+        high[i, j] = high[j, i] = np.cos(np.maximum(self.separations - self.tolerance, 0.0))
+        # height of the triangle over this base, in tolerances: below one its sense is noise
+        mirror[i, j] = mirror[j, i] = np.sin(self.separations) * self.tolerance
+        size, rss, found = kernels.validate(
+            kernel_obs, kernel_guide, start, members,
+            self.observed.vectors[: self.n], self.guide.directions, low, high, mirror, max(self.settings.min_stars, 3),
+        )  # fmt: skip
+        order = np.lexsort((rss, -size))
+        order = order[size[order] >= threshold]
+        kept: list[int] = []
+        per_star = np.zeros(self.n, dtype=int)
+        for k in order:
+            if per_star[kernel_obs[k]] < self.settings.max_groups_per_star:
+                per_star[kernel_obs[k]] += 1
+                kept.append(int(k))
+        return np.asarray(found[kept])
+
+
+def _pairs_near(guide: GuideDatabase, prior: Prior) -> PairList:
+    near = guide.in_cone(prior.attitude.boresight, guide.half_diagonal_rad + prior.radius_rad)
+    near = near[guide.pattern[near]]
+    return PairList.of(guide.directions, near, min(2.0 * guide.half_diagonal_rad, math.pi))
+
+
+def _expected_trials(guide: GuideDatabase, prior: Prior, separations: FloatArray, tolerance: FloatArray) -> float:
+    """Two-star attitudes that chance would offer within the prior: its mean, which may be below one.
+
+    A random star is within the prior's radius ρ of a guide star of the field with probability K π ρ²/A; a second
+    one then falls into a strip 2τ wide along the arc 2ρ·s that the remaining turn leaves open, for one of K guides.
+    """
+    index, _, _ = guide.in_field(prior.attitude.as_matrix())
+    k, area, rho = max(len(index), 1), guide.solid_angle_sr, prior.radius_rad + 2.0 * float(tolerance.max())
+    first = k * min(1.0, math.pi * rho**2 / area)
+    arc = np.minimum(2.0 * rho * separations + 2.0 * tolerance, 2.0 * math.pi * np.sin(separations))
+    return float(np.sum(first * k * np.minimum(1.0, 2.0 * tolerance * arc / area)))

@@ -1,0 +1,251 @@
+"""The detector's chain: each effect off changes nothing, each draws from its own stream, each acts at its place."""
+
+import numpy as np
+import pytest
+
+from simulator.detector import CHARGE, READOUT, FixedPattern, build_fixed_pattern, detect
+from simulator.detector.fixed_pattern import dark_current_factor
+from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
+from simulator.randomness import stream
+from simulator.scenario.schema import DetectorSection
+from startracker.errors import InputError
+
+ALL_ON = {
+    "prnu": 0.02,
+    "dark_current_e_s": 40.0,
+    "dsnu": 0.3,
+    "hot_pixel_fraction": 0.01,
+    "hot_pixel_dark_e_s": 5000.0,
+    "read_noise_e": 8.0,
+    "reset_capacitance_ff": 5.0,
+    "offset_dn": 100.0,
+}
+
+
+def section(**keys):
+    base = {"width": 48, "height": 32, "pixel_pitch_um": 5.5, "exposure_s": 0.5, "full_well_e": 20_000.0}
+    return DetectorSection(**(base | keys))
+
+
+def noiseless(**keys):
+    return section(**({"shot_noise": False, "adc_bits": None} | keys))
+
+
+def expose(detector, mean, seed=1, trial=0, asked=None):
+    def streams(name):
+        if asked is not None:
+            asked.append(name)
+        return stream(seed, name, trial)
+
+    return detect(mean, detector, build_fixed_pattern(detector, seed), streams)
+
+
+@pytest.fixture
+def mean():
+    image = np.full((32, 48), 15.3)
+    image[10:13, 20:23] += [[50.0, 300.0, 50.0], [300.0, 3000.5, 300.0], [50.0, 300.0, 50.0]]
+    return image
+
+
+def test_everything_off_is_the_noiseless_image_to_the_bit(mean):
+    asked = []
+    kept = mean.copy()
+    frame = expose(noiseless(), mean, asked=asked)
+    assert frame.image.dtype == np.float64
+    assert np.array_equal(frame.image, mean)
+    assert np.array_equal(frame.electrons, mean)
+    assert not frame.saturated.any()
+    assert frame.gain_e_per_dn == 1.0
+    assert frame.saturation_dn == 20_000.0
+    assert asked == []
+    frame.image[:] = 0  # what is handed out belongs to the caller alone
+    assert np.array_equal(mean, kept)
+    assert np.array_equal(frame.electrons, kept)
+
+
+def test_pattern_of_a_perfect_device_is_scalar():
+    pattern = build_fixed_pattern(section(), 1)
+    assert (pattern.prnu, pattern.dark_e) == (1.0, 0.0)
+    warm = build_fixed_pattern(section(dark_current_e_s=40.0, temperature_c=25.0), 1)
+    assert (warm.prnu, warm.dark_e) == (1.0, 20.0)
+
+
+def test_repeatable_and_different_each_trial(mean):
+    detector = section(**ALL_ON)
+    first, again, other = expose(detector, mean), expose(detector, mean), expose(detector, mean, trial=1)
+    assert np.array_equal(first.image, again.image)
+    assert not np.array_equal(first.image, other.image)
+    assert first.image.dtype == np.uint16
+    for one, two in [(1, 1), (1, 2)]:
+        a, b = build_fixed_pattern(detector, one), build_fixed_pattern(detector, two)
+        assert np.array_equal(a.prnu, b.prnu) == (one == two)
+        assert np.array_equal(a.dark_e, b.dark_e) == (one == two)
+
+
+def test_each_noise_is_its_own_stream(mean):
+    """Read and reset noise are the same numbers whatever else is on: image − electrons shows them alone."""
+    normal = stream(1, "read_noise", 0).standard_normal(mean.shape)
+    for extra in ({}, {"shot_noise": True}, {"shot_noise": True, "prnu": 0.1, "dark_current_e_s": 100.0, "dsnu": 0.5}):
+        frame = expose(noiseless(read_noise_e=8.0, **extra), mean)
+        np.testing.assert_allclose(frame.image - frame.electrons, 8.0 * normal, rtol=0, atol=1e-11)
+    both = expose(noiseless(read_noise_e=8.0, reset_capacitance_ff=5.0), mean)
+    reset = expose(noiseless(reset_capacitance_ff=5.0), mean)
+    np.testing.assert_allclose(both.image - reset.image, 8.0 * normal, rtol=0, atol=1e-11)
+
+
+def test_the_fixed_patterns_are_their_own_streams():
+    full = build_fixed_pattern(section(**ALL_ON), 3)
+    assert np.array_equal(build_fixed_pattern(section(**(ALL_ON | {"dsnu": 0.0})), 3).prnu, full.prnu)
+    no_hot = build_fixed_pattern(section(**(ALL_ON | {"hot_pixel_fraction": 0.0, "prnu": 0.0})), 3)
+    no_dsnu = build_fixed_pattern(section(**(ALL_ON | {"dsnu": 0.0})), 3)
+    ordinary = 40.0 * 0.5 * dark_current_factor(20.0, 25.0, 8.0)
+    np.testing.assert_allclose(full.dark_e, no_hot.dark_e + (no_dsnu.dark_e - ordinary), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "off",
+    [
+        {"prnu": 0.0},
+        {"dark_current_e_s": 0.0},
+        {"dsnu": 0.0},
+        {"hot_pixel_fraction": 0.0},
+        {"hot_pixel_dark_e_s": 0.0},
+        {"shot_noise": False},
+        {"read_noise_e": 0.0},
+        {"reset_capacitance_ff": 0.0},
+    ],
+    ids=lambda off: next(iter(off)),
+)
+def test_an_effect_that_is_off_asks_for_no_stream_and_leaves_the_other_noise(off, mean):
+    asked = []
+    frame = expose(section(**(ALL_ON | off)), mean, asked=asked)
+    names = {"shot_noise", "reset_noise", "read_noise"} - {next(iter(off)).replace("read_noise_e", "read_noise")}
+    assert set(asked) == names - ({"reset_noise"} if "reset_capacitance_ff" in off else set())
+    assert len(asked) == len(set(asked))
+    assert not np.array_equal(frame.image, expose(section(**ALL_ON), mean).image)
+
+
+def test_order_of_the_effects():
+    names = [effect.name for effect in (*CHARGE, *READOUT)]
+    assert names == [
+        "photo_response",
+        "dark_signal",
+        "shot_noise",
+        "full_well",
+        "reset_noise",
+        "read_noise",
+        "gain_offset",
+        "adc",
+    ]
+
+
+def test_response_acts_on_light_and_not_on_dark_current(mean):
+    pattern = FixedPattern(np.full(mean.shape, 1.1), 7.0)
+    frame = detect(mean, noiseless(), pattern, lambda name: stream(1, name))
+    np.testing.assert_allclose(frame.electrons, 1.1 * mean + 7.0, rtol=1e-15)
+
+
+def test_a_pattern_may_be_one_number(mean):
+    frame = detect(mean, noiseless(), FixedPattern(0.5, 3.0), lambda name: stream(1, name))
+    np.testing.assert_allclose(frame.image, 0.5 * mean + 3.0, rtol=1e-15)
+
+
+def test_hot_pixels_are_different_pixels():
+    pattern = build_fixed_pattern(section(hot_pixel_fraction=1.0, hot_pixel_dark_e_s=100.0), 1)
+    assert np.all(pattern.dark_e > 0)
+
+
+def test_full_well_comes_before_the_read_noise(mean):
+    mean[0, :] = 1e6
+    frame = expose(noiseless(read_noise_e=10.0, shot_noise=True), mean)
+    assert np.all(frame.electrons[0] == 20_000.0)
+    assert frame.saturated[0].all()
+    assert not frame.saturated[1:].any()
+    assert 0 < (frame.image[0] > 20_000.0).sum() < 48
+
+
+def test_automatic_gain_puts_the_full_well_at_the_top(mean):
+    detector = section(shot_noise=False, offset_dn=95.0)
+    assert gain_e_per_dn(detector) == pytest.approx(20_000.0 / 4000.0)
+    mean[3, 4] = 20_000.0
+    mean[3, 5] = 1e9
+    frame = expose(detector, mean)
+    assert frame.image[3, 4] == frame.image[3, 5] == 4095
+    assert frame.saturated.sum() == 2
+    assert frame.saturation_dn == 4095
+    assert frame.image[0, 0] == round(95.0 + 15.3 / 5.0)
+
+
+def test_converter_below_the_full_well(mean):
+    detector = section(shot_noise=False, gain_e_per_dn=1.0, adc_bits=10)
+    frame = expose(detector, mean)
+    assert frame.image.max() == 1023
+    assert frame.saturated.sum() == 1
+    assert frame.saturation_dn == 1023
+
+
+def test_full_well_below_the_top_of_the_converter(mean):
+    # 20000 / 7 + 100 = 2957.14 reads as 2957: the limit is rounded as the converter rounds.
+    mean[:2] = 1e5
+    detector = section(shot_noise=False, gain_e_per_dn=7.0, offset_dn=100.0)
+    frame = expose(detector, mean)
+    assert np.array_equal(frame.image >= frame.saturation_dn, frame.saturated)
+    assert frame.saturated.sum() == 96
+
+
+def test_saturated_pixels_are_found_through_the_read_noise(mean):
+    # The limit lies 3σ below the full well: P(below) = 1.35e-3, so 2.1 of 1536 pixels, σ 1.4; at most 8 is 4σ.
+    mean[:] = 1e6
+    frame = expose(section(shot_noise=False, read_noise_e=30.0, offset_dn=50.0), mean)
+    assert frame.saturated.all()
+    assert (frame.image < frame.saturation_dn).sum() <= 8
+    assert frame.saturation_dn < saturation_dn(section(offset_dn=50.0))
+
+
+def test_no_full_well_hides_behind_no_converter(mean):
+    mean[0, 0] = 3e4
+    assert expose(noiseless(), mean).image[0, 0] == 20_000.0
+
+
+def test_converter_rounds_and_clips():
+    signal = np.array([[-3.0, -0.4, 0.4, 0.6, 254.4, 254.6, 1e9]])
+    assert convert(signal, 255).tolist() == [[0, 0, 0, 1, 254, 255, 255]]
+    assert convert(signal, 255).dtype == np.uint16
+    assert convert(np.array([7e4]), 65535).tolist() == [65535]
+
+
+def test_shot_noise_off_reads_the_mean(mean):
+    frame = expose(noiseless(dark_current_e_s=3.0, temperature_c=25.0), mean)
+    np.testing.assert_allclose(frame.image, mean + 1.5, rtol=1e-15)
+
+
+@pytest.mark.parametrize(("wrong", "line"), [(-1.0, "negative"), (np.nan, "not finite"), (np.inf, "not finite")])
+def test_light_that_cannot_be(mean, wrong, line):
+    mean[5, 5] = wrong
+    with pytest.raises(InputError, match=line):
+        expose(noiseless(), mean)
+
+
+def test_sizes_that_do_not_fit(mean):
+    with pytest.raises(InputError, match=r"mean_photo_e has the shape \(48, 32\)"):
+        expose(section(), mean.T)
+    other = build_fixed_pattern(section(width=64, prnu=0.01), 1)
+    with pytest.raises(InputError, match=r"pattern.prnu has the shape \(32, 64\)"):
+        detect(mean, section(), other, lambda name: stream(1, name))
+
+
+def test_offset_that_fills_the_converter(mean):
+    with pytest.raises(InputError, match="offset_dn = 255 leaves nothing of the 8 bits"):
+        expose(section(adc_bits=8, offset_dn=255.0), mean)
+
+
+def test_dark_signal_beyond_counting():
+    with pytest.raises(InputError, match="raise dark_doubling_c"):
+        build_fixed_pattern(section(dark_current_e_s=1.0, temperature_c=30.0, dark_doubling_c=1e-6), 1)
+    assert build_fixed_pattern(section(temperature_c=30.0, dark_doubling_c=1e-6), 1).dark_e == 0.0
+
+
+def test_reset_noise_of_a_section_is_in_femtofarad():
+    noise = section_reset_noise_e(section(reset_capacitance_ff=80.0, temperature_c=25.0))
+    assert noise == pytest.approx(reset_noise_e(80e-15, 25.0), rel=1e-12)
+    assert section_reset_noise_e(section()) == 0.0
