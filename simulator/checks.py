@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from simulator.scenario import Scenario
 from startracker.errors import InputError
 from startracker.registry import lookup
+
+if TYPE_CHECKING:
+    from simulator.optics.curves import CurveKind
 
 
 def load_scenario(
@@ -44,7 +47,7 @@ def _registered(kind: str, module: str, registry: str) -> Callable[[Any], str | 
     return check
 
 
-def _curve(kind: str) -> Callable[[Any], str | None]:
+def _curve(kind: CurveKind) -> Callable[[Any], str | None]:
     def check(spec: Any) -> str | None:
         from simulator.optics.curves import load_curve
 

@@ -21,6 +21,7 @@ from simulator.sky.photometry import Photometer
 
 from simulator.detector.chain import detect
 from simulator.detector.fixed_pattern import build_fixed_pattern
+from simulator.detector.readout import section_reset_noise_e
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.clock import Clock
 from simulator.mission.sampling import trial_time_s
@@ -30,8 +31,14 @@ from startracker.catalog import load_catalog
 
 FloatArray = NDArray[np.float64]
 
-_EDGE_MARGIN_PX = 40.0
+_EDGE_MARGIN_PX = 64.0
 """Stars this far outside the detector are drawn too: their wings reach in."""
+
+_LEAST_PRIOR_DEG = 0.1
+"""No other sensor is trusted beyond this, even where a scenario gives it no error."""
+
+_DISK_PX = 1.5
+"""Bodies of a larger radius are drawn as disks, smaller ones as points through the PSF."""
 
 
 def camera_of(scenario: Scenario) -> Camera:
@@ -82,6 +89,7 @@ class Renderer:
         self.scenario = scenario
         optics, detector = scenario.optics, scenario.detector
         self.camera = camera_of(scenario)
+        self.half_diagonal_rad = self.camera.half_diagonal_rad
         self.clock = Clock(scenario.epoch)
         self.orbit = build_orbit(scenario.orbit, scenario.epoch)
         self.sky = SkyIndex(load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit))
@@ -108,12 +116,12 @@ class Renderer:
         r_km, v_km_s = self.orbit.state(t_s)
         observer = observe(self.clock, t_s, r_km, v_km_s)
         if sampling == "sky" and at_s is None:
-            pointing = point_at_random(scenario.pointing, streams("pointing"))
+            pointing = point_at_random(scenario.pointing, streams("pointing"), math.tau / self.orbit.period_s)
         else:
             pointing = point(scenario.pointing, r_km, v_km_s, streams("pointing"))
 
-        sources, visible = self._sources(t_s, observer, pointing)
-        mean_e = self._expose(sources, visible, pointing)
+        sources, radius_rad = self._sources(t_s, observer, pointing)
+        mean_e = self._expose(sources, radius_rad, pointing)
         readout = detect(mean_e + self.background_e, scenario.detector, self.pattern, streams)
 
         frame = Frame(
@@ -125,9 +133,9 @@ class Renderer:
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
             offset_dn=scenario.detector.offset_dn,
-            read_noise_e=scenario.detector.read_noise_e,
+            read_noise_e=math.hypot(scenario.detector.read_noise_e, section_reset_noise_e(scenario.detector)),
             prior=pointing.prior if scenario.tracker.prior else None,
-            prior_deg=scenario.pointing.error_deg,
+            prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,
             seed=scenario.seed,
             index=index,
@@ -142,3 +150,78 @@ class Renderer:
             mean_electrons=mean_e,
         )
         return frame, truth
+
+    # ------------------------------------------------------------------ the stages
+    def _sources(self, t_s: float, observer: Observer, pointing: Pointing) -> tuple[TrueSources, FloatArray]:
+        """Everything whose light may reach the detector, at mid-exposure, and the angular radius of each."""
+        scenario, camera = self.scenario, self.camera
+        streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * scenario.detector.exposure_s
+        reach = min(self.half_diagonal_rad + _EDGE_MARGIN_PX * camera.pixel_rad + streak_rad, math.pi / 2)
+        sun_au = sun_position_au(self.clock, t_s)
+        stars, directions = self.sky.view(pointing.camera.boresight, reach, observer, sun_au, scenario.sky)
+        bodies = solar_system(self.clock, t_s, observer, scenario.sky)
+        off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
+        near = np.flatnonzero(off_axis < np.minimum(reach + bodies.angular_radius_rad, math.pi / 2 - 1e-3))
+        direction = np.concatenate([directions, bodies.direction[near]])
+        v_mag = np.concatenate([stars.v_mag, bodies.v_mag[near]])
+        b_v = np.concatenate([stars.b_v, bodies.b_v[near]])
+        kinds = [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name[near]]
+        sources = TrueSources(
+            id=np.concatenate([stars.id, np.zeros(len(near), np.int64)]),
+            name=np.concatenate([stars.star_name, bodies.name[near]]),
+            kind=np.array(["star"] * len(stars) + kinds, dtype="U8"),
+            xy=camera.project(pointing.camera.apply(direction)),
+            direction=direction,
+            v_mag=v_mag,
+            b_v=b_v,
+            electrons=self.photometer.electrons_per_s(v_mag, b_v) * scenario.detector.exposure_s,
+        )
+        radius = np.concatenate([np.zeros(len(stars)), bodies.angular_radius_rad[near]])
+        return sources, radius
+
+    def _expose(self, sources: TrueSources, radius_rad: FloatArray, pointing: Pointing) -> FloatArray:
+        """Mean photo-electrons of stars and bodies in every pixel: lens, PSF, smear."""
+        camera, detector = self.camera, self.scenario.detector
+        mean_e = np.zeros((detector.height, detector.width))
+        xy, weights = star_paths(
+            camera,
+            pointing.camera.apply(sources.direction),
+            pointing.rate_camera_rad_s,
+            detector.exposure_s,
+            self.psf.feature_px,
+        )
+        disk = radius_rad / camera.pixel_rad > _DISK_PX
+        points = np.flatnonzero(~disk)
+        add_stars(mean_e, np.ascontiguousarray(xy[points]), weights, sources.electrons[points], self.psf)
+        for i in np.flatnonzero(disk):
+            size = (radius_rad[i] * camera.fx, radius_rad[i] * camera.fy)
+            for place, weight in zip(xy[i], weights, strict=True):
+                add_disk(mean_e, place, size, float(sources.electrons[i] * weight))
+        return mean_e
+
+
+def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
+    """Scalar keys of the orbit, pointing, sky, optics and detector sections by dotted path, for a file header."""
+    flat: dict[str, float | int | str | bool] = {}
+
+    def walk(prefix: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                walk(f"{prefix}.{key}" if prefix else key, inner)
+        elif isinstance(value, list):
+            flat[prefix] = " ".join(str(item) for item in value)
+        elif value is not None:
+            flat[prefix] = value
+
+    resolved = scenario.resolved()
+    walk("", {name: resolved[name] for name in ("orbit", "pointing", "sky", "optics", "detector")})
+    return flat
+
+
+def _stream_of_trial(seed: int, trial: int, stage: str) -> np.random.Generator:
+    return stream(seed, stage, trial)
+
+
+@functools.lru_cache(maxsize=4)
+def _renderer(scenario: Scenario) -> Renderer:
+    return Renderer(scenario)

@@ -23,7 +23,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Distortion:
-    """Coefficients on normalised coordinates, named and ordered as OpenCV does; all zero is a perfect pinhole."""
+    """Coefficients on normalised coordinates, named and ordered as OpenCV does; all zero is a perfect pinhole.
+
+    Parameters
+    ----------
+    k1, k2, k3 : float
+        Radial, of r², r⁴, r⁶ in the numerator.
+    k4, k5, k6 : float
+        Radial, of r², r⁴, r⁶ in the denominator.
+    p1, p2 : float
+        Tangential.
+    """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, which this package does not import
 

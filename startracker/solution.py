@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
+from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
 
@@ -84,6 +85,8 @@ class Solution:
         +1 as the sky is seen, −1 mirrored.
     times_ms : dict
         Milliseconds a stage.
+    camera : Camera, optional
+        The camera that the attitude goes with: the one given, or the fitted one.
     """
 
     status: Status
@@ -95,6 +98,7 @@ class Solution:
     fov_deg: float | None = None
     parity: int = 1
     times_ms: dict[str, float] = field(default_factory=dict)
+    camera: Camera | None = None
 
     @property
     def solved(self) -> bool:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from simulator.cli.checks import load_scenario, writable
+from simulator.checks import load_scenario
+from simulator.cli.checks import writable
 from simulator.fits import write_fits
 from simulator.paths import write_atomically
 from simulator.renderer import Renderer

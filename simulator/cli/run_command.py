@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from simulator.cli.checks import load_scenario
+from simulator.checks import load_scenario
 from simulator.paths import make_folder
 from simulator.study.run import RESULT_FILES, Study, deg_text, run
 from simulator.study.statistics import AXES, BODY_AXES

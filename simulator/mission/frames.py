@@ -46,7 +46,7 @@ def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatAr
 def teme(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) from GCRS into SGP4's true equator, mean equinox of date."""
     matrix = true_of_date(clock, t_s)
-    turned: FloatArray = erfa.rz(-equation_of_equinoxes(clock, t_s, matrix), matrix)
+    turned: FloatArray = erfa.rz(equation_of_equinoxes(clock, t_s, matrix), matrix)
     return turned
 
 

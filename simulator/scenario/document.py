@@ -15,6 +15,9 @@ from typing import Any, NamedTuple
 
 from simulator.scenario.errors import Place, Problem
 
+TOLD = object()
+"""Stands for a value that cannot be read and whose mistake is told already."""
+
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 MAX_NODES = 20_000  # after expansion of aliases, which would otherwise multiply without end
@@ -86,10 +89,8 @@ def parse_document(text: str, name: str, problems: list[Problem]) -> Table | Non
     if isinstance(node, Table) or node is None:
         return node
     if node.data is None:
-        problems.append(
-            Problem(Place(name), "", "is empty; a scenario needs at least name, epoch, optics and detector")
-        )
-    else:
+        problems.append(Problem(Place(name), "", "is empty; a scenario needs name, epoch, optics and detector"))
+    elif node.data is not TOLD:
         problems.append(Problem(node.place, "", f"must be keys and values (key: value), not {show_value(node.data)}"))
     return None
 
@@ -209,17 +210,17 @@ class _Builder:
     def alias(self, event: Any, place: Place) -> Table | Value:
         if event.anchor not in self.anchors:
             self.report(event, f"alias '*{event.anchor}' has no anchor '&{event.anchor}' above it")
-            return Value(None, place)
+            return Value(TOLD, place)
         target = self.anchors[event.anchor]
         if target is None:
             self.report(event, f"alias '*{event.anchor}' stands inside its own anchor")
-            return Value(None, place)
+            return Value(TOLD, place)
         self.count += target[1]
         if self.count > MAX_NODES:
             if not self.full:
                 self.report(event, f"the aliases expand to more than {MAX_NODES} values, which no scenario needs")
             self.full = True
-            return Value(None, place)
+            return Value(TOLD, place)
         return target[0]
 
     def too_deep(self, event: Any, depth: int) -> bool:
@@ -235,12 +236,12 @@ class _Builder:
 
     def sequence(self, event: Any, place: Place, depth: int) -> Value:
         if self.too_deep(event, depth):
-            return Value([], place)
+            return Value(TOLD, place)
         items = []
         while type(item := next(self.events)).__name__ != "SequenceEndEvent":
             node = self.node(item, depth + 1)
             items.append(node.plain() if isinstance(node, Table) else node.data)
-        return Value(items, place)
+        return Value(TOLD if TOLD in items else items, place)
 
     def table(self, event: Any, place: Place, depth: int) -> Table:
         table = Table(place)
@@ -268,7 +269,7 @@ class _Builder:
         text: str = event.value
         if _FORBIDDEN.search(text) or re.search("[\ud800-\udfff]", text):
             self.report(event, "text holds a control character or half a surrogate pair; take it out")
-            return ""
+            return TOLD
         if event.style:  # quoted or block: text
             return text
         if text in _WORDS:
@@ -276,7 +277,7 @@ class _Builder:
         if _INT.fullmatch(text):
             if len(text) > 400:
                 self.report(event, "a number of more than 400 digits is none that can be used")
-                return 0
+                return TOLD
             return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
         if _FLOAT.fullmatch(text):
             return float(text)

@@ -42,7 +42,8 @@ class Problem:
 
     def __str__(self) -> str:
         subject = f"{self.key}: " if self.key and self.key != self.place.key else ""
-        return f"{self.place}: {subject}{self.message}"
+        line = f"{self.place}: {subject}{self.message}"
+        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)  # one line, whatever was quoted
 
 
 class ScenarioError(InputError):

@@ -121,7 +121,8 @@ def all_keys(section: type = ScenarioModel, prefix: str = "") -> Iterator[Key]:
 def flatten(section: object, prefix: str = "") -> dict[str, Any]:
     """Dotted path to value of every plain key of a section object."""
     flat: dict[str, Any] = {}
-    for name, key in keys_of(type(section) if prefix else ScenarioModel, prefix).items():
+    kind: Any = type(section) if prefix else ScenarioModel
+    for name, key in keys_of(kind, prefix).items():
         value = getattr(section, name)
         flat |= flatten(value, key.path) if key.section else {key.path: value}
     return flat

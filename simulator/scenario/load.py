@@ -17,7 +17,7 @@ from typing import Any, Self
 from pydantic import PrivateAttr, model_validator
 
 from simulator.scenario import physics
-from simulator.scenario.document import Entry, Table, Value, parse_document, read_text, show_value
+from simulator.scenario.document import TOLD, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Place, Problem, ScenarioError
 from simulator.scenario.fields import MISSING, Key, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.overrides import apply_overrides, merge, set_option
@@ -221,6 +221,8 @@ def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tup
     if entry is None:
         return tree
     base = entry.node.data if isinstance(entry.node, Value) else {}
+    if base is TOLD:
+        return None
     if not isinstance(base, str) or not base:
         problems.append(Problem(entry.place, "base", f"must be the name of a scenario file, not {show_value(base)}"))
         return None
@@ -297,6 +299,8 @@ def _check_table(table: Table, section: type, prefix: str, place: Place, problem
             misspelt |= set(difflib.get_close_matches(name, keys, n=1))
     for name, key in keys.items():
         found = table.entries.get(name)
+        if found and isinstance(found.node, Value) and found.node.data is TOLD:
+            continue
         if key.section:
             if found is None:
                 missing = [k.name for k in keys_of(key.section, key.path).values() if k.default is MISSING]

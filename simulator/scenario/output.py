@@ -24,7 +24,8 @@ def scenario_yaml(scenario: ScenarioModel, comments: bool = True) -> str:
 
 def _write(section: object, prefix: str, depth: int, comments: bool, lines: list[str]) -> None:
     indent = "  " * depth
-    for name, key in keys_of(type(section) if prefix else ScenarioModel, prefix).items():
+    kind: Any = type(section) if prefix else ScenarioModel
+    for name, key in keys_of(kind, prefix).items():
         value = getattr(section, name)
         if comments:
             if key.section and depth == 0:

@@ -17,10 +17,10 @@ from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
 ALLOW = "; or set allow_unphysical: true"
 
 MIN_F_NUMBER = 0.5
-"""Limit of an aplanatic lens in air: N = 1 / (2 sin θ) with θ = 90° (Born & Wolf 1999, section 4.8)."""
+"""Limit of an aplanatic lens in air: N = 1 / (2 sin θ) with θ = 90° (Born & Wolf 1999, sine condition)."""
 
 MIN_ORBIT_KM = 150.0
-"""Below this, drag brings a satellite down within a turn or so (Vallado 2013, section 8.6)."""
+"""Below this, drag brings a satellite down within a turn or so (Vallado 2013, chapter 8)."""
 
 SUN_RATE_RAD_S = 2.0 * math.pi / (365.2422 * 86400.0)
 """Mean motion of the Sun in right ascension: a turn a tropical year."""
@@ -87,7 +87,7 @@ def _node(v: Values) -> Iterator[Violation]:
 def sun_synchronous_limit_km() -> float:
     """Greatest altitude of a circular sun-synchronous orbit, where J2 turns the node just fast enough at i = 180°.
 
-    From dΩ/dt = −(3/2) J2 (R/a)² n cos i (Vallado 2013, eq. 9-37): a^(7/2) = (3/2) J2 R² √GM / (dΩ/dt).
+    From dΩ/dt = −(3/2) J2 (R/a)² n cos i (Vallado 2013, chapter 9): a^(7/2) = (3/2) J2 R² √GM / (dΩ/dt).
     """
     a: float = (1.5 * EARTH_J2 * EARTH_RADIUS_KM**2 * math.sqrt(EARTH_GM_KM3_S2) / SUN_RATE_RAD_S) ** (2.0 / 7.0)
     return a - EARTH_RADIUS_KM

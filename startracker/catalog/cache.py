@@ -30,7 +30,8 @@ def folder() -> Path:
 def load(key: str) -> StarCatalog | None:
     """The catalogue stored under `key`; None when there is none or it cannot be read."""
     try:
-        with np.load(folder() / f"{key}.npz", allow_pickle=False) as stored:
+        # opened here, as NumPy leaves the file open when it finds it broken
+        with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
             columns = {column: stored[column] for column in StarCatalog.columns()}
             return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
     except _UNUSABLE:

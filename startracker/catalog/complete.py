@@ -45,11 +45,12 @@ def match(bright: StarCatalog, precise: StarCatalog) -> IntArray:
     return found
 
 
-def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
+def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -np.inf) -> StarCatalog:
     """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it lacks.
 
     Stars that are added carry minus their number as id and are moved to the epoch of `precise`. Brightness, colour,
-    position and motion of a star that both have are those of `precise`.
+    position and motion of a star that both have are those of `precise`, but for the V of stars brighter than
+    `saturated_mag` in `bright`, which is that of `bright`.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)
@@ -59,6 +60,9 @@ def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
         values = columns[column].astype(np.result_type(columns[column], source))
         values[found[has]] = source[has]
         columns[column] = values
+    saturated = has[bright.v_mag[has] < saturated_mag]
+    columns["v_mag"] = columns["v_mag"].copy()
+    columns["v_mag"][found[saturated]] = bright.v_mag[saturated]
     added = at_epoch(bright.select(np.flatnonzero(_missing(bright, precise, found))), precise.epoch_jyear)
     joined = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
     joined["id"] = np.concatenate([precise.id, -added.id])

@@ -59,7 +59,9 @@ class PairList:
         return cls(index[i[order]].astype(np.int64), index[j[order]].astype(np.int64), separation[order])
 
 
-def close_pairs(directions: FloatArray, v_mag: FloatArray, separation_rad: float, magnitude: float) -> NDArray[np.bool_]:
+def close_pairs(
+    directions: FloatArray, v_mag: FloatArray, separation_rad: float, magnitude: float
+) -> NDArray[np.bool_]:
     """Stars (N,) whose measured position a neighbour can pull away.
 
     A star is marked when another lies within `separation_rad` that is brighter, or less than `magnitude` fainter (the
@@ -194,18 +196,21 @@ class GuideDatabase:
         near.sort()
         return near[self.directions[near] @ axis >= math.cos(min(radius_rad, math.pi))]
 
-    def in_field(self, matrix: FloatArray, margin_px: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Guide stars on the image of a camera whose attitude is `matrix` (3, 3), ICRS to camera.
+    def in_field(
+        self, matrix: FloatArray, margin_px: float = 0.0, camera: Camera | None = None
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Guide stars on the image of the camera (or another `camera`) at the attitude `matrix` (3, 3), ICRS to camera.
 
         Returns
         -------
         index (K,), vectors (K, 3) in the camera frame, pixels (K, 2); brightest first.
         """
-        margin = margin_px * self.camera.pixel_rad
-        near = self.in_cone(matrix[2], self.half_diagonal_rad + 1.5 * margin)
+        half_diagonal = self.half_diagonal_rad if camera is None else camera.half_diagonal_rad
+        camera = camera or self.camera
+        near = self.in_cone(matrix[2], half_diagonal + 1.5 * margin_px * camera.pixel_rad)
         vectors = self.directions[near] @ matrix.T
-        xy = self.camera.project(vectors)
-        inside = self.camera.contains(xy, margin_px)
+        xy = camera.project(vectors)
+        inside = camera.contains(xy, margin_px)
         return near[inside], vectors[inside], xy[inside]
 
 

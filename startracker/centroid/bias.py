@@ -8,72 +8,87 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["gaussian_share", "invert_moment", "invert_moments", "moment_bias", "window_moments"]
+__all__ = ["invert_moment", "invert_moments", "moment_bias", "window_moments"]
 
 FloatArray = NDArray[np.float64]
 
 _SQRT_HALF = math.sqrt(0.5)
+_DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
+_CONVERGED = 1e-13
+_FLAT = 1e-6
+"""Slope of the mean against the centre below which the window no longer tells the position."""
+_NO_LIGHT = 1e-280
 SMALLEST_SIGMA_PX = 0.1
 """Narrower images lie within one pixel wherever they are; their position is not in the moments."""
 
 
 @njit(cache=True, error_model="numpy")
-def gaussian_share(pixel: float, centre: float, sigma: float, integrated: bool) -> float:
-    """Share of a unit Gaussian's light in a pixel of width 1 (or its density at the pixel's centre)."""
-    d = pixel - centre
-    if integrated:
-        # erfc keeps the digits of the tails, where the difference of two erf would lose them
-        a, b = abs(d) - 0.5, abs(d) + 0.5
-        s = _SQRT_HALF / sigma
-        return 0.5 * (math.erfc(a * s) - math.erfc(b * s))
-    return math.exp(-0.5 * (d / sigma) ** 2) / (sigma * 2.5066282746310002)
+def window_moments(centre: float, sigma: float, low: int, high: int) -> tuple[float, float, float, float, float, float, float]:
+    """A unit Gaussian, integrated over pixels, seen through the pixels low … high of one axis.
 
-
-@njit(cache=True, error_model="numpy")
-def window_moments(centre: float, sigma: float, low: int, high: int, integrated: bool) -> tuple[float, float, float]:
-    """Light, mean and variance of a unit Gaussian seen through the pixels low … high of one axis."""
-    light, first, second = 0.0, 0.0, 0.0
+    Returns
+    -------
+    light, mean, variance : float
+        Of the light in the window.
+    mean_by_centre, mean_by_sigma, variance_by_centre, variance_by_sigma : float
+        Derivatives.
+    """
+    # sums of share, and of its derivatives by centre (c) and width (s), times 1, k, k² about the window's middle
+    middle = 0.5 * (low + high)
+    m0, m1, m2, c0, c1, c2, s0, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    u = (low - 0.5 - centre) / sigma
+    tail, density = 0.5 * math.erfc(abs(u) * _SQRT_HALF), math.exp(-0.5 * u * u) * _DENSITY
     for pixel in range(low, high + 1):
-        share = gaussian_share(pixel, centre, sigma, integrated)
-        light += share
-        first += share * pixel
-        second += share * pixel * pixel
-    if light <= 0.0:
-        return 0.0, 0.5 * (low + high), 0.0
-    mean = first / light
-    return light, mean, second / light - mean * mean
+        u_next = (pixel + 0.5 - centre) / sigma
+        tail_next, density_next = 0.5 * math.erfc(abs(u_next) * _SQRT_HALF), math.exp(-0.5 * u_next * u_next) * _DENSITY
+        # the tails beyond both edges, on the side where they are small, keep the digits that a difference of erf loses
+        if u > 0.0:
+            share = tail - tail_next
+        elif u_next < 0.0:
+            share = tail_next - tail
+        else:
+            share = 1.0 - tail - tail_next
+        by_centre = (density - density_next) / sigma
+        by_sigma = (u * density - u_next * density_next) / sigma
+        k = pixel - middle
+        m0, m1, m2 = m0 + share, m1 + share * k, m2 + share * k * k
+        c0, c1, c2 = c0 + by_centre, c1 + by_centre * k, c2 + by_centre * k * k
+        s0, s1, s2 = s0 + by_sigma, s1 + by_sigma * k, s2 + by_sigma * k * k
+        u, tail, density = u_next, tail_next, density_next
+    if m0 <= _NO_LIGHT:
+        return 0.0, middle, 0.0, 0.0, 0.0, 0.0, 0.0
+    mean, square = m1 / m0, m2 / m0
+    mean_c, mean_s = (c1 - mean * c0) / m0, (s1 - mean * s0) / m0
+    variance_c = (c2 - square * c0) / m0 - 2.0 * mean * mean_c
+    variance_s = (s2 - square * s0) / m0 - 2.0 * mean * mean_s
+    return m0, middle + mean, square - mean * mean, mean_c, mean_s, variance_c, variance_s
 
 
 @njit(cache=True, error_model="numpy")
 def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[float, float]:
-    """Centre of the pixel-integrated Gaussian whose moment over the window is `moment`, and d(centre)/d(moment).
+    """Centre of the pixel-integrated Gaussian whose mean over the window is `moment`, and d(centre)/d(moment).
 
-    The moment grows steadily with the centre. Newton's method, kept inside a bracket of one and a half windows about
-    the window; a moment that no centre in it explains gives its end and an infinite slope.
+    The mean grows steadily with the centre: Newton's method within a bracket of one window about the middle. The slope
+    is infinite for a moment that no centre in the bracket explains.
     """
-    reach = 0.75 * (high - low + 1) + 0.5 * sigma
-    left, right = 0.5 * (low + high) - reach, 0.5 * (low + high) + reach
-    centre = min(max(moment, left), right)
-    step = 1e-4
-    for _ in range(60):
-        value = window_moments(centre, sigma, low, high, True)[1] - moment
-        slope = (
-            window_moments(centre + step, sigma, low, high, True)[1]
-            - window_moments(centre - step, sigma, low, high, True)[1]
-        ) / (2.0 * step)
-        if value > 0:
+    middle = 0.5 * (low + high)
+    reach = float(high - low + 1)
+    left, right = middle - reach, middle + reach
+    if not window_moments(left, sigma, low, high)[1] < moment < window_moments(right, sigma, low, high)[1]:
+        return moment, np.inf
+    centre, slope, error = moment, 0.0, 1.0
+    for _ in range(50):
+        _light, mean, _variance, slope, _a, _b, _c = window_moments(centre, sigma, low, high)
+        error = mean - moment
+        if abs(error) < _CONVERGED:
+            break
+        if error > 0.0:
             right = centre
         else:
             left = centre
-        guess = centre - value / slope if slope > 1e-9 else 0.5 * (left + right)
-        if not left < guess < right:
-            guess = 0.5 * (left + right)
-        change = abs(guess - centre)
-        centre = guess
-        if change < 1e-12:
-            break
-    found = window_moments(centre, sigma, low, high, True)[1]
-    if slope <= 1e-9 or abs(found - moment) > 1e-6:
+        guess = centre - error / slope if slope > _FLAT else left
+        centre = guess if left < guess < right else 0.5 * (left + right)
+    if abs(error) > 1e-6 or slope <= _FLAT:
         return centre, np.inf
     return centre, 1.0 / slope
 
@@ -82,21 +97,26 @@ def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[flo
 def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[float, float]:
     """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window.
 
-    The width is NaN when the variance is not that of any Gaussian narrower than the window.
+    The width is bracketed between a tenth of a pixel and the window; the centre follows it. It is NaN when the
+    variance is that of no such Gaussian.
     """
-    widest = float(high - low + 1)
-    s_low, s_high = SMALLEST_SIGMA_PX, widest
-    for _ in range(48):
-        sigma = 0.5 * (s_low + s_high)
-        centre, _slope = invert_moment(mean, sigma, low, high)
-        if window_moments(centre, sigma, low, high, True)[2] > variance:
-            s_high = sigma
+    narrow, wide = SMALLEST_SIGMA_PX, float(high - low + 1)
+    sigma = min(max(math.sqrt(max(variance, 0.01)), narrow), wide)
+    for _ in range(50):
+        centre, slope = invert_moment(mean, sigma, low, high)
+        _light, _mean, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, sigma, low, high)
+        error = found - variance
+        if abs(error) < _CONVERGED:
+            return centre, sigma if slope < np.inf else np.nan
+        if error > 0.0:
+            wide = sigma
         else:
-            s_low = sigma
-    sigma = 0.5 * (s_low + s_high)
-    if sigma > 0.98 * widest or sigma < 1.02 * SMALLEST_SIGMA_PX:
-        return mean, np.nan
-    return invert_moment(mean, sigma, low, high)[0], sigma
+            narrow = sigma
+        # along the curve of constant mean
+        rate = variance_s - variance_c * mean_s / mean_c if mean_c > _FLAT else 0.0
+        guess = sigma - error / rate if rate > _FLAT else narrow
+        sigma = guess if narrow < guess < wide else 0.5 * (narrow + wide)
+    return mean, np.nan
 
 
 def moment_bias(
@@ -125,5 +145,9 @@ def moment_bias(
     """
     n = window_px // 2
     offsets = np.asarray(offset_px, dtype=float)
-    bias = [float(d) - window_moments(float(d), sigma_px, -n, n, integrated)[1] for d in offsets.ravel()]
-    return np.array(bias).reshape(offsets.shape)
+    if integrated:
+        means = np.array([window_moments(float(d), sigma_px, -n, n)[1] for d in offsets.ravel()])
+        return offsets - means.reshape(offsets.shape)
+    pixels = np.arange(-n, n + 1)
+    density = np.exp(-0.5 * ((pixels - offsets[..., None]) / sigma_px) ** 2)
+    return np.asarray(offsets - density @ pixels / density.sum(axis=-1))

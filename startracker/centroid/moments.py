@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.centroid.bias import SMALLEST_SIGMA_PX
+from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import measure_stars, measure_widths
 from startracker.detection.background import Background, as_image
@@ -15,7 +15,9 @@ from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
-__all__ = ["first_moment", "measure_psf_sigma"]
+__all__ = ["SYSTEMATIC_PX", "first_moment", "measure_psf_sigma"]
+
+FloatArray = NDArray[np.float64]
 
 _WIDTH_STARS = 15
 """Brightest clean stars of whose widths the median is taken."""
@@ -41,7 +43,8 @@ def first_moment(
     moved and measured again, so that it does not matter which of two equal pixels was taken for the brightest.
 
     The covariance is that of the moments under photon and background noise, times the slope of the correction, plus
-    a floor of 0.003 px. A saturated star is measured over a window grown by its radius, uncorrected, and its standard
+    a floor of 0.003 px and, for a star with neighbours, the shift their light in its window can cause at most. A
+    saturated star is measured over a window grown by its radius, uncorrected, and its standard
     deviation grows by a tenth of its radius.
 
     Parameters
@@ -107,6 +110,9 @@ def first_moment(
     covariance[:, 0, 0] = table[:, 3] + SYSTEMATIC_PX**2
     covariance[:, 1, 1] = table[:, 4] + SYSTEMATIC_PX**2
     covariance[:, 0, 1] = covariance[:, 1, 0] = table[:, 5]
+    intrusion = _intrusion(table[:, :2], table[:, 2], sigma_x, sigma_y, window // 2)
+    covariance[:, 0, 0] += intrusion
+    covariance[:, 1, 1] += intrusion
     return Centroids(table[:, :2].copy(), table[:, 2].copy(), covariance, spots.saturated[order])
 
 
@@ -127,6 +133,19 @@ def measure_psf_sigma(
         return _UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX
     sigma_x, sigma_y = np.median(widths, axis=0)
     return float(sigma_x), float(sigma_y)
+
+
+def _intrusion(xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float, half: int) -> FloatArray:
+    """Variance (N,), px², for other stars' light in a star's window: (share × half a window)², one axis as the other."""
+    variance = np.zeros(len(flux))
+    reach = half + 4.0 * max(sigma_x, sigma_y)
+    near = (np.abs(xy[:, None] - xy[None, :]) < reach).all(axis=2)
+    np.fill_diagonal(near, False)
+    for star, other in np.argwhere(near):
+        dx, dy = xy[other] - np.rint(xy[star])
+        light = window_moments(dx, sigma_x, -half, half)[0] * window_moments(dy, sigma_y, -half, half)[0]
+        variance[star] += (half * light * flux[other] / flux[star]) ** 2
+    return variance
 
 
 def _gain_from_background(background: Background) -> float:

@@ -21,6 +21,8 @@ MEASURED = 6
 
 _RECENTRINGS = 3
 _LARGEST_FLAT_TOP_PX = 12
+_WITHIN_PIXEL = 0.35
+_PIXEL_VARIANCE = 1.0 / 12.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -151,7 +153,7 @@ def measure_stars(
             extra = (flat_top_error * max(radius, 1.0)) ** 2
             out[index] = (x + w[1], y + w[2], w[0], w[5] + extra, w[6] + extra, w[7])
             continue
-        for _ in range(_RECENTRINGS):
+        for attempt in range(_RECENTRINGS):
             w = read_window(image, level, noise, x, y, half, inverse_gain)
             if not w[0] > 0.0:
                 break
@@ -166,16 +168,21 @@ def measure_stars(
             y_next = min(max(y + move_y, 0), height - 1)
             if x_next == x and y_next == y:
                 break
-            if _ < _RECENTRINGS - 1:
+            if attempt < _RECENTRINGS - 1:
                 x, y = x_next, y_next
         if not w[0] > 0.0 or not (math.isfinite(slope_x) and math.isfinite(slope_y)):
             continue
         inside = (
-            window_moments(dx, sigma_x, int(w[8]), int(w[9]), True)[0]
-            * window_moments(dy, sigma_y, int(w[10]), int(w[11]), True)[0]
+            window_moments(dx, sigma_x, int(w[8]), int(w[9]))[0]
+            * window_moments(dy, sigma_y, int(w[10]), int(w[11]))[0]
         )
         out[index, 0], out[index, 1] = x + dx, y + dy
         out[index, 2] = w[0] / max(inside, 0.05)
+        # light that stays within one pixel says little of where, but never less than that it is this pixel
+        if sigma_x < _WITHIN_PIXEL:
+            slope_x = min(slope_x, math.sqrt(1.0 + _PIXEL_VARIANCE / w[5]))
+        if sigma_y < _WITHIN_PIXEL:
+            slope_y = min(slope_y, math.sqrt(1.0 + _PIXEL_VARIANCE / w[6]))
         out[index, 3], out[index, 4] = w[5] * slope_x**2, w[6] * slope_y**2
         out[index, 5] = w[7] * slope_x * slope_y
     return out

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
+from startracker.detection.blends import part_blends
 from startracker.detection.objects import cut_runs, find_runs, join_runs, measure_objects
 from startracker.detection.spots import COLUMNS, PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots, select_spots
 from startracker.errors import InputError
@@ -30,7 +31,8 @@ def find_components(
 
     An object of more than `max_pixels` (the wings of a very bright star, stars before a nebula or beside the Moon) is
     looked at again above thresholds that double, until what is left of it has a star's size; what then stands out of
-    it by less than a factor 2 is structure of something extended, and left out.
+    it by less than a factor 2 is structure of something extended, and left out. Objects with several peaks and
+    distinct valleys between them are parted (`startracker.detection.blends`).
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ def find_components(
         number, count = join_runs(runs)
         table = measure_objects(runs, number, count, pixels, level, saturation)
         oversized = table[:, PIXELS] > settings.max_pixels
-        fits = ~oversized
+        table = part_blends(runs, number, table, settings.max_pixels, pixels, level, noise, saturation)
+        fits = table[:, PIXELS] <= settings.max_pixels
         if depth > 0:
             at_peak = noise[table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)]
             fits &= table[:, PEAK_RESIDUAL] >= _CONTRAST * threshold * at_peak

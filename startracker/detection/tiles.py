@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 __all__ = ["interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics"]
 
-_SAMPLES = 1024
-_LOWER_QUANTILE = 0.158655
-"""One standard deviation below the mean of a normal distribution."""
+_SAMPLES = 400
+_QUANTILE = 0.841345
+"""One standard deviation above the mean of a normal distribution."""
 _CLIP = 3.0
+_CLIPPINGS = 3
 _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
 
 
 @njit(cache=True, error_model="numpy")
-def select_kth(values: NDArray[np.float32], count: int, k: int) -> float:
-    """The k-th smallest (from 0) of the first `count` values, which are reordered about it (Hoare 1961)."""
-    left, right = 0, count - 1
+def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
+    """Value at place k once values[start:stop] were sorted; reorders them so that none before k is larger (Hoare 1961)."""
+    left, right = start, stop - 1
     while left < right:
         # median of three keeps sorted and constant tiles from going quadratic
         middle = (left + right) // 2
@@ -88,10 +89,11 @@ def tile_statistics(
             if count == 0:
                 continue
             half = count // 2
-            median = float(select_kth(sample, count, half))
-            spread = median - float(select_kth(sample, max(half, 1), int(_LOWER_QUANTILE * count)))
+            median = float(select_kth(sample, 0, count, half))
+            # above the median: images whose zero was cut off have no spread below it; clipping takes the stars off again
+            spread = float(select_kth(sample, half, count, int(_QUANTILE * count))) - median
             mean, std = median, spread
-            for _ in range(2):
+            for _ in range(_CLIPPINGS):
                 width_ = _CLIP * max(std, step * 0.2886751345948129) + 0.5 * step
                 mean, std = _clipped(sample, count, median, width_)
                 std /= _CLIPPED_STD

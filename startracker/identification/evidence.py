@@ -24,9 +24,10 @@ _CORE_MAG, _WIDE_MAG, _WIDE_SHARE = 0.3, 1.5, 0.3
 
 
 def magnitude_density(difference: FloatArray) -> FloatArray:
-    """Density (…,) per magnitude of observed minus catalogued: a core of 0.3 mag and wide wings (colour, variability,
-    saturation, blends), so that one discordant star can cost no more than a factor of a few.
-    """  # noqa: D205 - one sentence
+    """Density (…,) per magnitude of observed minus catalogued.
+
+    A core of 0.3 mag and wide wings (colour, variability, saturation, blends): one discordant star costs little.
+    """
     core = np.exp(-0.5 * (difference / _CORE_MAG) ** 2) / (_CORE_MAG * math.sqrt(2.0 * math.pi))
     wide = np.exp(-0.5 * (difference / _WIDE_MAG) ** 2) / (_WIDE_MAG * math.sqrt(2.0 * math.pi))
     return np.asarray((1.0 - _WIDE_SHARE) * core + _WIDE_SHARE * wide + 1e-3)

@@ -97,7 +97,9 @@ def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray)
     return index, distance
 
 
-def verify(matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float = SCALES[-1]) -> Hypothesis | None:
+def verify(
+    matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float = SCALES[-1]
+) -> Hypothesis | None:
     """Check an attitude against every observed star: match, refit until it stands still, weigh.
 
     Starts at `scale` times the stated errors and goes on to the smaller `SCALES`, keeping what has most evidence.
@@ -149,14 +151,19 @@ class Bench:
     ----------
     settings : IdentificationSettings
         For the false-alarm rate and the least number of stars.
-    trials : float
-        Hypotheses implied by the search so far (two-star attitudes that the observed pairs allow).
+    trials : dict
+        For each scale searched, the hypotheses implied so far: two-star attitudes that the observed pairs allow. The
+        choice among the scales is paid for in the evidence.
     """
 
     settings: IdentificationSettings
-    trials: float = 0.0
+    trials: dict[float, float] = field(default_factory=dict)
     standing: list[Hypothesis] = field(default_factory=list)
     largest_group: int = 0
+
+    def count(self, scale: float, trials: float) -> None:
+        """Add hypotheses tried at a scale."""
+        self.trials[scale] = self.trials.get(scale, 0.0) + trials
 
     def add(self, hypothesis: Hypothesis | None) -> None:
         """Take in a verified hypothesis; one that repeats another replaces it only when it is better."""
@@ -172,16 +179,16 @@ class Bench:
         self.standing.sort(key=lambda h: -h.log_evidence)
         del self.standing[20:]
 
-    @property
-    def log_trials(self) -> float:
-        """Natural logarithm of `trials`."""
-        return math.log(max(self.trials, 1e-300))
+    def log_chance(self, hypothesis: Hypothesis) -> float:
+        """Logarithm of the bound on the chance of such evidence, ln H − ln Λ."""
+        trials = self.trials.get(hypothesis.scale, max(self.trials.values(), default=1.0))
+        return math.log(max(trials, 1e-300)) - hypothesis.log_evidence
 
     @property
     def surely(self) -> bool:
-        """Whether the best one is so far above the limit that looking on is idle."""
+        """Whether the best one is so far beyond the limit that looking on is idle."""
         return bool(self.standing) and (
-            self.standing[0].log_evidence - self.log_trials > 15.0 - math.log(self.settings.false_alarm_rate)
+            self.log_chance(self.standing[0]) < math.log(self.settings.false_alarm_rate) - 15.0
             and self._gap > self._least_gap
         )
 
@@ -204,7 +211,7 @@ class Bench:
                 Status.NO_MATCH, f"no attitude explains three stars: {seen}, largest match group {self.largest_group}"
             )
         best = self.standing[0]
-        chance = self.log_trials - best.log_evidence
+        chance = self.log_chance(best)
         says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
         limit = self.settings.false_alarm_rate
         if len(best.pairs) < self.settings.min_stars or chance > 0.0:

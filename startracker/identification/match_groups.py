@@ -8,12 +8,14 @@
 4. The best groups, by size and then by the RSS of the separations' errors, are checked against all stars of the field
    and accepted by probability (`hypothesis`), where the thesis takes the best group as it is.
 
-Separations are matched within the stated errors first, then within 3 and 10 times those.
+Separations are matched within the stated errors first, then within 3 and 10 times those; and where the brightest
+stars lead nowhere (false ones among them), the next brightest are tried.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.identification import match_kernels as kernels
-from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
+from startracker.identification.hypothesis import SCALES, Bench, Hypothesis, fit_rotation, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings
@@ -44,7 +46,8 @@ def match_groups(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the brightest `settings.max_stars` make match groups, all of them verify.
+        Brightest first; the brightest `settings.max_stars` make match groups, and if they fail those that follow half
+        that number further down; all stars verify.
     guide : GuideDatabase
         As the observer sees it.
     settings : IdentificationSettings
@@ -58,27 +61,35 @@ def match_groups(
         Status, reason and pairs. Never raises for what was observed.
     """
     settings = settings or IdentificationSettings()
-    n = min(len(observed), settings.max_stars, _MOST_STARS)
-    if n < max(settings.min_stars, 3):
-        reason = f"{len(observed)} stars seen, {max(settings.min_stars, 3)} are needed"
+    least = max(settings.min_stars, 3)
+    n = min(settings.max_stars, _MOST_STARS)
+    if min(len(observed), n) < least:
+        reason = f"{len(observed)} stars seen, {least} are needed"
         return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
     bench = Bench(settings)
-    fixed = settings.separation_tolerance_deg
-    for scale in SCALES if fixed is None else SCALES[-1:]:
-        search = _Search.prepare(observed, n, guide, settings, prior, scale)
-        bench.trials += search.trials
-        bench.largest_group = max(bench.largest_group, search.largest)
-        for hypothesis_matrix in search.attitudes():
-            bench.add(_within(verify(hypothesis_matrix, observed, guide, scale), prior))
-            if bench.surely:
-                break
-        verdict = bench.judge(observed, prior)
-        if verdict.status is Status.SOLVED:
+    scales = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
+    for skip in (0, n // 2):
+        if skip and len(observed) < n + (n - skip) // 2:  # hardly a new star among them
             break
+        part = slice(skip, skip + n)
+        chosen = Observed(
+            observed.vectors[part], None if observed.flux is None else observed.flux[part], observed.sigma_rad[part]
+        )
+        for scale in scales:
+            search = _Search.prepare(chosen, guide, settings, prior, scale)
+            bench.count(scale, search.trials)
+            bench.largest_group = max(bench.largest_group, search.largest)
+            for matrix in search.attitudes():
+                bench.add(_within(verify(matrix, observed, guide, scale), prior))
+                if bench.surely:
+                    break
+            verdict = bench.judge(observed, prior)
+            if verdict.status is Status.SOLVED:
+                return verdict
     return verdict
 
 
-def _within(hypothesis, prior: Prior | None):  # type: ignore[no-untyped-def]
+def _within(hypothesis: Hypothesis | None, prior: Prior | None) -> Hypothesis | None:
     """The hypothesis, or None where it leaves the prior's range."""
     if hypothesis is None or prior is None:
         return hypothesis
@@ -91,7 +102,6 @@ class _Search:
     """One pass over the pairs at one tolerance."""
 
     observed: Observed
-    n: int
     guide: GuideDatabase
     settings: IdentificationSettings
     pair_args: tuple[IntArray, ...]
@@ -107,13 +117,12 @@ class _Search:
     def prepare(
         cls,
         observed: Observed,
-        n: int,
         guide: GuideDatabase,
         settings: IdentificationSettings,
         prior: Prior | None,
         scale: float,
     ) -> _Search:
-        vectors, sigma = observed.vectors[:n], observed.sigma_rad[:n] * scale
+        vectors, sigma = observed.vectors, observed.sigma_rad * scale
         i, j, separations = observed_pairs(vectors)
         fixed = settings.separation_tolerance_deg
         tolerance = pair_tolerance(sigma, i, j, separations, None if fixed is None else math.radians(fixed))
@@ -127,14 +136,14 @@ class _Search:
         magnitude, tolerance_mag = observed.magnitudes(), settings.magnitude_tolerance
         if magnitude is None:
             magnitude, tolerance_mag = np.zeros(len(observed)), math.inf
-        partners = np.zeros((n, len(guide)), dtype=np.uint64)
+        partners = np.zeros((len(observed), len(guide)), dtype=np.uint64)
         pair_args = (i, j, low, high, pairs.first, pairs.second)
         trials = float(kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners))
         if prior is not None:
             trials = _expected_trials(guide, prior, separations, tolerance)
         sizes = kernels.group_sizes(partners)
         return cls(
-            observed, n, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes,
+            observed, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes,
             trials,
         )  # fmt: skip
 
@@ -143,7 +152,7 @@ class _Search:
         """Stars in the largest match group."""
         return int(self.sizes.max())
 
-    def attitudes(self):  # type: ignore[no-untyped-def]
+    def attitudes(self) -> Iterator[FloatArray]:
         """Attitudes of the validated groups, best first; the threshold is lowered as long as the caller asks on."""
         least = max(self.settings.min_stars, 3)
         threshold = max(least, min(self.settings.group_threshold, self.largest - 2))
@@ -171,20 +180,21 @@ class _Search:
             *self.pair_args, self.magnitude, self.guide.v_mag, self.tolerance_mag, self.allowed, group, len(kernel_obs)
         )
         i, j = self.pair_args[0], self.pair_args[1]
-        low, high = np.ones((2, self.n, self.n))
-        mirror = np.zeros((self.n, self.n))
+        n = len(self.observed)
+        low, high = np.ones((2, n, n))
+        mirror = np.zeros((n, n))
         low[i, j] = low[j, i] = np.cos(np.minimum(self.separations + self.tolerance, math.pi))
         high[i, j] = high[j, i] = np.cos(np.maximum(self.separations - self.tolerance, 0.0))
         # height of the triangle over this base, in tolerances: below one its sense is noise
         mirror[i, j] = mirror[j, i] = np.sin(self.separations) * self.tolerance
         size, rss, found = kernels.validate(
             kernel_obs, kernel_guide, start, members,
-            self.observed.vectors[: self.n], self.guide.directions, low, high, mirror, max(self.settings.min_stars, 3),
+            self.observed.vectors, self.guide.directions, low, high, mirror, max(self.settings.min_stars, 3),
         )  # fmt: skip
         order = np.lexsort((rss, -size))
         order = order[size[order] >= threshold]
         kept: list[int] = []
-        per_star = np.zeros(self.n, dtype=int)
+        per_star = np.zeros(n, dtype=int)
         for k in order:
             if per_star[kernel_obs[k]] < self.settings.max_groups_per_star:
                 per_star[kernel_obs[k]] += 1

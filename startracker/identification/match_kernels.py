@@ -144,11 +144,7 @@ def collect(
 
 @njit(cache=True, error_model="numpy")
 def _det(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return (
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        + a[1] * (b[2] * c[0] - b[0] * c[2])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
-    )
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
 
 
 @njit(cache=True, error_model="numpy")

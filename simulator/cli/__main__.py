@@ -1,0 +1,5 @@
+"""``python -m simulator.cli`` is ``boresight``."""
+
+from simulator.cli import main
+
+main()

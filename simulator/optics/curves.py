@@ -1,0 +1,172 @@
+"""Curves over wavelength: transmission of a lens, quantum efficiency of a detector, passband of a filter."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+CurveKind = Literal["transmission", "quantum_efficiency", "passband"]
+
+FLAT_RANGE_NM = (300.0, 1100.0)
+"""Where a curve given as one number reaches: from the edge of optical glass to the band edge of silicon."""
+
+_PREFIX: dict[str, str] = {"transmission": "transmission", "quantum_efficiency": "qe", "passband": "passband"}
+_PRODUCT_STEP_NM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A function of wavelength, straight lines between its points, zero outside them.
+
+    Parameters
+    ----------
+    wavelength_nm : (N,) array
+        Rising, N ≥ 2, nanometres.
+    value : (N,) array
+        Values there; a share between 0 and 1 where it comes from `load_curve`.
+
+    Raises
+    ------
+    InputError
+        When the two differ in length, hold anything but finite numbers, or the wavelengths do not rise.
+    """
+
+    wavelength_nm: FloatArray
+    value: FloatArray
+
+    def __post_init__(self) -> None:
+        wavelength_nm, value = np.array(self.wavelength_nm, dtype=float), np.array(self.value, dtype=float)
+        if wavelength_nm.ndim != 1 or wavelength_nm.shape != value.shape or len(wavelength_nm) < 2:
+            raise InputError("a curve needs two or more points, each with a wavelength and a value")
+        if not (np.isfinite(wavelength_nm).all() and np.isfinite(value).all()):
+            raise InputError("a curve holds finite numbers only")
+        if not (np.diff(wavelength_nm) > 0).all():
+            raise InputError("the wavelengths of a curve must rise from point to point")
+        for array in (wavelength_nm, value):
+            array.flags.writeable = False
+        object.__setattr__(self, "wavelength_nm", wavelength_nm)
+        object.__setattr__(self, "value", value)
+
+    @classmethod
+    def flat(cls, value: float) -> Curve:
+        """The same value over `FLAT_RANGE_NM`."""
+        return cls(np.array(FLAT_RANGE_NM), np.array([value, value]))
+
+    def __call__(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Value at any wavelength (nm): linear between the points, zero outside."""
+        return np.interp(np.asarray(wavelength_nm, dtype=float), self.wavelength_nm, self.value, left=0.0, right=0.0)
+
+    def __mul__(self, other: Curve) -> Curve:
+        """Product, where both are given.
+
+        Sampled at the points of both and at least every nanometre, so that the straight lines between follow the
+        parabolas of the exact product to h²/8 of their curvature.
+        """
+        low = max(self.wavelength_nm[0], other.wavelength_nm[0])
+        high = min(self.wavelength_nm[-1], other.wavelength_nm[-1])
+        if low >= high:
+            raise InputError(
+                f"two curves that should be multiplied have no wavelength in common: {self._reach()} and {other._reach()}"
+            )
+        fine = np.linspace(low, high, math.ceil((high - low) / _PRODUCT_STEP_NM) + 1)
+        points = np.unique(np.concatenate([fine, self.wavelength_nm, other.wavelength_nm]))
+        points = points[(points >= low) & (points <= high)]
+        return Curve(points, self(points) * other(points))
+
+    def _reach(self) -> str:
+        return f"{self.wavelength_nm[0]:g} to {self.wavelength_nm[-1]:g} nm"
+
+
+def shipped_curves(kind: CurveKind) -> list[str]:
+    """Names of the curves of a kind that ship with boresight."""
+    prefix = _PREFIX[kind] + "_"
+    folder = resources.files("simulator.optics") / "data"
+    names = (entry.name for entry in folder.iterdir())
+    return sorted(name[len(prefix) : -4] for name in names if name.startswith(prefix) and name.endswith(".csv"))
+
+
+def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None = None) -> Curve:
+    """Curve from a number, a shipped name or a CSV file.
+
+    Parameters
+    ----------
+    spec : str or float
+        One number between 0 and 1 (flat over `FLAT_RANGE_NM`); the name of a shipped curve; or the path of a CSV file
+        whose header is ``wavelength_nm`` and a name of the value, with rising wavelengths and values between 0 and 1.
+        Lines that start with ``#`` are comments.
+    kind : {"transmission", "quantum_efficiency", "passband"}
+        Which of the shipped curves a name means.
+    base_dir : path, optional
+        Folder that relative paths start from; left out, the current one.
+
+    Raises
+    ------
+    InputError
+        For a number outside 0 to 1, an unknown name, or a file that is missing or wrong (with its line).
+    """
+    what = kind.replace("_", " ")
+    if isinstance(spec, bool) or not isinstance(spec, str | int | float):
+        raise InputError(f"a {what} is a number, a name or a CSV file; got {spec!r}")
+    if not isinstance(spec, str):
+        if not 0.0 <= spec <= 1.0:
+            raise InputError(f"a {what} lies between 0 and 1; got {spec:g}")
+        return Curve.flat(float(spec))
+    names = shipped_curves(kind)
+    if spec in names:
+        text = (resources.files("simulator.optics") / "data" / f"{_PREFIX[kind]}_{spec}.csv").read_text(encoding="utf-8")
+        return _parse(text, spec)
+    path = Path(base_dir or ".") / spec
+    if path.suffix.lower() == ".csv" or len(Path(spec).parts) > 1 or path.is_file():
+        try:
+            return _parse(path.read_text(encoding="utf-8-sig"), str(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); give a CSV file of the {what}") from error
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: is not text; give a CSV file of the {what}") from error
+    close = difflib.get_close_matches(spec, names, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    raise InputError(
+        f"'{spec}' is no {what} that ships with boresight ({', '.join(names)}), no number and no CSV file{hint}"
+    )
+
+
+def _parse(text: str, where: str) -> Curve:
+    """Points of a CSV text; the first fault is told with its line."""
+    points: list[tuple[float, float]] = []
+    header = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if not header:
+            if len(cells) != 2 or cells[0] != "wavelength_nm":
+                raise InputError(f"{where}:{number}: the header must be 'wavelength_nm,value'; found '{line.strip()}'")
+            header = True
+            continue
+        if len(cells) != 2:
+            raise InputError(f"{where}:{number}: a line holds a wavelength and a value; found '{line.strip()}'")
+        try:
+            wavelength_nm, value = float(cells[0]), float(cells[1])
+        except ValueError:
+            raise InputError(f"{where}:{number}: '{line.strip()}' is not two numbers") from None
+        if not (0.0 < wavelength_nm < math.inf):
+            raise InputError(f"{where}:{number}: a wavelength must be a positive number of nanometres; found {cells[0]}")
+        if not 0.0 <= value <= 1.0:
+            raise InputError(f"{where}:{number}: a value must lie between 0 and 1; found {cells[1]}")
+        if points and wavelength_nm <= points[-1][0]:
+            raise InputError(f"{where}:{number}: wavelengths must rise; {cells[0]} nm follows {points[-1][0]:g} nm")
+        points.append((wavelength_nm, value))
+    if len(points) < 2:
+        raise InputError(f"{where}: needs a header 'wavelength_nm,value' and two or more lines; found {len(points)}")
+    table = np.array(points)
+    return Curve(table[:, 0], table[:, 1])

@@ -1,0 +1,253 @@
+"""Light onto pixels: stars along their paths through a PSF, and bodies with a disk."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.optics.psf import TAPS, Psf
+
+FloatArray = NDArray[np.float64]
+
+
+def render_stars(
+    shape: tuple[int, int], xy: FloatArray, weights: FloatArray, electrons: ArrayLike, psf: Psf, out: FloatArray | None = None
+) -> FloatArray:
+    """Mean photo-electrons of stars in each pixel.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows, columns.
+    xy : (N, K, 2) or (N, 2) array
+        Pixel positions of each star at K moments of the exposure (`simulator.optics.smear`); a moment with a NaN leaves
+        no light.
+    weights : (K,) array
+        Share of the exposure of each moment.
+    electrons : (N,) array
+        Electrons of each star over the exposure.
+    psf : Psf
+        Image of a point.
+    out : (rows, columns) array, optional
+        Image to add to; left out, a black one.
+
+    Returns
+    -------
+    (rows, columns) float64 array
+        Stars partly off the image leave their inside part.
+    """
+    image = np.zeros(shape) if out is None else out
+    xy = np.ascontiguousarray(xy, dtype=float)
+    if xy.ndim == 2:
+        xy = xy[:, None, :]
+    e = np.ascontiguousarray(electrons, dtype=float)
+    add_stars(image, xy, np.ascontiguousarray(weights, dtype=float), e, psf)
+    return image
+
+
+def add_stars(image: FloatArray, xy: FloatArray, weights: FloatArray, electrons: FloatArray, psf: Psf) -> None:
+    """Add stars to `image` in place; shapes as in `render_stars`, all arrays contiguous float64."""
+    radius = psf.radius_px(electrons)
+    if psf.core is None or psf.wing is None:
+        add_gaussians(image, xy, weights, electrons, radius, psf.sigma_px, psf.sigma_y_px)
+    else:
+        add_tabulated(
+            image, xy, weights, electrons, radius, psf.core, psf.phases, psf.wing, 1.0 / psf.wing_step_px, 1.0 / psf.aspect
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def add_gaussians(
+    image: FloatArray,
+    xy: FloatArray,
+    weights: FloatArray,
+    electrons: FloatArray,
+    radius: FloatArray,
+    sigma_x: float,
+    sigma_y: float,
+) -> None:
+    """Kernel: Gaussians integrated over pixels, ¼ Δerf(x/σ_x√2) Δerf(y/σ_y√2), in boxes of half width `radius`."""
+    height, width = image.shape
+    scale_x, scale_y = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
+    column, row = np.empty(width), np.empty(height)
+    for n in range(xy.shape[0]):
+        radius_x, radius_y = radius[n], radius[n] * sigma_y / sigma_x
+        for k in range(xy.shape[1]):
+            x, y = xy[n, k, 0], xy[n, k, 1]
+            if not (
+                x > -1.0 - radius_x and x < width + radius_x and y > -1.0 - radius_y and y < height + radius_y
+            ):  # off the image, or NaN
+                continue
+            left, right = max(math.ceil(x - radius_x), 0), min(math.floor(x + radius_x), width - 1)
+            top, bottom = max(math.ceil(y - radius_y), 0), min(math.floor(y + radius_y), height - 1)
+            if left > right or top > bottom:
+                continue
+            _shares(column, left, right, x, scale_x)
+            _shares(row, top, bottom, y, scale_y)
+            amount = electrons[n] * weights[k]
+            for j in range(top, bottom + 1):
+                line = amount * row[j - top]
+                for i in range(right - left + 1):
+                    image[j, left + i] += line * column[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _shares(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
+    """Share of a Gaussian in each of the pixels first … last."""
+    low = math.erf((first - 0.5 - centre) * scale)
+    for i in range(last - first + 1):
+        high = math.erf((first + i + 0.5 - centre) * scale)
+        out[i] = 0.5 * (high - low)
+        low = high
+
+
+@njit(cache=True, error_model="numpy")
+def add_tabulated(
+    image: FloatArray,
+    xy: FloatArray,
+    weights: FloatArray,
+    electrons: FloatArray,
+    radius: FloatArray,
+    core: NDArray[np.float64],
+    phases: int,
+    wing: FloatArray,
+    wing_per_px: float,
+    row_px: float,
+) -> None:
+    """Kernel: a tabulated PSF: core by Lagrange interpolation between phases, wings by distance.
+
+    `row_px` is the pitch along rows over that along columns.
+    """
+    height, width = image.shape
+    half = core.shape[3] // 2
+    middle = core.shape[0] // 2
+    weight_x, weight_y = np.empty(TAPS), np.empty(TAPS)
+    for n in range(xy.shape[0]):
+        reach_x, reach_y = radius[n] + 1.0, radius[n] / row_px + 1.0
+        half_x, half_y = min(math.ceil(radius[n]), half), min(math.ceil(radius[n] / row_px), half)
+        winged = max(radius[n], radius[n] / row_px) > half
+        for k in range(xy.shape[1]):
+            x, y = xy[n, k, 0], xy[n, k, 1]
+            if not (x > -1.0 - reach_x and x < width + reach_x and y > -1.0 - reach_y and y < height + reach_y):
+                continue
+            amount = electrons[n] * weights[k]
+            centre_x, centre_y = math.floor(x + 0.5), math.floor(y + 0.5)
+            left, right = max(centre_x - half_x, 0), min(centre_x + half_x, width - 1)
+            top, bottom = max(centre_y - half_y, 0), min(centre_y + half_y, height - 1)
+            if left <= right and top <= bottom:
+                first_x = _lagrange(weight_x, (x - centre_x) * phases, amount) + middle
+                first_y = _lagrange(weight_y, (y - centre_y) * phases, 1.0) + middle
+                count, start = right - left + 1, left - centre_x + half
+                for j in range(top, bottom + 1):
+                    line = image[j, left : right + 1]
+                    for b in range(TAPS):
+                        tables = core[first_y + b, first_x : first_x + TAPS, j - centre_y + half, start : start + count]
+                        w0, w1 = weight_y[b] * weight_x[0], weight_y[b] * weight_x[1]
+                        w2, w3 = weight_y[b] * weight_x[2], weight_y[b] * weight_x[3]
+                        for i in range(count):
+                            line[i] += w0 * tables[0, i] + w1 * tables[1, i] + w2 * tables[2, i] + w3 * tables[3, i]
+            if winged:
+                _add_wing(image, x, y, centre_x, centre_y, half, radius[n], amount, wing, wing_per_px, row_px)
+
+
+@njit(cache=True, error_model="numpy")
+def _lagrange(out: FloatArray, position: float, scale: float) -> int:
+    """Weights of TAPS points around `position` on a grid of whole numbers, times `scale`; returns the first point."""
+    first = math.floor(position) - TAPS // 2 + 1
+    t = position - first
+    for a in range(TAPS):
+        w = scale
+        for b in range(TAPS):
+            if b != a:
+                w *= (t - b) / (a - b)
+        out[a] = w
+    return first
+
+
+@njit(cache=True, error_model="numpy")
+def _add_wing(
+    image: FloatArray,
+    x: float,
+    y: float,
+    centre_x: int,
+    centre_y: int,
+    half: int,
+    radius: float,
+    amount: float,
+    wing: FloatArray,
+    wing_per_px: float,
+    row_px: float,
+) -> None:
+    """Light outside the core, out to `radius`."""
+    height, width = image.shape
+    last = len(wing) - 2
+    for j in range(max(math.ceil(y - radius / row_px), 0), min(math.floor(y + radius / row_px), height - 1) + 1):
+        dy = (j - y) * row_px
+        chord = math.sqrt(max(radius * radius - dy * dy, 0.0))
+        inside = abs(j - centre_y) <= half
+        for i in range(max(math.ceil(x - chord), 0), min(math.floor(x + chord), width - 1) + 1):
+            if inside and abs(i - centre_x) <= half:
+                continue
+            position = math.sqrt((i - x) * (i - x) + dy * dy) * wing_per_px
+            m = min(int(position), last)
+            image[j, i] += amount * (wing[m] + (position - m) * (wing[m + 1] - wing[m]))
+
+
+def add_disk(
+    image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float
+) -> None:
+    """Add a uniformly bright disk (planet, Sun, full Moon) to `image` in place, integrated exactly over pixels.
+
+    A pixel gets electrons × (area of the disk inside it) / (area of the disk); blur by the optics is left out, so use it
+    for disks much wider than the PSF.
+
+    Parameters
+    ----------
+    image : (rows, columns) float64 array
+        Mean photo-electrons.
+    xy : (2,) array
+        Centre, pixels; it may lie off the image.
+    radius_px : float or (float, float)
+        Radius; along columns and rows where pixels are not square.
+    electrons : float
+        Electrons of the whole disk over the exposure.
+    """
+    x, y = np.asarray(xy, dtype=float)
+    radius_x, radius_y = (radius_px, radius_px) if isinstance(radius_px, int | float) else radius_px
+    if math.isfinite(x) and math.isfinite(y):
+        add_ellipse(image, float(x), float(y), float(radius_x), float(radius_y), float(electrons))
+
+
+@njit(cache=True, error_model="numpy")
+def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y: float, electrons: float) -> None:
+    """Kernel: exact overlap of an ellipse along the axes with each pixel."""
+    height, width = image.shape
+    for j in range(max(math.ceil(y - radius_y - 0.5), 0), min(math.floor(y + radius_y + 0.5), height - 1) + 1):
+        low, high = (j - 0.5 - y) / radius_y, (j + 0.5 - y) / radius_y
+        for i in range(max(math.ceil(x - radius_x - 0.5), 0), min(math.floor(x + radius_x + 0.5), width - 1) + 1):
+            left, right = (i - 0.5 - x) / radius_x, (i + 0.5 - x) / radius_x
+            area = _corner(right, high) - _corner(left, high) - _corner(right, low) + _corner(left, low)
+            image[j, i] += electrons / math.pi * area
+
+
+@njit(cache=True, error_model="numpy")
+def _corner(x: float, y: float) -> float:
+    """Area of the part of the unit disk with X ≤ x and Y ≤ y."""
+    x, y = min(max(x, -1.0), 1.0), min(max(y, -1.0), 1.0)
+    half_chord = math.sqrt(1.0 - y * y)
+    # where |X| > half_chord the whole chord of the disk lies below y (y > 0) or above it (y < 0)
+    inner = min(max(x, -half_chord), half_chord)
+    area = _semicircle(inner) - _semicircle(-half_chord) + y * (inner + half_chord)
+    if y > 0.0:
+        area += 2.0 * (_semicircle(min(x, -half_chord)) - _semicircle(-1.0))
+        area += 2.0 * (_semicircle(max(x, half_chord)) - _semicircle(half_chord))
+    return area
+
+
+@njit(cache=True, error_model="numpy")
+def _semicircle(t: float) -> float:
+    """∫ √(1 − t²) dt."""
+    return 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))

