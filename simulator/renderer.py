@@ -8,26 +8,32 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import point, point_at_random
-from simulator.optics.curves import load_curve
-from simulator.optics.psf import build_psf
-from simulator.sky.apparent import SkyIndex
-from simulator.sky.observer import observe
-from simulator.sky.photometry import Photometer
 
 from simulator.detector.chain import detect
 from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.readout import section_reset_noise_e
-from simulator.frame import Frame, FrameTruth
+from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.mission.clock import Clock
+from simulator.mission.orbit import build_orbit
+from simulator.mission.pointing import Pointing, point, point_at_random
 from simulator.mission.sampling import trial_time_s
+from simulator.optics.curves import load_curve
+from simulator.optics.psf import build_psf
+from simulator.optics.smear import star_paths
+from simulator.optics.splat import add_disk, add_stars
+from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.sky.apparent import SkyIndex
+from simulator.sky.observer import observe
+from simulator.sky.photometry import Photometer
+from simulator.sky.solar_system import solar_system, sun_position_au
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
+from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
 

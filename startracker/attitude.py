@@ -40,7 +40,7 @@ def direction_to_radec(direction: ArrayLike) -> tuple[FloatArray, FloatArray]:
     ra = np.arctan2(y, x)
     # adding 2π to a tiny negative angle rounds to 2π itself, which is outside the half-open range
     ra = np.where(ra < 0.0, ra + 2.0 * np.pi, ra)
-    ra = np.where(ra >= 2.0 * np.pi, 0.0, ra)
+    ra = np.where(ra >= 2.0 * np.pi, 0.0, ra) + 0.0  # -0.0 becomes 0.0
     return ra, np.arctan2(z, np.hypot(x, y))
 
 
@@ -121,10 +121,11 @@ class Attitude:
 
     def __post_init__(self) -> None:
         quat = np.array(self.quat, dtype=float)
-        norm = math.sqrt(float(quat @ quat)) if quat.shape == (4,) else math.nan
-        if not (math.isfinite(norm) and norm > 0):
+        largest = float(np.abs(quat).max()) if quat.shape == (4,) else math.nan
+        if not (math.isfinite(largest) and largest > 0):
             raise InputError(f"an attitude needs a finite quaternion (x, y, z, w) that is not zero; got {self.quat}")
-        quat /= norm
+        quat /= largest  # so that squares neither overflow nor vanish
+        quat /= math.sqrt(float(quat @ quat))
         if quat[3] < 0:
             quat = -quat
         quat.flags.writeable = False

@@ -50,10 +50,17 @@ class Camera:
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
             object.__setattr__(self, "distortion", Distortion(**self.distortion))
+        for name in ("fx", "fy", "cx", "cy"):  # plain numbers, which YAML can hold
+            object.__setattr__(self, name, float(getattr(self, name)))
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
+        if not math.isfinite(self.cx + self.cy):
+            raise InputError(f"the principal point must be finite; got cx = {self.cx}, cy = {self.cy} pixels")
         if self.parity not in (1, -1):
             raise InputError(f"parity must be 1 or -1; got {self.parity}")
+        if self.width != int(self.width) or self.height != int(self.height):
+            raise InputError(f"an image has whole pixels; got {self.width}×{self.height}")
+        object.__setattr__(self, "parity", int(self.parity))
         object.__setattr__(self, "width", int(self.width) or round(2 * self.cx + 1))
         object.__setattr__(self, "height", int(self.height) or round(2 * self.cy + 1))
         if self.width < 1 or self.height < 1:
@@ -111,7 +118,9 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that `from_dict` takes."""
-        return asdict(self)
+        data = asdict(self)
+        data["distortion"] = {key: float(value) for key, value in data["distortion"].items()}
+        return data
 
     def to_yaml(self, path: str | Path) -> None:
         """Write a file that `from_yaml` reads."""

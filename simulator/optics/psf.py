@@ -38,7 +38,7 @@ LEAST_SHARE = 1.5e-4
 """A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can get."""
 
 TAPS = 4
-"""Points of the Lagrange interpolation between phases."""
+"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is written out for four."""
 
 _WING_STEP_PX = 0.125
 
@@ -154,7 +154,7 @@ def airy_disk(section: PsfSection, f_number: float, pitch_um: tuple[float, float
 
     The first dark ring lies at 1.21967 λN, or where `first_dark_ring_px` puts it: defocus as the thesis models it, a
     pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact at `phases` offsets a pixel and interpolated
-    between them (error below 1e-5 of the peak for a ring at 0.6 px or more, 1e-4 for sharper ones); further out
+    between them (error below 5e-5 of the peak); further out
     the mean over a ring as wide as a pixel stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
     """
     if section.sigma_px is not None:

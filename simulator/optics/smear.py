@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 DEFAULT_FEATURE_PX = 0.5
 """Width of the image of a star (σ of a Gaussian) that paths are sampled for unless the PSF says otherwise."""
 
-_MARGIN_PX = 64.0
+DEFAULT_MARGIN_PX = 64.0
 """Paths are followed this far outside the image: wings reach in."""
 
 _MAX_PANEL = 128
@@ -56,6 +56,7 @@ def star_paths(
     rate_rad_s: ArrayLike,
     exposure_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
+    margin_px: float = DEFAULT_MARGIN_PX,
 ) -> tuple[FloatArray, FloatArray]:
     """Pixel positions of stars over an exposure under a constant body rate.
 
@@ -74,36 +75,41 @@ def star_paths(
         Exposure time.
     feature_px : float
         Finest structure of the PSF, pixels; sets how many moments there are.
+    margin_px : float
+        How far outside the image paths are followed: at least the radius of the widest disk that may reach in.
 
     Returns
     -------
     xy : (N, K, 2) array
-        Positions; NaN while a star is more than some 64 pixels outside the image, where the projection may fold back.
+        Positions; NaN while a star is further from the boresight than the corners of the image by more than
+        the margin: the projection may fold back there.
     weights : (K,) array
         Share of the exposure of each moment; their sum is 1.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
     turn = -np.asarray(rate_rad_s, dtype=float) * exposure_s
-    nodes, weights = exposure_nodes(_longest_path_px(camera, directions, turn), feature_px)
-    return _positions(camera, directions, turn, nodes / 2.0), weights
+    limit_rad = min(camera.half_diagonal_rad + margin_px * camera.pixel_rad, math.radians(89.9))
+    nodes, weights = exposure_nodes(_longest_path_px(camera, directions, turn, limit_rad), feature_px)
+    return _positions(camera, directions, turn, nodes / 2.0, limit_rad), weights
 
 
-def _longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray) -> float:
+def _longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, limit_rad: float) -> float:
     """Length of the longest path on the image, by chords."""
     angle = float(np.linalg.norm(turn))
     if angle == 0.0 or len(directions) == 0:
         return 0.0
     chords = 8 + math.ceil(angle / math.radians(5.0))
-    xy = _positions(camera, directions, turn, np.linspace(-0.5, 0.5, chords + 1))
+    xy = _positions(camera, directions, turn, np.linspace(-0.5, 0.5, chords + 1), limit_rad)
     return float(np.nansum(np.linalg.norm(np.diff(xy, axis=1), axis=2), axis=1).max())
 
 
-def _positions(camera: Camera, directions: FloatArray, turn: FloatArray, moments: FloatArray) -> FloatArray:
+def _positions(
+    camera: Camera, directions: FloatArray, turn: FloatArray, moments: FloatArray, limit_rad: float
+) -> FloatArray:
     """(N, K, 2) pixels at the given shares of the whole turn."""
-    limit = math.cos(min(camera.half_diagonal_rad + _MARGIN_PX * camera.pixel_rad, math.radians(89.9)))
     vectors = np.einsum("kij,nj->nki", _rotations(turn, moments), directions).reshape(-1, 3)
     xy = camera.project(vectors)
-    xy[vectors[:, 2] < limit] = np.nan
+    xy[vectors[:, 2] < math.cos(limit_rad)] = np.nan
     return np.asarray(xy.reshape(len(directions), len(moments), 2))
 
 

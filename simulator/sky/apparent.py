@@ -124,7 +124,9 @@ class SkyIndex:
         # 1.1: perspective may quicken a star that comes near, by less than 10 % in a millennium
         reach = radius_rad + _SHIFT_RAD + 1.1 * years * self._fastest_rad_yr
         chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)
-        rows = self._tree.query_ball_point(np.asarray(direction, dtype=float), chord * (1.0 + 1e-12), return_sorted=True)
+        rows = self._tree.query_ball_point(
+            np.asarray(direction, dtype=float), chord * (1.0 + 1e-12), return_sorted=True
+        )
         return np.asarray(rows, dtype=np.int64)
 
     def view(

@@ -154,6 +154,20 @@ class GuideDatabase:
             directions = aberrate(directions, observer.velocity_km_s)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
+    def brightest(self, count: int) -> GuideDatabase:
+        """The same sky with the `count` brightest stars alone."""
+        if count >= len(self):
+            return self
+        directions = self.directions[:count]
+        return replace(
+            self,
+            catalog=self.catalog.select(np.arange(count)),
+            directions=directions,
+            pattern=self.pattern[:count],
+            _tree=cKDTree(directions),
+            _pairs={},
+        )
+
     # ------------------------------------------------------------------ facts
     def __len__(self) -> int:
         return len(self.catalog)

@@ -23,7 +23,9 @@ SMALLEST_SIGMA_PX = 0.1
 
 
 @njit(cache=True, error_model="numpy")
-def window_moments(centre: float, sigma: float, low: int, high: int) -> tuple[float, float, float, float, float, float, float]:
+def window_moments(
+    centre: float, sigma: float, low: int, high: int
+) -> tuple[float, float, float, float, float, float, float]:
     """A unit Gaussian, integrated over pixels, seen through the pixels low … high of one axis.
 
     Returns
@@ -147,7 +149,7 @@ def moment_bias(
     offsets = np.asarray(offset_px, dtype=float)
     if integrated:
         means = np.array([window_moments(float(d), sigma_px, -n, n)[1] for d in offsets.ravel()])
-        return offsets - means.reshape(offsets.shape)
+        return np.asarray(offsets - means.reshape(offsets.shape))
     pixels = np.arange(-n, n + 1)
     density = np.exp(-0.5 * ((pixels - offsets[..., None]) / sigma_px) ** 2)
     return np.asarray(offsets - density @ pixels / density.sum(axis=-1))

@@ -21,6 +21,7 @@ MEASURED = 6
 
 _RECENTRINGS = 3
 _LARGEST_FLAT_TOP_PX = 12
+_BLOOM_SHARE = 0.25
 _WITHIN_PIXEL = 0.35
 _PIXEL_VARIANCE = 1.0 / 12.0
 
@@ -91,7 +92,9 @@ def measure_widths(
             continue
         for axis in range(2):
             if abs(w[1 + axis]) < half and w[3 + axis] > 0.0:
-                out[index, axis] = invert_moments(w[1 + axis], w[3 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis]))[1]
+                out[index, axis] = invert_moments(w[1 + axis], w[3 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis]))[
+                    1
+                ]
     return out
 
 
@@ -103,7 +106,7 @@ def _recentred(image: FloatImage, level: FloatImage, noise: FloatImage, x: int, 
         w = read_window(image, level, noise, x, y, half, 0.0)
         if not w[0] > 0.0:
             break
-        dx, dy = int(round(w[1])), int(round(w[2]))
+        dx, dy = round(w[1]), round(w[2])
         if dx == 0 and dy == 0:
             break
         x, y = min(max(x + dx, 0), width - 1), min(max(y + dy, 0), height - 1)
@@ -137,7 +140,7 @@ def measure_stars(
     inverse_gain : float
         DN an electron.
     flat_top_error : float
-        Standard deviation added to a saturated star's position, as a share of its radius.
+        Standard deviation added to a saturated star's position, pixels; more where it has bled.
     """
     height, width = image.shape
     out = np.full((len(xs), MEASURED), np.nan)
@@ -145,12 +148,14 @@ def measure_stars(
         x, y = xs[index], ys[index]
         if saturated[index]:
             radius = math.sqrt(pixels[index] / math.pi)
-            reach = min(half + int(math.ceil(radius)), _LARGEST_FLAT_TOP_PX)
+            reach = min(half + math.ceil(radius), _LARGEST_FLAT_TOP_PX)
             x, y = _recentred(image, level, noise, x, y, reach)
             w = read_window(image, level, noise, x, y, reach, inverse_gain)
             if not w[0] > 0.0:
                 continue
-            extra = (flat_top_error * max(radius, 1.0)) ** 2
+            # charge that ran along one axis shows as a difference of the widths
+            bloomed = math.sqrt(max(w[3], 0.0)) - math.sqrt(max(w[4], 0.0))
+            extra = flat_top_error**2 + (_BLOOM_SHARE * bloomed) ** 2
             out[index] = (x + w[1], y + w[2], w[0], w[5] + extra, w[6] + extra, w[7])
             continue
         for attempt in range(_RECENTRINGS):
@@ -162,8 +167,8 @@ def measure_stars(
                 dy, slope_y = invert_moment(w[2], sigma_y, int(w[10]), int(w[11]))
             else:
                 dx, dy, slope_x, slope_y = w[1], w[2], 1.0, 1.0
-            move_x = int(round(min(max(dx, -half), half)))
-            move_y = int(round(min(max(dy, -half), half)))
+            move_x = round(min(max(dx, -half), half))
+            move_y = round(min(max(dy, -half), half))
             x_next = min(max(x + move_x, 0), width - 1)
             y_next = min(max(y + move_y, 0), height - 1)
             if x_next == x and y_next == y:

@@ -72,4 +72,6 @@ def find_components(
             break
         threshold *= _RAISE
         runs = cut_runs(runs, oversized[number], pixels, level, noise, np.float32(threshold))
-    return select_spots(np.concatenate(tables) if tables else np.empty((0, COLUMNS)), settings, saturation_dn is not None)
+    return select_spots(
+        np.concatenate(tables) if tables else np.empty((0, COLUMNS)), settings, saturation_dn is not None
+    )

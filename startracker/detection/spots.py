@@ -35,6 +35,9 @@ _FLAT_TOP_PIXELS = 5
 _SHAPE_PIXELS = 7
 """The thesis' smallest object; the second moments of fewer pixels are noise."""
 _PIXEL_VARIANCE = 1.0 / 12.0
+_HALO_TIMES = 20.0
+_HALO_RADII = 2.5
+_HALO_MARGIN_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +91,20 @@ def is_streak(table: NDArray[np.float64], max_axis_ratio: float) -> NDArray[np.b
     return np.asarray(streak & (table[:, PIXELS] >= _SHAPE_PIXELS))
 
 
+def _is_halo(table: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Pieces of a brighter star's diffraction rings or halo: under 0.05 of its peak, within 2½ of its radii.
+
+    `table` has the brightest first.
+    """
+    halo = np.zeros(len(table), np.bool_)
+    # only stars with a clear top can have visible rings; most objects of a frame are faint
+    for star in np.flatnonzero(table[:, PEAK_RESIDUAL] > _HALO_TIMES * table[:, PEAK_RESIDUAL].min(initial=np.inf)):
+        reach = _HALO_RADII * np.sqrt(table[star, PIXELS] / np.pi) + _HALO_MARGIN_PX
+        near = np.hypot(table[:, X_PEAK] - table[star, X_PEAK], table[:, Y_PEAK] - table[star, Y_PEAK]) < reach
+        halo |= near & (table[:, PEAK_RESIDUAL] * _HALO_TIMES < table[star, PEAK_RESIDUAL])
+    return halo
+
+
 def select_spots(table: NDArray[np.float64], settings: DetectionSettings, saturation_known: bool) -> Spots:
     """Candidates out of a table of objects: those of a star's size and shape, the brightest first.
 
@@ -114,7 +131,9 @@ def select_spots(table: NDArray[np.float64], settings: DetectionSettings, satura
     index = np.flatnonzero(good)
     # position breaks ties, so that the order never depends on how the objects were found
     order = np.lexsort((table[index, X_PEAK], table[index, Y_PEAK], -table[index, FLUX]))
-    index = index[order[: max(settings.max_stars, 0)]]
+    # more than are asked for, as some may be halo; far more would cost time on an image full of noise
+    index = index[order[: 4 * max(settings.max_stars, 0)]]
+    index = index[~_is_halo(table[index])][: max(settings.max_stars, 0)]
     chosen = table[index]
     return Spots(
         chosen[:, X_PEAK].astype(np.int64),

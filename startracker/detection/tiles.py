@@ -21,7 +21,7 @@ _CLIPPED_STD = 0.98658
 
 @njit(cache=True, error_model="numpy")
 def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
-    """Value at place k once values[start:stop] were sorted; reorders them so that none before k is larger (Hoare 1961)."""
+    """Value at place k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
     left, right = start, stop - 1
     while left < right:
         # median of three keeps sorted and constant tiles from going quadratic
@@ -44,7 +44,7 @@ def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> fl
             left = i
         else:
             break
-    return values[k]
+    return float(values[k])
 
 
 @njit(cache=True, error_model="numpy")
@@ -89,9 +89,9 @@ def tile_statistics(
             if count == 0:
                 continue
             half = count // 2
-            median = float(select_kth(sample, 0, count, half))
-            # above the median: images whose zero was cut off have no spread below it; clipping takes the stars off again
-            spread = float(select_kth(sample, half, count, int(_QUANTILE * count))) - median
+            median = select_kth(sample, 0, count, half)
+            # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
+            spread = select_kth(sample, half, count, int(_QUANTILE * count)) - median
             mean, std = median, spread
             for _ in range(_CLIPPINGS):
                 width_ = _CLIP * max(std, step * 0.2886751345948129) + 0.5 * step
@@ -114,9 +114,7 @@ def smooth_tiles(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, error_model="numpy")
-def interpolate_tiles(
-    tiles: NDArray[np.float64], height: int, width: int, extrapolate: bool
-) -> NDArray[np.float32]:
+def interpolate_tiles(tiles: NDArray[np.float64], height: int, width: int, extrapolate: bool) -> NDArray[np.float32]:
     """Bilinear interpolation between tile centres to (height, width).
 
     Beyond the outermost centres the map goes on linearly or stays constant.
@@ -148,11 +146,11 @@ def interpolate_tiles(
         for c in range(columns - 1):
             slope = np.float32((line[c + 1] - line[c]) / (centre_x[c + 1] - centre_x[c]))
             base = np.float32(line[c])
-            start, stop = int(math.ceil(centre_x[c])), int(math.ceil(centre_x[c + 1]))
+            start, stop = math.ceil(centre_x[c]), math.ceil(centre_x[c + 1])
             origin = np.float32(start - centre_x[c])
             for i in range(stop - start):
                 out[y, start + i] = base + slope * (origin + np.float32(i))
-        first, last = int(math.ceil(centre_x[0])), int(math.ceil(centre_x[columns - 1]))
+        first, last = math.ceil(centre_x[0]), math.ceil(centre_x[columns - 1])
         left = (line[1] - line[0]) / (centre_x[1] - centre_x[0]) if extrapolate else 0.0
         right = (line[columns - 1] - line[columns - 2]) / (centre_x[columns - 1] - centre_x[columns - 2])
         right = right if extrapolate else 0.0

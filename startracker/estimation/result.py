@@ -54,14 +54,19 @@ def check_directions(
         raise InputError(f"{len(b)} directions need as many standard deviations; got the shape {sigma.shape}")
     if not (np.isfinite(sigma).all() and (sigma > 0).all()):
         raise InputError("standard deviations of directions must be positive and finite")
-    for name, vectors in (("observed", b), ("reference", r)):
-        length = np.linalg.norm(vectors, axis=1, keepdims=True)
-        if not (np.isfinite(length).all() and (length > 0).all()):
-            raise InputError(f"{name} directions must be finite and not zero")
-        vectors /= length
-        if len(vectors) < 2 or _spread(vectors) < _DISTINCT_RAD:
-            raise InputError(f"an attitude needs two distinct {name} directions; {len(vectors)} given lie along one axis")
-    return b, r, sigma
+    return _unit("observed", b), _unit("reference", r), sigma
+
+
+def _unit(name: str, vectors: FloatArray) -> FloatArray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not (np.isfinite(length).all() and (length > 0).all()):
+        raise InputError(f"{name} directions must be finite and not zero")
+    unit = np.asarray(vectors / length)
+    if len(unit) < 2:
+        raise InputError(f"an attitude needs two {name} directions; got {len(unit)}")
+    if _spread(unit) < _DISTINCT_RAD:
+        raise InputError(f"an attitude needs two distinct {name} directions; the {len(unit)} given lie along one axis")
+    return unit
 
 
 def _spread(vectors: FloatArray) -> float:

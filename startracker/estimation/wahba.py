@@ -45,7 +45,7 @@ def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
 
 
 def attitude_covariance(observed: FloatArray, sigma_rad: FloatArray) -> FloatArray:
-    """Covariance (3, 3), rad², of the rotation vector: P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Markley & Crassidis 2014, eq. 5.113).
+    """Covariance (3, 3), rad², of the rotation vector: P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Markley & Crassidis 2014, ch. 5).
 
     The information about the turn along the directions' common axis is Σ σᵢ⁻² sin², which the difference I − bbᵀ would
     lose to rounding; in the principal axes of Σ σᵢ⁻² bᵢ bᵢᵀ it is summed from the components across that axis.

@@ -59,9 +59,7 @@ def test_groups_and_their_means_against_brute_force(separation_deg):
         weights = flux[group] / flux[group].sum()
         centre = weights @ u[group]
         assert merged.v_mag[k] == pytest.approx(-2.5 * np.log10(flux[group].sum()), abs=1e-12)
-        np.testing.assert_allclose(
-            merged.directions(2000.0)[k], centre / np.linalg.norm(centre), atol=1e-14
-        )
+        np.testing.assert_allclose(merged.directions(2000.0)[k], centre / np.linalg.norm(centre), atol=1e-14)
         assert merged.pm_dec_rad_yr[k] == pytest.approx(weights @ catalog.pm_dec_rad_yr[group], abs=1e-18)
         assert merged.parallax_rad[k] == pytest.approx(weights @ catalog.parallax_rad[group], abs=1e-18)
         assert (merged.star_name[k], merged.spectral_type[k]) == (catalog.star_name[head], catalog.spectral_type[head])

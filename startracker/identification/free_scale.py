@@ -1,0 +1,241 @@
+"""Identification when the focal length is known roughly or not at all: patterns of four, then a fitted camera.
+
+1. Patterns of neighbouring stars among the brightest are looked up by shape (`quads`), as seen and mirrored.
+2. Each candidate gives attitude and focal length; guide stars of the field are matched in a widening net while
+   attitude, focal length and radial distortion are refitted.
+3. The evidence of all stars but the four that made the hypothesis is weighed against the number of candidates
+   (`evidence`), and accepted by probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.attitude import rotation_vector_to_matrix
+from startracker.camera import Camera
+from startracker.catalog.guide import GuideDatabase
+from startracker.distortion import Distortion
+from startracker.identification.evidence import log_evidence, magnitude_ratio
+from startracker.identification.hypothesis import fit_rotation, nearest_unique
+from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WIDTHS_PX = (0.3, 1.0, 3.0)
+"""Standard errors tried on the residuals that are left after the fit."""
+STAR_COUNTS = (8, 12, 18, 28)
+"""Brightest stars among which neighbours are sought: few where the sky is poor or the image shallow."""
+FOV_BANDS_DEG = ((3.0, 9.0, 18.0), (17.0, 22.0, 29.0), (27.0, 33.0, 40.0), (38.0, 46.0, 54.0), (51.0, 60.0, 72.0))
+"""Least, assumed and largest field of each band; shapes off the axis depend on the field, 1.5 % within a band."""
+FEWEST_MATCHED = 6
+_MOST_CANDIDATES = 4000
+_K1_SIGMA = 0.5
+_FEWEST_FOR_K1 = 10
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFit:
+    """A camera and its attitude fitted to one field.
+
+    Parameters
+    ----------
+    camera : Camera
+        With the fitted focal length, radial distortion and parity.
+    matrix : (3, 3)
+        ICRS to camera.
+    pairs : int (M, 2)
+        Observed and guide index.
+    covariance : (3, 3)
+        Of the rotation vector in camera axes, rad², focal length and distortion marginalised.
+    rms_px : float
+        Root mean square of the residuals on one axis, freedom taken account of.
+    log_evidence : float
+        See `evidence`; the price of the choice of width is off.
+    """
+
+    camera: Camera
+    matrix: FloatArray
+    pairs: IntArray
+    covariance: FloatArray
+    rms_px: float
+    log_evidence: float
+
+
+def fit_camera(
+    camera: Camera, matrix: FloatArray, directions: FloatArray, xy: FloatArray, with_k1: bool
+) -> tuple[Camera, FloatArray, FloatArray, float]:
+    """Attitude, focal length and k1 by least squares (Gauss–Newton) on pixels.
+
+    Parameters
+    ----------
+    camera, matrix
+        Where to start.
+    directions : (M, 3)
+        Guide stars.
+    xy : (M, 2)
+        Their images.
+    with_k1 : bool
+        Whether to fit the radial distortion too; it is held near zero with σ = 0.5, which matters for few stars only.
+
+    Returns
+    -------
+    camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis (px).
+    """
+    count = 5 if with_k1 else 4
+    step = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-3])[:count]
+    prior = np.zeros((1, count))
+    if with_k1:
+        prior[0, 4] = 1.0 / _K1_SIGMA
+    residual = xy - camera.project(directions @ matrix.T)
+    normal = np.eye(count)
+    for _ in range(8):
+        base = camera.project(directions @ matrix.T)
+        residual = xy - base
+        columns = []
+        for k in range(count):
+            moved_camera, moved = _moved(camera, matrix, step[k] * np.eye(count)[k])
+            columns.append(((moved_camera.project(directions @ moved.T) - base) / step[k]).ravel())
+        jacobian = np.stack(columns, axis=1)
+        pull = -prior[0] * prior[0] * (camera.distortion.k1 if with_k1 else 0.0)
+        normal = jacobian.T @ jacobian + prior.T @ prior
+        try:
+            change = np.linalg.solve(normal, jacobian.T @ residual.ravel() + pull)
+        except np.linalg.LinAlgError:
+            break
+        if not np.isfinite(change).all():
+            break
+        change = np.clip(change, -0.3, 0.3)
+        camera, matrix = _moved(camera, matrix, change)
+        if np.abs(change[:4]).max() < 1e-9:
+            break
+    residual = xy - camera.project(directions @ matrix.T)
+    freedom = max(2 * len(xy) - count, 1)
+    variance = float(np.sum(residual**2)) / freedom
+    covariance = np.linalg.pinv(normal)[:3, :3] * variance
+    return camera, matrix, covariance, math.sqrt(variance)
+
+
+def _moved(camera: Camera, matrix: FloatArray, change: FloatArray) -> tuple[Camera, FloatArray]:
+    # a change of f at fixed pixels, so that steps in ln f and in the rotation have like units
+    k1 = camera.distortion.k1 + (float(change[4]) if len(change) > 4 else 0.0)
+    scale = math.exp(float(change[3]))
+    moved = replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=Distortion(k1=k1))
+    return moved, rotation_vector_to_matrix(change[:3]) @ matrix
+
+
+def weigh(
+    camera: Camera, matrix: FloatArray, xy: FloatArray, magnitude: FloatArray | None, guide: GuideDatabase, anchors: int
+) -> tuple[float, IntArray]:
+    """ln Λ of a camera and attitude (the best of `WIDTHS_PX`, the choice paid for), and the pairs it explains."""
+    index, _, places = guide.in_field(matrix, 2.0, camera)
+    keep = slice(0, 2 * len(xy) + 10)
+    index, places = index[keep], places[keep]
+    best, pairs = -math.inf, np.empty((0, 2), dtype=np.int64)
+    for width in WIDTHS_PX:
+        sigma = np.full(len(xy), width)
+        near, distance = nearest_unique(xy, places, 4.5 * sigma)
+        matched = np.flatnonzero(near >= 0)
+        if len(matched) < FEWEST_MATCHED:
+            continue
+        ratio = np.ones(len(xy))
+        if magnitude is not None:
+            v = np.full(len(xy), np.nan)
+            v[matched] = guide.v_mag[index[near[matched]]]
+            ratio = magnitude_ratio(magnitude, v, guide.v_mag[index])
+        area = float(camera.width) * camera.height
+        value = log_evidence(distance, sigma, area, len(index), ratio, anchors) - math.log(len(WIDTHS_PX))
+        if value > best:
+            best, pairs = value, np.stack([matched, index[near[matched]]], axis=1)
+    return best, pairs
+
+
+def grow(
+    camera: Camera, matrix: FloatArray, xy: FloatArray, guide: GuideDatabase, centre: FloatArray, first_gate: FloatArray
+) -> tuple[Camera, FloatArray, FloatArray, float, IntArray] | None:
+    """Match and refit from one pattern's surroundings outwards; None as soon as too few stars agree.
+
+    Returns camera, matrix, covariance, rms and pairs.
+    """
+    away = np.hypot(*(xy - centre).T)
+    gate = first_gate
+    pairs = np.empty((0, 2), dtype=np.int64)
+    result = None
+    for round_ in range(10):
+        index, _, places = guide.in_field(matrix, 5.0, camera)
+        keep = slice(0, 2 * len(xy) + 10)
+        near, _ = nearest_unique(xy, places[keep], gate)
+        matched = np.flatnonzero(near >= 0)
+        if len(matched) < FEWEST_MATCHED:
+            return None
+        new = np.stack([matched, index[near[matched]]], axis=1)
+        if result is not None and np.array_equal(new, pairs):
+            break
+        pairs = new
+        camera, matrix, covariance, rms = fit_camera(
+            camera, matrix, guide.directions[pairs[:, 1]], xy[pairs[:, 0]], len(pairs) >= _FEWEST_FOR_K1
+        )
+        if not math.isfinite(rms):
+            return None
+        result = (camera, matrix, covariance, rms, pairs)
+        residual = xy[pairs[:, 0]] - camera.project(guide.directions[pairs[:, 1]] @ matrix.T)
+        robust = float(np.median(np.hypot(residual[:, 0], residual[:, 1]))) / 1.1774
+        narrow = max(4.0 * robust, 1.0)
+        gate = np.minimum(gate, narrow + (0.004 * away if round_ < 2 else 0.0))
+        if round_ >= 2:
+            gate = np.full(len(xy), narrow)
+    return result
+
+
+def candidates(
+    xy: FloatArray, camera: Camera, index: QuadIndex, low: float, high: float
+) -> Iterator[tuple[Camera, FloatArray, FloatArray, float]]:
+    """Cameras and attitudes that patterns of the brightest stars suggest, best agreement first within each star count.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Brightest first.
+    camera : Camera
+        The assumed one; its parity is the one that is tried.
+    index : QuadIndex
+    low, high : float
+        Allowed range of true over assumed angle.
+
+    Yields
+    ------
+    camera, matrix (3, 3), centre of the pattern (2,), its extent in pixels.
+    """
+    vectors = camera.unproject(xy)
+    done: set[bytes] = set()
+    for count in STAR_COUNTS:
+        if count > STAR_COUNTS[0] and len(xy) <= STAR_COUNTS[STAR_COUNTS.index(count) - 1]:
+            break
+        quads = neighbour_quads(vectors, np.arange(min(count, len(xy))))
+        quads = np.array([q for q in quads if q.tobytes() not in done], dtype=np.int64).reshape(-1, 4)
+        done.update(q.tobytes() for q in quads)
+        if len(quads) == 0:
+            continue
+        codes, order, baseline = sky_codes(vectors, quads)
+        baseline_px = np.hypot(*(xy[order[:, 0]] - xy[order[:, 1]]).T)
+        good = np.isfinite(codes).all(axis=1) & (baseline_px > 20.0)
+        codes, order, baseline, baseline_px = codes[good], order[good], baseline[good], baseline_px[good]
+        if len(codes) == 0:
+            continue
+        tolerance = np.minimum(0.006 + 0.8 / baseline_px, 0.03)
+        query, found, _ = index.candidates(codes, tolerance, baseline * low, baseline * high)
+        for q, k in zip(query[:_MOST_CANDIDATES], found[:_MOST_CANDIDATES], strict=True):
+            stars, guides = order[q], index.quads[k]
+            ratio = float(index.baseline_rad[k]) / float(baseline[q])
+            scaled = replace(camera, fx=camera.fx / ratio, fy=camera.fy / ratio)
+            yield scaled, np.stack([stars, guides]), xy[stars].mean(axis=0), float(baseline_px[q])
+
+
+def attitude_of(camera: Camera, xy: FloatArray, directions: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of a handful of stars."""
+    return fit_rotation(camera.unproject(xy), directions, np.ones(len(xy)))
