@@ -57,8 +57,7 @@ def write_fits(path: str | Path, frame: Frame, truth: FrameTruth | None = None) 
         header[f"HIERARCH {name}"] = value
     units: list[Any] = [primary]
     if truth is not None:
-        for card in wcs_header(frame.camera, catalog_attitude(truth.attitude, frame.observer)).cards:
-            header.append(card)
+        header.update(wcs_header(frame.camera, catalog_attitude(truth.attitude, frame.observer)))
         units.append(_truth_table(truth))
         if truth.mean_electrons is not None:
             units.append(fits.ImageHDU(truth.mean_electrons.astype(np.float32), name="MEAN_E"))

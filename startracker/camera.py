@@ -114,7 +114,10 @@ class Camera:
         ]
         if faults:
             raise InputError(f"{where}: {'; '.join(faults)}")
-        return cls(**{**data, "distortion": Distortion(**distortion)})
+        try:
+            return cls(**{**data, "distortion": Distortion(**distortion)})
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that `from_dict` takes."""
@@ -146,8 +149,12 @@ class Camera:
     def half_diagonal_rad(self) -> float:
         """Largest angle between the boresight and a corner of the image, distortion included."""
         x, y = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
-        corners = self.unproject(np.array([[a, b] for a in x for b in y]))
-        return float(np.arccos(np.clip(np.nanmin(corners[:, 2]), -1.0, 1.0)))
+        corners = np.array([[a, b] for a in x for b in y])
+        # a corner past the fold of the lens model has no direction: the pinhole's stands in
+        pinhole = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
+        cosine = self.unproject(corners)[:, 2]
+        angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(pinhole))
+        return float(angle.max())
 
     @property
     def pixel_rad(self) -> float:

@@ -94,7 +94,7 @@ def _read_picture(file: Path) -> LoadedImage:
         raise InputError(f"{file}: is not an image that can be read; {_HINT}") from error
     except Image.DecompressionBombError as error:
         raise InputError(f"{file}: has too many pixels; crop or bin it") from error
-    except Exception as error:  # noqa: BLE001 - Pillow's decoders raise many kinds for damaged files
+    except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{file}: is damaged or truncated ({text}); get it anew") from error
     if orientation not in (0, 1, None):
@@ -105,13 +105,9 @@ def _read_picture(file: Path) -> LoadedImage:
 def _channels(picture: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Values (H, W) or (H, W, C) without transparency, and notes."""
     mode = picture.mode
-    if mode in ("P", "PA"):
+    if mode in ("P", "PA") or mode in ("CMYK", "YCbCr", "LAB", "HSV", "RGBX", "RGBa"):
         picture = picture.convert("RGB")
-    elif mode in ("CMYK", "YCbCr", "LAB", "HSV", "RGBX", "RGBa"):
-        picture = picture.convert("RGB")
-    elif mode == "La":
-        picture = picture.convert("L")
-    elif mode == "1":
+    elif mode in ("La", "1"):
         picture = picture.convert("L")
     array = np.asarray(picture)
     if picture.mode in ("RGBA", "LA"):
@@ -156,13 +152,15 @@ def _read_fits(file: Path) -> LoadedImage:
                     array = np.asarray(unit.data)
                     bits = unit.header.get("BITPIX", 0)
                     unsigned = bits == 16 and unit.header.get("BZERO", 0) == 32768
-                    header = {key: value for key, value in unit.header.items() if key and key not in ("COMMENT", "HISTORY")}
+                    header = {
+                        key: value for key, value in unit.header.items() if key and key not in ("COMMENT", "HISTORY")
+                    }
                     break
                 else:
                     raise InputError(f"{file}: holds no two-dimensional image; {_HINT}")
     except InputError:
         raise
-    except Exception as error:  # noqa: BLE001 - damaged FITS files raise OSError, TypeError, ValueError, VerifyError …
+    except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{file}: is not a readable FITS file ({text}); get it anew") from error
     array = np.squeeze(array)

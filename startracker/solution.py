@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.constants import ARCSEC_RAD
 
 FloatArray = NDArray[np.float64]
 
@@ -119,6 +120,14 @@ class Solution:
     def roll_deg(self) -> float | None:
         """Roll, degrees: see `Attitude.roll_deg`."""
         return self.attitude.roll_deg if self.attitude else None
+
+    @property
+    def rmse_arcsec(self) -> float | None:
+        """Root mean square distance of the stars from where the solution puts them, arcseconds."""
+        if self.camera is None or not len(self.stars):
+            return None
+        squares = np.sum(self.stars.residual_px**2, axis=1)
+        return float(np.sqrt(np.mean(squares)) * self.camera.pixel_rad / ARCSEC_RAD)
 
     @property
     def matched(self) -> int:

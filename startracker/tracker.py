@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +13,14 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.attitude import Attitude
+from startracker.blind import FreeSearch
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
+from startracker.front_end import SATURATED_SHARE, Clock, clean_centroids, find_stars, says_saturated
+from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.observer import Observer
 from startracker.refine import refine
@@ -34,10 +36,6 @@ STATED_PX = 0.15
 """Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
 """Added to the centroids' errors for identification alone: what camera model and blends may add."""
-SAME_STAR_PX = 0.75
-"""Two centroids closer than this are one star found twice."""
-_SATURATED_SHARE = 0.05
-_WHITE_SHARE = 0.5
 _AXES = math.sqrt(3.0)
 
 
@@ -57,6 +55,9 @@ class StarTracker:
         what other packages offer.
     detection, centroid, identification : settings
         Knobs of the stages.
+    focal_error : float
+        Relative error of the camera's focal length, at most. Above zero the focal length and a radial distortion are
+        fitted to each frame (six stars are needed); 0: the camera is taken for calibrated.
 
     Raises
     ------
@@ -77,8 +78,13 @@ class StarTracker:
         detection: DetectionSettings | None = None,
         centroid: CentroidSettings | None = None,
         identification: IdentificationSettings | None = None,
+        focal_error: float = 0.0,
     ) -> None:
+        if not 0.0 <= focal_error < 1.0:
+            raise InputError(f"focal_error must be a relative error from 0 to below 1; got {focal_error}")
         self.camera = camera
+        self.focal_error = focal_error
+        self.catalog = catalog
         self.detection = detection or DetectionSettings()
         self.centroid = centroid or CentroidSettings()
         self.identification = identification or IdentificationSettings()
@@ -121,29 +127,24 @@ class StarTracker:
         Solution
             Never raises for what the image shows: the status and the reason tell.
         """
-        clock = _Clock()
-        pixels, fault = _as_pixels(image, self.camera)
-        if pixels is None:
-            return self._unsolved(Status.BAD_IMAGE, fault, clock)
-        share, level = _saturated_share(np.asarray(image), pixels, saturation_dn)
-        if share > _WHITE_SHARE:
-            return self._unsolved(Status.SATURATED, _says_saturated(share, level), clock)
-        if float(np.nanmax(pixels)) == float(np.nanmin(pixels)):
-            return self._unsolved(Status.NO_STARS, f"every pixel is {float(np.nanmax(pixels)):g}", clock)
-        try:
-            background = detecting.estimate(pixels, self.detection.background_tile_px)
-            clock.lap("background")
-            spots = self._detect(pixels, background, self.detection, saturation_dn)
-            clock.lap("detection")
-            found = self._measure(pixels, background, spots, self.centroid, gain_e_per_dn)
-            clock.lap("centroid")
-        except InputError as error:
-            return self._unsolved(Status.BAD_IMAGE, str(error), clock)
-        variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
-        solution = self._solve(found.xy, found.flux, variance, _prior(prior, prior_deg), observer, clock)
-        if not solution.solved and share > _SATURATED_SHARE:
-            reason = f"{_says_saturated(share, level)}; {solution.reason}"
-            return self._unsolved(Status.SATURATED, reason, clock, solution.centroids)
+        clock = Clock()
+        found = find_stars(
+            image,
+            self._detect,
+            self._measure,
+            self.detection,
+            self.centroid,
+            clock,
+            shape=(self.camera.height, self.camera.width),
+            saturation_dn=saturation_dn,
+            gain_e_per_dn=gain_e_per_dn,
+        )
+        if found.status is not None:
+            return self._unsolved(found.status, found.reason, clock)
+        solution = self._solve(found.xy, found.flux, found.variance_px2, _prior(prior, prior_deg), observer, clock)
+        if not solution.solved and found.saturated_share > SATURATED_SHARE:
+            reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
+            return self._unsolved(Status.SATURATED, reason, clock, found.xy)
         return solution
 
     def solve_centroids(
@@ -172,7 +173,7 @@ class StarTracker:
         InputError
             When the arrays' shapes do not fit.
         """
-        clock = _Clock()
+        clock = Clock()
         points, signal = clean_centroids(xy, flux, self.camera)
         solution = self._solve(points, signal, None, _prior(prior, prior_deg), observer, clock)
         left_out = np.size(xy) // 2 - len(points)
@@ -189,8 +190,16 @@ class StarTracker:
         variance_px2: FloatArray | None,
         prior: Prior | None,
         observer: Observer | None,
-        clock: _Clock,
+        clock: Clock,
     ) -> Solution:
+        if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
+            camera, error = self.camera, self.focal_error
+            search = FreeSearch(xy, flux, camera.width, camera.height, self.catalog, self.identification, observer)
+            fov = camera.fov_deg
+            solution = search.run(((fov * (1.0 - error), fov, fov * (1.0 + error)),), (camera.parity,))
+            clock.lap("free_scale")
+            if solution.solved:
+                return replace(solution, times_ms=clock.times_ms())
         guide = self.guide.seen_by(observer)
         vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
         usable = np.flatnonzero(np.isfinite(vectors).all(axis=1))  # beyond the lens model's fold there are none
@@ -231,7 +240,7 @@ class StarTracker:
             self.camera,
         )
 
-    def _unsolved(self, status: Status, reason: str, clock: _Clock, xy: FloatArray | None = None) -> Solution:
+    def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
         return Solution(
             status,
@@ -242,56 +251,6 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
-
-
-@dataclass
-class _Clock:
-    """Milliseconds of each stage."""
-
-    laps: dict[str, float] = field(default_factory=dict)
-    start: float = field(default_factory=time.perf_counter)
-    last: float = field(default_factory=time.perf_counter)
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name] = (now - self.last) * 1e3
-        self.last = now
-
-    def times_ms(self) -> dict[str, float]:
-        return {**self.laps, "total": (time.perf_counter() - self.start) * 1e3}
-
-
-def clean_centroids(
-    xy: ArrayLike, flux: ArrayLike | None, camera: Camera
-) -> tuple[FloatArray, FloatArray | None]:
-    """Centroids (N, 2) fit for use, brightest first, and their flux: finite, on the image, no star twice.
-
-    A flux that is not a positive number counts as the faintest of all.
-    """
-    points = np.asarray(xy, dtype=float)
-    if points.size == 0:
-        points = points.reshape(0, 2)
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
-    signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
-    if signal is not None and len(signal) != len(points):
-        raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
-    keep = np.flatnonzero(np.isfinite(points).all(axis=1) & camera.contains(points))
-    points = points[keep]
-    if signal is not None:
-        signal = signal[keep]
-        good = np.isfinite(signal) & (signal > 0)
-        if good.any():
-            signal = np.where(good, signal, signal[good].min() * 0.5)
-            # position breaks ties, so that the order of the rows means nothing
-            order = np.lexsort((points[:, 0], points[:, 1], -signal))
-            points, signal = points[order], signal[order]
-        else:
-            signal = None
-    alone = [
-        k for k in range(len(points)) if not np.any(np.abs(points[:k] - points[k]).max(axis=1, initial=0) < SAME_STAR_PX)
-    ]
-    return points[alone], None if signal is None else signal[alone]
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
@@ -306,40 +265,3 @@ def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
 def _beside_prior(found: Identification) -> Identification:
     reason = f"{found.reason}; found over the whole sky, not within the prior"
     return Identification(found.status, reason, found.pairs, found.log_false_alarm)
-
-
-def _as_pixels(image: ArrayLike, camera: Camera) -> tuple[NDArray[np.float32] | None, str]:
-    try:
-        pixels = np.asarray(image)
-        if pixels.dtype.kind not in "buif":
-            return None, f"an image needs real numbers; got {pixels.dtype}"
-        pixels = pixels.astype(np.float32, copy=False)
-    except (TypeError, ValueError):
-        return None, "an image must be an array of numbers"
-    if pixels.ndim != 2:
-        return None, f"an image must have two dimensions (rows, columns); got {pixels.shape}"
-    if pixels.shape != (camera.height, camera.width):
-        return None, (
-            f"the image is {pixels.shape[1]}×{pixels.shape[0]} pixels, the camera {camera.width}×{camera.height}: "
-            "give the camera that took it"
-        )
-    if not np.isfinite(pixels).any():
-        return None, "no pixel of the image is a finite number"
-    return np.ascontiguousarray(np.where(np.isfinite(pixels), pixels, np.nan)), ""
-
-
-def _saturated_share(
-    image: NDArray[np.generic], pixels: NDArray[np.float32], saturation_dn: float | None
-) -> tuple[float, float]:
-    """Share of pixels at saturation and that level: as given, the largest number of the type, or a flat top."""
-    top = float(np.nanmax(pixels))
-    level = saturation_dn
-    if level is None and image.dtype.kind == "u":
-        level = float(np.iinfo(image.dtype).max)
-    if level is None:
-        level = top if top > 0 else math.inf
-    return float(np.mean(pixels >= level)), level
-
-
-def _says_saturated(share: float, level: float) -> str:
-    return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; expose for less time"

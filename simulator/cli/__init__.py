@@ -119,7 +119,7 @@ def solve_command(
         ),
     ] = None,
     camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None,
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help="Identifier.")] = "match_groups",
+    method: Annotated[str | None, typer.Option("--method", metavar="NAME", help="Identifier, for a known camera; default: match_groups.")] = None,
     catalog: Annotated[
         str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")
     ] = "hipparcos",

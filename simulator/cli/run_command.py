@@ -41,7 +41,7 @@ def run_study(
     folder = make_folder(out or Path("out") / scenario.name)
     processes = workers or _usable_cores(scenario.study.trials)
     study = _run_with_progress(scenario, processes, folder, resume)
-    _print(study, Console(highlight=False, soft_wrap=not sys.stdout.isatty()))
+    _print(study, Console(highlight=False, width=None if sys.stdout.isatty() else 110))
     return 130 if study.summary["interrupted"] else 0
 
 
@@ -82,13 +82,13 @@ def _print(study: Study, console: Console) -> None:
         console.print(f"Unphysical, and allowed by the scenario: {reason}")
     table = Table(title=f"{name}: attitude errors over {summary['solved']} solved frames", title_justify="left")
     table.add_column("axis")
-    for heading in ("mean", "std", "rms", "3σ", "99.7 % below", "largest", "specified 3σ", ""):
+    for heading in ("mean", "std", "rms", "3σ", "99.7 %", "largest", "specified", ""):
         table.add_column(heading, justify="right")
     for axis in AXES:
         e = summary["errors_deg"][axis]
         verdict = summary["specification"].get(axis)
         table.add_row(
-            axis.replace("_", " "),
+            "about boresight" if axis == "about_boresight" else axis.replace("_", " "),
             *(deg_text(e[key]) for key in ("mean", "std", "rms", "three_sigma", "p997", "max")),
             deg_text(verdict["specified_deg"]) if verdict else "",
             ("[green]met[/]" if verdict["met"] else "[red]not met[/]") if verdict else "",
@@ -99,7 +99,9 @@ def _print(study: Study, console: Console) -> None:
         f"{summary['solved']} of {summary['trials']} frames solved, "
         + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
         + f"; identified {100 * summary['identification_rate']:.2f} % "
-        f"(95 % interval {100 * low:.2f} to {100 * high:.2f} %); "
+        f"(95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
+    )
+    console.print(
         f"{summary['trials_per_second']:.1f} trials a second on {summary['workers']} process"
         + ("es" if summary["workers"] > 1 else "")
     )

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from startracker.image import IMAGE_SUFFIXES, read_image
-from startracker.tracker import StarTracker, solve_unknown_field
+from startracker.blind import solve_unknown_fov
+from startracker.image import read_image
+from startracker.tracker import StarTracker
 from startracker.wcs import wcs_header
 
 from simulator.cli.checks import writable
@@ -26,6 +27,7 @@ from startracker.observer import Observer
 from startracker.solution import Solution
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *_FITS_SUFFIXES)
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class SolveRequest:
     images: list[Path]
     fov_deg: float | None
     camera: Path | None
-    method: str
+    method: str | None
     catalog: str
     magnitude_limit: float
     centroids: Path | None
@@ -69,7 +71,7 @@ def solve_images(request: SolveRequest) -> int:
     for source in _sources(request):
         try:
             job = solver.load(source)
-            solution, camera = solver.solve(job)
+            solution = solver.solve(job)
         except BoresightError as error:
             print(error, file=sys.stderr)
             status = 2
@@ -80,7 +82,7 @@ def solve_images(request: SolveRequest) -> int:
             print(f"{job.name}: {_as_text(solution)}")
         if not solution.solved:
             status = max(status, 1)
-        _write_outputs(request, job, solution, camera)
+        _write_outputs(request, job, solution)
     return status
 
 
@@ -95,6 +97,8 @@ def _check(request: SolveRequest) -> None:
         raise InputError(f"--fov: must be between 0.1 and 120 degrees, not {request.fov_deg:g}")
     if not math.isfinite(request.magnitude_limit):
         raise InputError("--magnitude-limit: must be a number")
+    if request.method is not None and request.fov_deg is None and request.camera is None and request.centroids is not None:
+        raise InputError("--method: needs --camera or --fov; without them the field of view is found out first")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
     for path in (request.wcs, request.annotate):
@@ -108,9 +112,9 @@ def _sources(request: SolveRequest) -> Iterator[Path]:
         yield request.centroids
     for path in request.images:
         if path.is_dir():
-            found = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+            found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES)
             if not found:
-                raise InputError(f"{path}: holds no image ({', '.join(IMAGE_SUFFIXES)})")
+                raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
             yield from found
         else:
             yield path
@@ -153,40 +157,63 @@ class _Solver:
         xy, flux = read_centroids(path)
         return _Job(str(path), width, height, self.camera or self._from_fov(width, height), xy=xy, flux=flux)
 
-    def solve(self, job: _Job) -> tuple[Solution, Camera | None]:
+    def solve(self, job: _Job) -> Solution:
+        """Solve by what is known of the camera.
+
+        A calibrated camera is taken at its word. A field of view given by hand is good to a few per cent: a
+        photograph's focal length is fitted, and only where that fails, as it needs more stars, the number is taken
+        for exact; a list of centroids the other way round. Without either everything is found out.
+        """
         request = self.request
-        if job.camera is None or (request.fov_deg is not None and self.camera is None):
-            # a field of view given by hand is a guess, good to a few per cent: the focal length is fitted
-            return solve_unknown_field(
-                image=job.image, xy=job.xy, flux=job.flux, width=job.width, height=job.height, fov_deg=request.fov_deg,
-                catalog=request.catalog, magnitude_limit=request.magnitude_limit, saturation_dn=job.saturation_dn,
-                identifier=request.method,
-            )  # fmt: skip
-        tracker = self.trackers.get(job.camera)
+        by_hand = request.fov_deg is not None
+        if job.camera is not None and (not by_hand or request.method is not None):
+            return self._with_camera(job, job.camera)
+        if job.camera is None:
+            return self._without_camera(job)
+        exact, fitted = (lambda: self._with_camera(job, job.camera)), (lambda: self._without_camera(job))
+        first, second = (exact, fitted) if job.xy is not None else (fitted, exact)
+        solution = first()
+        if solution.solved:
+            return solution
+        other = second()
+        return other if other.solved else solution
+
+    def _without_camera(self, job: _Job) -> Solution:
+        request = self.request
+        if job.xy is not None:
+            return solve_unknown_fov(
+                job.xy, job.width, job.height, flux=job.flux, fov_deg=request.fov_deg, catalog=request.catalog
+            )
+        assert job.image is not None
+        return solve_unknown_fov(
+            job.image, fov_deg=request.fov_deg, catalog=request.catalog, saturation_dn=job.saturation_dn
+        )
+
+    def _with_camera(self, job: _Job, camera: Camera) -> Solution:
+        request = self.request
+        tracker = self.trackers.get(camera)
         if tracker is None:
             tracker = StarTracker(
-                job.camera,
+                camera,
                 catalog=request.catalog,
                 magnitude_limit=request.magnitude_limit,
-                identifier=request.method,
+                identifier=request.method or "match_groups",
             )
-            self.trackers[job.camera] = tracker
+            self.trackers[camera] = tracker
         if job.xy is not None:
-            return tracker.solve_centroids(job.xy, job.flux), job.camera
+            return tracker.solve_centroids(job.xy, job.flux)
         assert job.image is not None
-        if job.frame is None:
-            return tracker.solve(job.image, saturation_dn=job.saturation_dn), job.camera
         frame = job.frame
-        prior = None if request.lost_in_space else frame.prior
-        solution = tracker.solve(
+        if frame is None:
+            return tracker.solve(job.image, saturation_dn=job.saturation_dn)
+        return tracker.solve(
             frame.image,
-            prior=prior,
+            prior=None if request.lost_in_space else frame.prior,
             prior_deg=frame.prior_deg,
             observer=frame.observer,
             saturation_dn=frame.saturation_dn,
             gain_e_per_dn=frame.gain_e_per_dn,
         )
-        return solution, job.camera
 
 
 def _is_our_frame(path: Path) -> bool:
@@ -290,18 +317,16 @@ def _as_text(solution: Solution) -> str:
     return (
         f"solved  RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  "
         f"({solution.matched} of {len(solution.centroids)} stars identified{rmse}{mirrored}; "
-        f"{sum(solution.times_ms.values()):.0f} ms)"
+        f"{solution.times_ms.get('total', 0.0):.0f} ms)"
     )
 
 
-def _write_outputs(request: SolveRequest, job: _Job, solution: Solution, camera: Camera | None) -> None:
-    if request.wcs is not None and solution.attitude is not None and camera is not None:
+def _write_outputs(request: SolveRequest, job: _Job, solution: Solution) -> None:
+    if request.wcs is not None and solution.attitude is not None and solution.camera is not None:
         from astropy.io import fits
 
         observer = job.frame.observer if job.frame else Observer()
-        header = fits.Header()
-        for card in wcs_header(camera, catalog_attitude(solution.attitude, observer)).cards:
-            header.append(card)
+        header = fits.Header(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer)))
         write_atomically(request.wcs, header.tostring(endcard=True, padding=True).encode("ascii"))
     if request.annotate is not None:
         from simulator.study.plots import save_bytes, solved_image

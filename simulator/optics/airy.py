@@ -58,8 +58,9 @@ def pixel_integrals(u: FloatArray, v: FloatArray, lambda_n_px: float, aspect: fl
 def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float) -> FloatArray:
     """Share of the light in a pixel at distance r (pixels along columns) far out in the wings.
 
-    The mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the pixels beyond
-    any radius add up to the light beyond it. It is within λN/(31 r³) of the truth: for r ≥ 8 λN + 3 less than 1.5e-5.
+    The mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the pixels
+    beyond any radius add up to the light beyond it. It is within λN/(31 r³) of the truth (the pattern itself is about
+    that): for r ≥ 4 λN + 3 less than 8e-5 of the light.
     """
     side = 1.0 / math.sqrt(aspect)  # the pixel's area in units of columns squared is 1/aspect
     outer, inner = r_px + side / 2.0, np.maximum(r_px - side / 2.0, 0.0)

@@ -76,7 +76,7 @@ class Curve:
         high = min(self.wavelength_nm[-1], other.wavelength_nm[-1])
         if low >= high:
             raise InputError(
-                f"two curves that should be multiplied have no wavelength in common: {self._reach()} and {other._reach()}"
+                f"two curves to be multiplied have no wavelength in common: {self._reach()} and {other._reach()}"
             )
         fine = np.linspace(low, high, math.ceil((high - low) / _PRODUCT_STEP_NM) + 1)
         points = np.unique(np.concatenate([fine, self.wavelength_nm, other.wavelength_nm]))
@@ -123,7 +123,9 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
         return Curve.flat(float(spec))
     names = shipped_curves(kind)
     if spec in names:
-        text = (resources.files("simulator.optics") / "data" / f"{_PREFIX[kind]}_{spec}.csv").read_text(encoding="utf-8")
+        text = (resources.files("simulator.optics") / "data" / f"{_PREFIX[kind]}_{spec}.csv").read_text(
+            encoding="utf-8"
+        )
         return _parse(text, spec)
     path = Path(base_dir or ".") / spec
     if path.suffix.lower() == ".csv" or len(Path(spec).parts) > 1 or path.is_file():
@@ -160,7 +162,9 @@ def _parse(text: str, where: str) -> Curve:
         except ValueError:
             raise InputError(f"{where}:{number}: '{line.strip()}' is not two numbers") from None
         if not (0.0 < wavelength_nm < math.inf):
-            raise InputError(f"{where}:{number}: a wavelength must be a positive number of nanometres; found {cells[0]}")
+            raise InputError(
+                f"{where}:{number}: a wavelength must be a positive number of nanometres; found {cells[0]}"
+            )
         if not 0.0 <= value <= 1.0:
             raise InputError(f"{where}:{number}: a value must lie between 0 and 1; found {cells[1]}")
         if points and wavelength_nm <= points[-1][0]:

@@ -1,4 +1,4 @@
-"""Point-spread functions, integrated over pixels and laid down in tables, so that drawing a star evaluates no optics."""
+"""Point-spread functions integrated over pixels, laid down in tables: drawing a star evaluates no optics."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from startracker.registry import lookup
 
 FloatArray = NDArray[np.float64]
 
-SIGMA_PER_RING = 1.34985 / 2.0
-"""σ of the Gaussian that fits the core of an Airy pattern best, over the radius of its first dark ring: the thesis' minimax
-fit (Greyling 1995, § 4.1: 1.34985 px for a ring at 2 px)."""
+SIGMA_PER_RING = 1.34985 / 3.831705970207512
+"""σ of the Gaussian that fits the core of an Airy pattern, over the radius of its first dark ring: the minimax fit of
+Greyling 1995, § 4.1. His 1.34985 is in units of the argument of [2J₁(v)/v]², whose first dark ring lies at v =
+3.8317: σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as the thesis goes on to do, it belongs to a ring at 3.83 px,
+not 2.)"""
 
 WING_LIMIT_E = 0.02
 """A star is drawn outwards until a pixel gets fewer electrons than this."""
@@ -28,17 +30,20 @@ FLUX_LOSS = 1e-6
 """A Gaussian star is drawn at least so far out that no more than this share of it is left out."""
 
 MIN_LAMBDA_N_PX = 1.0 / 12.0
-"""A diffraction core sharper than this is drawn at it: less than a tenth of a pixel wide, it tells on a pixel's value only
-where a star stands on its very edge, and there the diffusion of charge blurs more."""
+"""A diffraction core sharper than this is drawn at it: less than a tenth of a pixel wide, it tells on a pixel's value
+only where a star stands on its very edge, and there the diffusion of charge blurs more."""
 
 WING_RADIUS_PX = 512.0
-"""Where the tables of the wings end; for an Airy pattern 2 λN/(π² 512 px) of the light lies outside: 0.04 % at λN = 1 px."""
+"""Where the tables of the wings end; for an Airy pattern 2 λN/(π² 512 px) of the light lies outside: 0.04 % at λN = 1
+px."""
 
 LEAST_SHARE = 1.5e-4
-"""A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can get."""
+"""A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can
+get."""
 
 TAPS = 4
-"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is written out for four."""
+"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is written out for
+four."""
 
 _WING_STEP_PX = 0.125
 
@@ -56,14 +61,14 @@ class Psf:
     feature_px : float
         Finest structure that matters to how densely a smeared path must be sampled, pixels.
     core : (P, P, M, M) array or None
-        None: an exact Gaussian. Otherwise share of the light in pixel (row j, column i) of the stamp, [b, a, j, i], for a
-        star a phases right of and b phases below the centre; see `phases`.
+        None: an exact Gaussian. Otherwise share of the light in pixel (row j, column i) of the stamp, [b, a, j, i],
+        for a star a phases right of and b phases below the centre; see `phases`.
     phases : int
         Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
         margins for the interpolation.
     wing : (W,) array
-        Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart (pixels along
-        columns).
+        Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart (pixels
+        along columns).
     wing_step_px : float
         Step of that table.
     aspect : float
@@ -91,7 +96,8 @@ class Psf:
         return 0 if self.core is None else self.core.shape[3] // 2
 
     def radius_px(self, electrons: ArrayLike) -> FloatArray:
-        """How far out stars are drawn, pixels along columns.
+        """How far out stars are drawn, pixels along columns; every pixel whose centre or, for a Gaussian, edge lies
+        within.
 
         Until a pixel gets fewer than `WING_LIMIT_E` electrons; a Gaussian at least until `FLUX_LOSS` of it is left out,
         a table at least until `LEAST_SHARE` and at most to `WING_RADIUS_PX`.
@@ -107,7 +113,7 @@ class Psf:
             least = math.sqrt(2.0) * float(erfcinv(FLUX_LOSS / 2.0))
             peak = e / (2.0 * math.pi * self.sigma_px * self.sigma_y_px)
             faint = np.sqrt(2.0 * np.log(np.maximum(peak / WING_LIMIT_E, 1.0)))
-            return np.asarray(self.sigma_px * np.maximum(least, faint) + 0.5)
+            return np.asarray(self.sigma_px * np.maximum(least, faint))
         envelope = np.maximum.accumulate(self.wing[::-1])  # falling outwards, whatever the rings do
         middle = self.core.shape[0] // 2
         peak = self.core[middle, middle, self.core_half_px, self.core_half_px]
@@ -138,9 +144,9 @@ def build_psf(section: PsfSection, f_number: float, pitch_um: tuple[float, float
 def gaussian(section: PsfSection, f_number: float, pitch_um: tuple[float, float]) -> Psf:
     """Gaussian integrated exactly over pixels (products of differences of the error function).
 
-    σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring of `first_dark_ring_px`, or else of the
-    diffraction: σ = 0.674925 r_ring (Greyling 1995, § 4.1). It is round on the detector: with pixels that are not square
-    σ along rows is σ × pitch_x / pitch_y pixels.
+    σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring of `first_dark_ring_px`, or else of
+    the diffraction: σ = 0.3523 r_ring (`SIGMA_PER_RING`). It is round on the detector: with pixels that are not
+    square σ along rows is σ × pitch_x / pitch_y pixels.
     """
     if section.sigma_px is not None and section.first_dark_ring_px is not None:
         raise InputError("a PSF takes sigma_px or first_dark_ring_px, not both")
@@ -153,9 +159,9 @@ def airy_disk(section: PsfSection, f_number: float, pitch_um: tuple[float, float
     """Airy pattern of a clear circular aperture, I(r) = π/(4λ²N²) [2J₁(v)/v]², v = πr/(λN), integrated over pixels.
 
     The first dark ring lies at 1.21967 λN, or where `first_dark_ring_px` puts it: defocus as the thesis models it, a
-    pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact at `phases` offsets a pixel and interpolated
-    between them (error below 5e-5 of the peak); further out
-    the mean over a ring as wide as a pixel stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
+    pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact at `phases` offsets a pixel and
+    interpolated between them (error below 5e-5 of the peak); further out the mean over a ring as wide as a pixel
+    stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
     """
     if section.sigma_px is not None:
         raise InputError("an Airy PSF takes first_dark_ring_px, not sigma_px; or set model: gaussian")

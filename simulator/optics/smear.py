@@ -25,8 +25,8 @@ def exposure_nodes(streak_px: float, feature_px: float = DEFAULT_FEATURE_PX) -> 
     """Moments of an exposure and their weights, for the mean image of a star that moves.
 
     Gauss–Legendre nodes: 1.03 L/σ + 1.6 of them for a streak of L pixels and a Gaussian of σ = `feature_px` keep the
-    smeared image within 1e-4 of its peak; one where the streak is shorter than σ/25. Very long streaks are cut into equal
-    panels of 128 nodes at most.
+    smeared image within 1e-4 of its peak; one where the streak is shorter than σ/25. Very long streaks are cut into
+    equal panels of 128 nodes at most.
 
     Parameters
     ----------

@@ -14,7 +14,12 @@ FloatArray = NDArray[np.float64]
 
 
 def render_stars(
-    shape: tuple[int, int], xy: FloatArray, weights: FloatArray, electrons: ArrayLike, psf: Psf, out: FloatArray | None = None
+    shape: tuple[int, int],
+    xy: FloatArray,
+    weights: FloatArray,
+    electrons: ArrayLike,
+    psf: Psf,
+    out: FloatArray | None = None,
 ) -> FloatArray:
     """Mean photo-electrons of stars in each pixel.
 
@@ -55,7 +60,16 @@ def add_stars(image: FloatArray, xy: FloatArray, weights: FloatArray, electrons:
         add_gaussians(image, xy, weights, electrons, radius, psf.sigma_px, psf.sigma_y_px)
     else:
         add_tabulated(
-            image, xy, weights, electrons, radius, psf.core, psf.phases, psf.wing, 1.0 / psf.wing_step_px, 1.0 / psf.aspect
+            image,
+            xy,
+            weights,
+            electrons,
+            radius,
+            psf.core,
+            psf.phases,
+            psf.wing,
+            1.0 / psf.wing_step_px,
+            1.0 / psf.aspect,
         )
 
 
@@ -69,12 +83,13 @@ def add_gaussians(
     sigma_x: float,
     sigma_y: float,
 ) -> None:
-    """Kernel: Gaussians integrated over pixels, ¼ Δerf(x/σ_x√2) Δerf(y/σ_y√2), in boxes of half width `radius`."""
+    """Kernel: Gaussians integrated over pixels, ¼ Δerf(x/σ_x√2) Δerf(y/σ_y√2), in boxes of half width `radius`
+    (along rows × σ_y/σ_x) to the edge of the last pixel."""
     height, width = image.shape
     scale_x, scale_y = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
     column, row = np.empty(width), np.empty(height)
     for n in range(xy.shape[0]):
-        radius_x, radius_y = radius[n], radius[n] * sigma_y / sigma_x
+        radius_x, radius_y = radius[n] + 0.5, radius[n] * sigma_y / sigma_x + 0.5
         for k in range(xy.shape[1]):
             x, y = xy[n, k, 0], xy[n, k, 1]
             if not (
@@ -196,13 +211,11 @@ def _add_wing(
             image[j, i] += amount * (wing[m] + (position - m) * (wing[m + 1] - wing[m]))
 
 
-def add_disk(
-    image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float
-) -> None:
+def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float) -> None:
     """Add a uniformly bright disk (planet, Sun, full Moon) to `image` in place, integrated exactly over pixels.
 
-    A pixel gets electrons × (area of the disk inside it) / (area of the disk); blur by the optics is left out, so use it
-    for disks much wider than the PSF.
+    A pixel gets electrons × (area of the disk inside it) / (area of the disk); blur by the optics is left out, so use
+    it for disks much wider than the PSF.
 
     Parameters
     ----------

@@ -100,8 +100,7 @@ def _route(target: int, jd: tuple[float, float]) -> list[Any]:
     if not first <= date <= last:
         raise InputError(
             f"the ephemeris DE421 covers the years 1899 to 2053; Julian date {date:.2f} (year "
-            f"{2000 + (date - 2451545) / 365.25:.1f}) is outside: choose an epoch within, or switch sky.planets, "
-            "sky.parallax and sky.aberration off"
+            f"{2000 + (date - 2451545) / 365.25:.1f}) is outside: choose an epoch within"
         )
     return segments
 

@@ -43,9 +43,9 @@ def integrate(photons: Curve, response: Curve) -> float:
 class Photometer:
     """What an aperture and a response make of starlight.
 
-    N = A ∫ n_λ(B−V) η_λ dλ × 10^(−0.4 V) electrons a second, with n_λ the photon flux density of a V = 0 star of that colour
-    (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture. The integral is done
-    once for colours 0.01 apart; between them the table is interpolated (relative error below 2 × 10⁻⁵).
+    N = A ∫ n_λ(B−V) η_λ dλ × 10^(−0.4 V) electrons a second, with n_λ the photon flux density of a V = 0 star of that
+    colour (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture. The integral
+    is done once for colours 0.01 apart; between them the table is interpolated (relative error below 2 × 10⁻⁵).
 
     Parameters
     ----------

@@ -183,4 +183,4 @@ def _bend(direction: FloatArray, from_sun: FloatArray, observer_from_sun: FloatA
     for k in np.flatnonzero(bent):
         q = from_sun[k] / np.linalg.norm(from_sun[k])
         out[k] = erfa.ufunc.ld(1.0, direction[k], q, observer_from_sun / em, em, _DEFLECTION_LIMIT)
-    return out / np.linalg.norm(out, axis=1, keepdims=True)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True), dtype=np.float64)

@@ -20,8 +20,9 @@ from startracker.solution import Solution
 
 FloatArray = NDArray[np.float64]
 
-TIMING_COLUMNS = ("render_ms", "solve_ms", "detect_ms", "centroid_ms", "identify_ms", "attitude_ms")
-"""The only columns that may differ between two runs of the same scenario and seed."""
+STAGES = ("background", "detection", "centroid", "identification", "attitude")
+"""Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
+between two runs of the same scenario and seed."""
 
 
 def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
@@ -93,7 +94,7 @@ class TrialRunner:
         row = self._row(index, frame, truth, solution)
         row["render_ms"] = (rendered - started) * 1e3
         row["solve_ms"] = (solved - rendered) * 1e3
-        for stage in ("detect", "centroid", "identify", "attitude"):
+        for stage in STAGES:
             row[f"{stage}_ms"] = float(solution.times_ms.get(stage, math.nan))
         return row
 

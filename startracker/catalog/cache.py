@@ -48,7 +48,6 @@ def store(key: str, catalog: StarCatalog) -> None:
             temporary = file.name
             np.savez(
                 file,
-                allow_pickle=False,
                 name=np.array(catalog.name),
                 epoch_jyear=np.array(catalog.epoch_jyear),
                 **columns,

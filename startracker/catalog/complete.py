@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.attitude import direction_to_radec
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import ARCSEC_RAD
 
-__all__ = ["at_epoch", "complete", "match"]
+__all__ = ["complete", "match"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -63,29 +62,10 @@ def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -
     saturated = has[bright.v_mag[has] < saturated_mag]
     columns["v_mag"] = columns["v_mag"].copy()
     columns["v_mag"][found[saturated]] = bright.v_mag[saturated]
-    added = at_epoch(bright.select(np.flatnonzero(_missing(bright, precise, found))), precise.epoch_jyear)
+    added = bright.select(np.flatnonzero(_missing(bright, precise, found))).at_epoch(precise.epoch_jyear)
     joined = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
     joined["id"] = np.concatenate([precise.id, -added.id])
     return StarCatalog(precise.name, precise.epoch_jyear, **joined)
-
-
-def at_epoch(catalog: StarCatalog, epoch_jyear: float) -> StarCatalog:
-    """The catalogue with positions and proper motions at another Julian epoch (straight space motion)."""
-    u, motion = catalog.space_motion()
-    moved = u + (epoch_jyear - catalog.epoch_jyear) * motion
-    distance = np.linalg.norm(moved, axis=1)
-    ra, dec = direction_to_radec(moved)
-    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=1)
-    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=1)
-    columns = {column: getattr(catalog, column) for column in StarCatalog.columns()}
-    columns |= {
-        "ra_rad": ra,
-        "dec_rad": dec,
-        "pm_ra_rad_yr": np.einsum("ij,ij->i", east, motion) / distance,
-        "pm_dec_rad_yr": np.einsum("ij,ij->i", north, motion) / distance,
-        "parallax_rad": catalog.parallax_rad / distance,
-    }
-    return StarCatalog(catalog.name, epoch_jyear, **columns)
 
 
 def _missing(bright: StarCatalog, precise: StarCatalog, found: IntArray) -> NDArray[np.bool_]:

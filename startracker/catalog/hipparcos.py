@@ -27,15 +27,39 @@ FORMAT_VERSION = 1
 SATURATED_MAG = -0.1
 """Hipparcos' photometer was not linear for Sirius and Canopus: Hp is 0.38 and 0.11 mag too faint."""
 
-_V_I = np.array(
-    [-0.27, -0.22, -0.18, -0.13, -0.08, -0.03, 0.02, 0.06, 0.14, 0.23, 0.34, 0.45, 0.54, 0.65, 0.73, 0.87]
-    + [0.95, 1.04, 1.14, 1.24, 1.35, 1.45, 1.55, 1.655, 1.9, 2.08, 2.315, 2.62, 2.945, 3.62]
-)
-_V_MINUS_HP = np.array(
-    [0.094, 0.081, 0.063, 0.049, 0.030, 0.013, -0.006, -0.020, -0.042, -0.056, -0.073, -0.087, -0.100, -0.118, -0.130]
-    + [-0.152, -0.161, -0.164, -0.164, -0.163, -0.149, -0.144, -0.128, -0.114, -0.091, -0.069, -0.034, 0.021, 0.093]
-    + [0.250]
-)
+_RELATION = (
+    (-0.27, 0.094),
+    (-0.22, 0.081),
+    (-0.18, 0.063),
+    (-0.13, 0.049),
+    (-0.08, 0.03),
+    (-0.03, 0.013),
+    (0.02, -0.006),
+    (0.06, -0.02),
+    (0.14, -0.042),
+    (0.23, -0.056),
+    (0.34, -0.073),
+    (0.45, -0.087),
+    (0.54, -0.1),
+    (0.65, -0.118),
+    (0.73, -0.13),
+    (0.87, -0.152),
+    (0.95, -0.161),
+    (1.04, -0.164),
+    (1.14, -0.164),
+    (1.24, -0.163),
+    (1.35, -0.149),
+    (1.45, -0.144),
+    (1.55, -0.128),
+    (1.655, -0.114),
+    (1.9, -0.091),
+    (2.08, -0.069),
+    (2.315, -0.034),
+    (2.62, 0.021),
+    (2.945, 0.093),
+    (3.62, 0.25),
+)  # (V − I, V − Hp)
+_V_I, _V_MINUS_HP = np.array(_RELATION).T
 _TYPICAL_V_I = 0.67  # median of the catalogue, for the 1 % of its stars (mostly of Hp > 11) without a colour
 
 
@@ -82,9 +106,11 @@ def johnson_v(hp_mag: FloatArray, v_i: FloatArray) -> FloatArray:
 
     V − Hp is interpolated in V − I between the medians of 4,342 isolated, constant stars with photoelectric V in the
     Bright Star Catalogue (Hoffleit & Warren 1991), and, from V − I = 1.9, of all its isolated stars there; the last
-    node is Proxima Centauri (V = 11.01, ESA 1997). Robust scatter 0.016 mag. Redder than V − I = 0.9 the relation is
-    that of giants, and dwarfs come out 0.03 to 0.1 mag too bright; variable giants with V − I > 2.5 scatter by more. Outside −0.27 to 3.62 the end value holds. The curve has the shape
-    of ESA 1997, vol. 1, table 1.3.5, and equals Bessell 2000 (PASP 112, 961), table 2, to 0.02 mag for B to K stars.
+    node is Proxima Centauri (V = 11.01, ESA 1997). The curve has the shape of ESA 1997, vol. 1, fig. 1.3.4, and for
+    B to G dwarfs and K giants that of Bessell 2000 (PASP 112, 961), table 2.
+
+    Robust scatter 0.016 mag. Redder than V − I = 0.9 the relation is that of giants, and dwarfs come out 0.03 to
+    0.1 mag too bright; variable giants with V − I > 2.5 scatter by more. Outside −0.27 to 3.62 the end value holds.
     A colour that is NaN counts as 0.67.
     """
     colour = np.where(np.isfinite(v_i), v_i, _TYPICAL_V_I)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.attitude import radec_to_direction
+from startracker.attitude import direction_to_radec, radec_to_direction
 from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
 from startracker.errors import InputError
 
@@ -93,10 +93,7 @@ class StarCatalog:
         τ years later (Hipparcos catalogue, ESA SP-1200, vol. 1, eq. 1.2.11 to 1.2.13).
         """
         u = radec_to_direction(self.ra_rad, self.dec_rad)
-        sin_ra, cos_ra = np.sin(self.ra_rad), np.cos(self.ra_rad)
-        sin_dec, cos_dec = np.sin(self.dec_rad), np.cos(self.dec_rad)
-        east = np.stack([-sin_ra, cos_ra, np.zeros_like(sin_ra)], axis=1)
-        north = np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=1)
+        east, north = _east_north(self.ra_rad, self.dec_rad)
         radial = self.radial_velocity_km_s * self.parallax_rad / _AU_PER_YEAR_IN_KM_S
         motion = east * self.pm_ra_rad_yr[:, None] + north * self.pm_dec_rad_yr[:, None] + u * radial[:, None]
         return u, motion
@@ -115,7 +112,40 @@ class StarCatalog:
         u = u + (epoch_jyear - self.epoch_jyear) * motion
         if observer_au is not None:
             u = u - self.parallax_rad[:, None] * np.asarray(observer_au, dtype=float)
-        return u / np.linalg.norm(u, axis=1, keepdims=True)
+        return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True), dtype=np.float64)
+
+    def at_epoch(self, epoch_jyear: float) -> StarCatalog:
+        """The same stars with position, motion and distance as they are at another Julian epoch.
+
+        Of a star without parallax the radial part that its straight way gains is lost: (μ τ)² in the position, 4 mas
+        for 1″ a year over 30 years.
+        """
+        u, motion = self.space_motion()
+        moved = u + (epoch_jyear - self.epoch_jyear) * motion
+        distance = np.linalg.norm(moved, axis=1)
+        ra, dec = direction_to_radec(moved)
+        east, north = _east_north(ra, dec)
+        radial = np.einsum("ij,ij->i", moved, motion) / distance
+        near = self.parallax_rad > 0.0
+        speed = radial[near] * _AU_PER_YEAR_IN_KM_S / self.parallax_rad[near]
+        columns = {column: getattr(self, column) for column in self.columns()}
+        columns |= {
+            "ra_rad": ra,
+            "dec_rad": dec,
+            "pm_ra_rad_yr": np.einsum("ij,ij->i", east, motion) / distance,
+            "pm_dec_rad_yr": np.einsum("ij,ij->i", north, motion) / distance,
+            "parallax_rad": self.parallax_rad / distance,
+            "radial_velocity_km_s": self.radial_velocity_km_s.copy(),
+        }
+        columns["radial_velocity_km_s"][near] = speed
+        return StarCatalog(self.name, epoch_jyear, **columns)
+
+
+def _east_north(ra_rad: FloatArray, dec_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors (N, 3) to the east and to the north at each place."""
+    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra_rad), np.cos(ra_rad), np.sin(dec_rad), np.cos(dec_rad)
+    east = np.stack([-sin_ra, cos_ra, np.zeros_like(sin_ra)], axis=1)
+    return east, np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=1)
 
 
 def mas(values: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ def read_window(
     total, sum_x, sum_y, sum_xx, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(low_y, high_y + 1):
         for i in range(low_x, high_x + 1):
-            signal = float(image[y + j, x + i]) - float(level[y + j, x + i])
+            signal = np.float64(image[y + j, x + i]) - np.float64(level[y + j, x + i])
             total += signal
             sum_x += signal * i
             sum_y += signal * j
@@ -65,8 +65,8 @@ def read_window(
     noise_x, noise_y, noise_xy = 0.0, 0.0, 0.0
     for j in range(low_y, high_y + 1):
         for i in range(low_x, high_x + 1):
-            signal = float(image[y + j, x + i]) - float(level[y + j, x + i])
-            variance = float(noise[y + j, x + i]) ** 2 + max(signal, 0.0) * inverse_gain
+            signal = np.float64(image[y + j, x + i]) - np.float64(level[y + j, x + i])
+            variance = np.float64(noise[y + j, x + i]) ** 2 + max(signal, 0.0) * inverse_gain
             noise_x += (i - mean_x) ** 2 * variance
             noise_y += (j - mean_y) ** 2 * variance
             noise_xy += (i - mean_x) * (j - mean_y) * variance

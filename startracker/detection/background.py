@@ -17,6 +17,7 @@ FloatImage = NDArray[np.float32]
 
 _SMALLEST_TILE_PX = 8
 _STEP_SAMPLES = 4096
+_ON_LATTICE = 0.01
 _NOISE_FREE = 1e-5
 """Noise ascribed to an image that has none, as a share of its range: the tails of a bright star stay a small spot."""
 
@@ -104,8 +105,8 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
     """Digitisation step of an image and the least noise it can have, DN.
 
     The step is the greatest common divisor of the differences of whole-numbered values (16 for a 12-bit image
-    stretched to 16 bits); of other images whose values repeat (means of colour channels) the median gap between them;
-    else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5 of the range where values are
+    stretched to 16 bits); the smallest gap of other values on a lattice (means of colour channels); the median gap of
+    values that at least repeat; else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5 of the range where values are
     not whole.
     """
     flat = image.reshape(-1)
@@ -118,7 +119,18 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
     if not values.size or not finite.size:
         return 0.0, 1.0
     span = float(finite.max()) - float(np.median(values))
-    step = min(float(np.median(np.diff(values))), span / 255.0) if 2 < values.size <= sample.size // 4 else 0.0
+    step = _lattice_step(values) if values.size <= sample.size // 4 else 0.0
     # float32 cannot tell values closer than this apart
     resolution = float(np.finfo(np.float32).eps) * float(np.abs(finite).max())
     return step, max(step / math.sqrt(12.0), _NOISE_FREE * span, resolution, float(np.finfo(np.float32).tiny))
+
+
+def _lattice_step(values: FloatImage) -> float:
+    """Step of the lattice on which sorted values lie; where they lie on none, their median gap, at most 1/255 of them."""
+    if values.size < 3:
+        return 0.0
+    gaps = np.diff(values.astype(np.float64))
+    places = (values - np.float64(values[0])) / gaps.min()
+    if np.abs(places - np.rint(places)).max() < _ON_LATTICE:
+        return float(gaps.min())
+    return min(float(np.median(gaps)), float(values[-1] - values[0]) / 255.0)

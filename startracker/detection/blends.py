@@ -53,7 +53,7 @@ def _valley(image: FloatImage, level: FloatImage, x0: int, y0: int, x1: int, y1:
         highest = -np.inf
         for j in range(max(y - aside, 0), min(y + aside + 1, height)):
             for i in range(max(x - aside, 0), min(x + aside + 1, width)):
-                highest = max(highest, float(image[j, i]) - float(level[j, i]))
+                highest = max(highest, np.float64(image[j, i]) - np.float64(level[j, i]))
         least = min(least, highest)
     return least
 
@@ -93,7 +93,7 @@ def part_blends(
                 peak_x, peak_y = np.concatenate((peak_x, peak_x)), np.concatenate((peak_y, peak_y))
                 peak_object, signal = np.concatenate((peak_object, peak_object)), np.concatenate((signal, signal))
             peak_x[peaks], peak_y[peaks], peak_object[peaks] = x, y, number[index]
-            signal[peaks] = float(image[y, x]) - float(level[y, x])
+            signal[peaks] = np.float64(image[y, x]) - np.float64(level[y, x])
             peaks += 1
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(count, -1), np.full(peaks, -1)

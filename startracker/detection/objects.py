@@ -33,7 +33,7 @@ IntArray = NDArray[np.int64]
 @njit(cache=True, error_model="numpy")
 def add_pixel(row: NDArray[np.float64], x: int, y: int, value: float, level: float, saturation: float) -> None:
     """Add a pixel to an object's row of the table; of equal peaks the first in reading order stays."""
-    signal = float(value) - float(level)
+    signal = np.float64(value) - np.float64(level)
     if row[PIXELS] == 0.0:
         row[PEAK] = -np.inf
     row[PIXELS] += 1.0

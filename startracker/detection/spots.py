@@ -38,6 +38,7 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 _HALO_TIMES = 20.0
 _HALO_RADII = 2.5
 _HALO_MARGIN_PX = 3.0
+_RING_MARGIN = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +93,22 @@ def is_streak(table: NDArray[np.float64], max_axis_ratio: float) -> NDArray[np.b
 
 
 def _is_halo(table: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Pieces of a brighter star's diffraction rings or halo: under 0.05 of its peak, within 2½ of its radii.
+    """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
-    `table` has the brightest first.
+    Under 0.05 of the star's peak, and within 2½ of its radii or as near as a ring of an Airy pattern can be that bright:
+    the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its peak
+    gives that radius as 1.9 √(flux / (π peak)).
     """
     halo = np.zeros(len(table), np.bool_)
-    # only stars with a clear top can have visible rings; most objects of a frame are faint
-    for star in np.flatnonzero(table[:, PEAK_RESIDUAL] > _HALO_TIMES * table[:, PEAK_RESIDUAL].min(initial=np.inf)):
-        reach = _HALO_RADII * np.sqrt(table[star, PIXELS] / np.pi) + _HALO_MARGIN_PX
+    peak, flux = table[:, PEAK_RESIDUAL], table[:, FLUX]
+    # most objects of a frame are too faint for rings
+    for star in np.flatnonzero(peak > _HALO_TIMES * peak.min(initial=np.inf)):
+        times = peak[star] / peak
+        radius = np.sqrt(table[star, PIXELS] / np.pi)
+        dark_radius = 1.9 * np.sqrt(flux[star] / (np.pi * peak[star]))
+        reach = np.maximum(_HALO_RADII * radius + _HALO_MARGIN_PX, dark_radius * np.cbrt(_RING_MARGIN * 0.045 * times))
         near = np.hypot(table[:, X_PEAK] - table[star, X_PEAK], table[:, Y_PEAK] - table[star, Y_PEAK]) < reach
-        halo |= near & (table[:, PEAK_RESIDUAL] * _HALO_TIMES < table[star, PEAK_RESIDUAL])
+        halo |= near & (times > _HALO_TIMES)
     return halo
 
 

@@ -85,7 +85,8 @@ def fit_camera(
 
     Returns
     -------
-    camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis (px).
+    camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis (px); the rms is inf
+    where no lens that is one to one over the image fits.
     """
     count = 5 if with_k1 else 4
     step = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-3])[:count]
@@ -106,19 +107,31 @@ def fit_camera(
         normal = jacobian.T @ jacobian + prior.T @ prior
         try:
             change = np.linalg.solve(normal, jacobian.T @ residual.ravel() + pull)
-        except np.linalg.LinAlgError:
-            break
+        except np.linalg.LinAlgError:  # all at one place
+            return camera, matrix, np.zeros((3, 3)), math.inf
         if not np.isfinite(change).all():
-            break
+            return camera, matrix, np.zeros((3, 3)), math.inf
         change = np.clip(change, -0.3, 0.3)
         camera, matrix = _moved(camera, matrix, change)
+        if not _sane(camera):
+            return camera, matrix, np.zeros((3, 3)), math.inf
         if np.abs(change[:4]).max() < 1e-9:
             break
     residual = xy - camera.project(directions @ matrix.T)
     freedom = max(2 * len(xy) - count, 1)
     variance = float(np.sum(residual**2)) / freedom
-    covariance = np.linalg.pinv(normal)[:3, :3] * variance
+    covariance: FloatArray = np.linalg.inv(normal)[:3, :3].astype(np.float64) * variance
     return camera, matrix, covariance, math.sqrt(variance)
+
+
+def _sane(camera: Camera) -> bool:
+    """Whether the field is below 150° and the distortion one to one out to the corner, with something to spare.
+
+    r (1 + k1 r²) turns back at r² = −1/(3 k1), which images at k1 r_d² = −4/27 = −0.148.
+    """
+    corner = (max(camera.cx, camera.width - 1 - camera.cx) / camera.fx) ** 2
+    corner += (max(camera.cy, camera.height - 1 - camera.cy) / camera.fy) ** 2
+    return corner < 14.0 and -0.11 < camera.distortion.k1 * corner < 0.5
 
 
 def _moved(camera: Camera, matrix: FloatArray, change: FloatArray) -> tuple[Camera, FloatArray]:
@@ -194,7 +207,7 @@ def grow(
 
 def candidates(
     xy: FloatArray, camera: Camera, index: QuadIndex, low: float, high: float
-) -> Iterator[tuple[Camera, FloatArray, FloatArray, float]]:
+) -> Iterator[tuple[Camera, IntArray, FloatArray, float]]:
     """Cameras and attitudes that patterns of the brightest stars suggest, best agreement first within each star count.
 
     Parameters
@@ -209,7 +222,7 @@ def candidates(
 
     Yields
     ------
-    camera, matrix (3, 3), centre of the pattern (2,), its extent in pixels.
+    camera of that focal length, the pattern (2, 4): observed and guide stars, its centre (2,) and extent in pixels.
     """
     vectors = camera.unproject(xy)
     done: set[bytes] = set()
@@ -233,7 +246,7 @@ def candidates(
             stars, guides = order[q], index.quads[k]
             ratio = float(index.baseline_rad[k]) / float(baseline[q])
             scaled = replace(camera, fx=camera.fx / ratio, fy=camera.fy / ratio)
-            yield scaled, np.stack([stars, guides]), xy[stars].mean(axis=0), float(baseline_px[q])
+            yield scaled, np.stack([stars, guides]).astype(np.int64), xy[stars].mean(axis=0), float(baseline_px[q])
 
 
 def attitude_of(camera: Camera, xy: FloatArray, directions: FloatArray) -> FloatArray:

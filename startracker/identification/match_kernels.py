@@ -19,7 +19,7 @@ MAX_MEMBERS = 400
 
 
 @njit(cache=True, error_model="numpy")
-def popcount(word: int) -> int:
+def popcount(word: np.uint64) -> int:
     """Number of set bits of a 64-bit word."""
     count = 0
     while word != np.uint64(0):
@@ -144,7 +144,9 @@ def collect(
 
 @njit(cache=True, error_model="numpy")
 def _det(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    product: float = a[0] * x + a[1] * y + a[2] * z
+    return product
 
 
 @njit(cache=True, error_model="numpy")

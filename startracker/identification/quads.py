@@ -147,9 +147,7 @@ class QuadIndex:
         return len(self.quads)
 
     @classmethod
-    def of(
-        cls, codes: NDArray[np.float32], quads: NDArray[np.int32], baseline_rad: NDArray[np.float32]
-    ) -> QuadIndex:
+    def of(cls, codes: NDArray[np.float32], quads: NDArray[np.int32], baseline_rad: NDArray[np.float32]) -> QuadIndex:
         """Index of given arrays."""
         return cls(codes, quads, baseline_rad, cKDTree(codes, leafsize=32, balanced_tree=False, compact_nodes=False))
 

@@ -1,4 +1,5 @@
-"""Write data/psf_galsim.npz: stamps of Gaussian and Airy stars drawn by GalSim (Rowe et al. 2015), for test_psf_galsim.py.
+"""Write data/psf_galsim.npz: stamps of Gaussian and Airy stars drawn by GalSim (Rowe et al. 2015), for
+test_psf_galsim.py.
 
     python tests/oracle/build_psf_galsim.py            # needs galsim (extra: oracles)
 

@@ -23,7 +23,6 @@ def brute_force(catalog, separation_rad):
 
 
 def field_of_stars(rng, n, width_rad):
-    zero = np.zeros(n)
     return StarCatalog(
         name="random",
         epoch_jyear=2000.0,

@@ -54,6 +54,18 @@ def test_a_fast_star_is_found_where_it_has_gone():
     assert len(index.near(there, 1e-6, 1991.25)) == 0
 
 
+def test_a_star_is_found_where_aberration_puts_it():
+    catalog = load_catalog("hipparcos")
+    vega = catalog.select(np.flatnonzero(catalog.id == 91262))
+    index = SkyIndex(vega)
+    # at the catalogue's own epoch nothing but aberration moves it: 25″ at 36 km/s
+    observer = Observer(epoch_jyear=1991.25, velocity_km_s=np.array([36.0, 0.0, 0.0]), position_au=np.zeros(3))
+    (there,) = apparent_directions(vega, observer, None, SECTION)
+    assert np.linalg.norm(there - vega.directions(1991.25)[0]) > 20 * ARCSEC_RAD
+    stars, _ = index.view(there, 1e-6, observer, None, SECTION)
+    assert stars.id.tolist() == [91262]
+
+
 def test_switches_and_what_an_observer_lacks(index, sight):
     observer, sun = sight
     catalog = index.catalog

@@ -1,0 +1,201 @@
+"""From an image to centroids, and centroids made fit for use: what comes before identification."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.camera import Camera
+from startracker.centroid import Centroider
+from startracker.detection import Detector, estimate
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings, DetectionSettings
+from startracker.solution import Status
+
+__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars"]
+
+FloatArray = NDArray[np.float64]
+
+SAME_STAR_PX = 0.75
+"""Two centroids closer than this are one star found twice."""
+SATURATED_SHARE = 0.05
+"""Share of saturated pixels above which an image that cannot be solved is called saturated."""
+_WHITE_SHARE = 0.5
+
+
+@dataclass
+class Clock:
+    """Milliseconds of each stage."""
+
+    laps: dict[str, float] = field(default_factory=dict)
+    start: float = field(default_factory=time.perf_counter)
+    last: float = field(default_factory=time.perf_counter)
+
+    def lap(self, name: str) -> None:
+        """The time since the last lap goes to a stage."""
+        now = time.perf_counter()
+        self.laps[name] = (now - self.last) * 1e3
+        self.last = now
+
+    def times_ms(self) -> dict[str, float]:
+        """All laps, and the total until now."""
+        return {**self.laps, "total": (time.perf_counter() - self.start) * 1e3}
+
+
+@dataclass(frozen=True, eq=False)
+class FoundStars:
+    """Stars of an image, brightest first, or why there are none.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Pixels.
+    flux : (N,)
+        DN.
+    variance_px2 : (N,)
+        Of a centroid, on one axis.
+    status, reason : Status or None, str
+        Set where the image cannot be used.
+    saturated_share, saturation_dn : float
+        Share of pixels at saturation, and that level.
+    """
+
+    xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    flux: FloatArray = field(default_factory=lambda: np.empty(0))
+    variance_px2: FloatArray = field(default_factory=lambda: np.empty(0))
+    status: Status | None = None
+    reason: str = ""
+    saturated_share: float = 0.0
+    saturation_dn: float = math.inf
+
+
+def find_stars(
+    image: ArrayLike,
+    detect: Detector,
+    measure: Centroider,
+    detection: DetectionSettings,
+    centroid: CentroidSettings,
+    clock: Clock,
+    *,
+    shape: tuple[int, int] | None = None,
+    saturation_dn: float | None = None,
+    gain_e_per_dn: float | None = None,
+) -> FoundStars:
+    """Background, detection and centroids of an image.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        Any unit; NaN marks bad pixels.
+    detect, measure
+        Methods of `startracker.detection` and `startracker.centroid`.
+    shape : (H, W), optional
+        What the camera has; another is no image of it.
+    clock : Clock
+        Takes the times.
+
+    Returns
+    -------
+    FoundStars
+        Never raises for what the image shows.
+    """
+    pixels, fault = _as_pixels(image, shape)
+    if pixels is None:
+        return FoundStars(status=Status.BAD_IMAGE, reason=fault)
+    share, level = _saturated_share(np.asarray(image), pixels, saturation_dn)
+    if share > _WHITE_SHARE:
+        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level))
+    if float(np.nanmax(pixels)) == float(np.nanmin(pixels)):
+        return FoundStars(status=Status.NO_STARS, reason=f"every pixel is {float(np.nanmax(pixels)):g}")
+    try:
+        background = estimate(pixels, detection.background_tile_px)
+        clock.lap("background")
+        spots = detect(pixels, background, detection, saturation_dn)
+        clock.lap("detection")
+        found = measure(pixels, background, spots, centroid, gain_e_per_dn)
+        clock.lap("centroid")
+    except InputError as error:
+        return FoundStars(status=Status.BAD_IMAGE, reason=str(error))
+    variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
+    return FoundStars(found.xy, found.flux, variance, saturated_share=share, saturation_dn=level)
+
+
+def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
+    """Centroids (N, 2) fit for use, brightest first, and their flux: finite, on the image, no star twice.
+
+    A flux that is not a positive number counts as the faintest of all.
+    """
+    points = np.asarray(xy, dtype=float)
+    if points.size == 0:
+        points = points.reshape(0, 2)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
+    signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
+    if signal is not None and len(signal) != len(points):
+        raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
+    keep = np.flatnonzero(np.isfinite(points).all(axis=1) & camera.contains(points))
+    points = points[keep]
+    if signal is not None:
+        signal = signal[keep]
+        good = np.isfinite(signal) & (signal > 0)
+        if good.any():
+            signal = np.where(good, signal, signal[good].min() * 0.5)
+            # position breaks ties, so that the order of the rows means nothing
+            order = np.lexsort((points[:, 0], points[:, 1], -signal))
+            points, signal = points[order], signal[order]
+        else:
+            signal = None
+    alone = [
+        k
+        for k in range(len(points))
+        if not np.any(np.abs(points[:k] - points[k]).max(axis=1, initial=0) < SAME_STAR_PX)
+    ]
+    return points[alone], None if signal is None else signal[alone]
+
+
+def _near_any(point: FloatArray, others: FloatArray) -> bool:
+    return bool(np.any(np.abs(others - point).max(axis=1, initial=0.0) < SAME_STAR_PX))
+
+
+def _as_pixels(image: ArrayLike, shape: tuple[int, int] | None) -> tuple[NDArray[np.float32] | None, str]:
+    try:
+        pixels = np.asarray(image)
+        if pixels.dtype.kind not in "buif":
+            return None, f"an image needs real numbers; got {pixels.dtype}"
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float32, copy=False)
+    except (TypeError, ValueError):
+        return None, "an image must be an array of numbers"
+    if pixels.ndim != 2:
+        return None, f"an image must have two dimensions (rows, columns); got {pixels.shape}"
+    if shape is not None and pixels.shape != shape:
+        return None, (
+            f"the image is {pixels.shape[1]}×{pixels.shape[0]} pixels, the camera {shape[1]}×{shape[0]}: "
+            "give the camera that took it"
+        )
+    if not np.isfinite(pixels).any():
+        return None, "no pixel of the image is a finite number"
+    return np.ascontiguousarray(np.where(np.isfinite(pixels), pixels, np.nan)), ""
+
+
+def _saturated_share(
+    image: NDArray[Any], pixels: NDArray[np.float32], saturation_dn: float | None
+) -> tuple[float, float]:
+    """Share of pixels at saturation and that level: as given, the largest number of the type, or a flat top."""
+    top = float(np.nanmax(pixels))
+    level = saturation_dn
+    if level is None and image.dtype.kind == "u":
+        level = float(np.iinfo(image.dtype).max)
+    if level is None:
+        level = top if top > 0 else math.inf
+    return float(np.mean(pixels >= level)), level
+
+
+def says_saturated(share: float, level: float) -> str:
+    """The finding in words."""
+    return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; expose for less time"

@@ -1,0 +1,87 @@
+"""Light is conserved at every sub-pixel phase, and none is drawn where none belongs."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.optics import airy
+from simulator.optics.psf import FLUX_LOSS, WING_LIMIT_E, build_psf
+from simulator.optics.splat import add_disk, render_stars
+from simulator.scenario.schema import PsfSection
+
+phase = st.floats(-0.5, 0.5)
+
+
+@settings(max_examples=150, deadline=None)
+@given(phase, phase, st.floats(0.05, 4.0), st.floats(0.5, 2.0), st.floats(0.1, 1e7))
+def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
+    psf = build_psf(PsfSection(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
+    image = render_stars((161, 161), np.array([[80 + dx, 80 + dy]]), np.ones(1), [electrons], psf)
+    assert 1 - FLUX_LOSS <= image.sum() / electrons <= 1 + 1e-12
+
+
+@settings(max_examples=60, deadline=None)
+@given(phase, phase, st.sampled_from([0.2, 0.5, 2.0]), st.sampled_from([1.0, 13.75 / 16]))
+def test_airy_leaves_out_what_lies_beyond_its_edge(dx, dy, ring, aspect):
+    """What is drawn is the encircled energy of the radius drawn to, within 1e-4: its edge of pixels is ragged."""
+    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
+    electrons = 1e5
+    radius = float(psf.radius_px([electrons])[0])
+    image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [electrons], psf) / electrons
+    assert abs(image.sum() - airy.encircled_energy(radius * airy.FIRST_RING / ring)) < 1e-4
+
+
+@settings(max_examples=60, deadline=None)
+@given(phase, phase)
+def test_airy_flux_does_not_hang_on_the_phase(dx, dy):
+    """The sum varies by less than 2e-5: where core meets wings, means over rings stand in for pixels."""
+    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=1.0), 2.0, (10.0, 10.0))
+    image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [1e6], psf) / 1e6
+    middle = render_stars((401, 401), np.array([[200.0, 200.0]]), np.ones(1), [1e6], psf) / 1e6
+    assert abs(image.sum() - middle.sum()) < 2e-5
+
+
+@settings(max_examples=60, deadline=None)
+@given(phase, phase, st.sampled_from(["gaussian", "airy"]), st.floats(0, 6.28), st.floats(0, 25))
+def test_smear_keeps_the_flux(dx, dy, model, angle, length):
+    from simulator.optics.smear import exposure_nodes
+
+    psf = build_psf(PsfSection(model=model, first_dark_ring_px=1.5), 2.0, (10.0, 10.0))
+    nodes, weights = exposure_nodes(length, psf.feature_px)
+    path = np.array([80 + dx, 80 + dy]) + nodes[:, None] * length / 2 * np.array([np.cos(angle), np.sin(angle)])
+    smeared = render_stars((161, 161), path[None], weights, [1e4], psf).sum() / 1e4
+    still = render_stars((161, 161), path[:1, None].mean(axis=1), np.ones(1), [1e4], psf).sum() / 1e4
+    assert abs(smeared - still) < (1e-6 if model == "gaussian" else 2e-5)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(-40, 103), st.floats(-40, 103), st.sampled_from(["gaussian", "airy"]), st.floats(1, 1e6))
+def test_part_off_the_image_is_a_window_of_the_whole(x, y, model, electrons):
+    psf = build_psf(PsfSection(model=model, first_dark_ring_px=2.0), 2.0, (10.0, 10.0))
+    small = render_stars((64, 48), np.array([[x, y]]), np.ones(1), [electrons], psf)
+    large = render_stars((164, 148), np.array([[x + 50, y + 50]]), np.ones(1), [electrons], psf)
+    np.testing.assert_allclose(small, large[50:114, 50:98], rtol=1e-9, atol=1e-12 * electrons)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(["gaussian", "airy"]), st.floats(0, 7.5))
+def test_no_edge_shows(model, log_electrons):
+    """Where the drawing of a star ends its light is below the limit, or the table has ended."""
+    electrons = 10.0**log_electrons
+    psf = build_psf(PsfSection(model=model, first_dark_ring_px=1.0), 2.0, (10.0, 10.0))
+    radius = float(psf.radius_px([electrons])[0])
+    if psf.wing is not None and radius < 511:
+        beyond = psf.wing[int(np.ceil(radius / psf.wing_step_px)) :]
+        assert (beyond * electrons <= WING_LIMIT_E * (1 + 1e-9)).all()
+    if psf.wing is None:
+        edge = np.exp(-0.5 * (radius / psf.sigma_px) ** 2) / (2 * np.pi * psf.sigma_px**2)
+        assert edge * electrons <= WING_LIMIT_E * (1 + 1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(20, 44), st.floats(20, 44), st.floats(0.2, 15), st.floats(0.5, 1.25))
+def test_disk_keeps_its_flux(x, y, radius, aspect):
+    image = np.zeros((64, 64))
+    add_disk(image, (x, y), (radius, radius * aspect), 1000.0)
+    assert abs(image.sum() - 1000.0) < 1e-7
+    assert image.min() > -1e-9
