@@ -76,8 +76,8 @@ def matrix_to_quat(matrix: FloatArray) -> FloatArray:
             [m[1, 2] - m[2, 1], m[2, 0] - m[0, 2], m[0, 1] - m[1, 0], squares[3]],
         ]
     )
-    quat = rows[int(np.argmax(squares))]
-    quat = quat / math.sqrt(float(quat @ quat))
+    row = rows[int(np.argmax(squares))]
+    quat: FloatArray = row / math.sqrt(float(row @ row))
     return -quat if quat[3] < 0 else quat
 
 
@@ -170,7 +170,8 @@ class Attitude:
     @property
     def boresight(self) -> FloatArray:
         """Unit vector of the target frame's +z axis in the source frame."""
-        return self.as_matrix()[2]
+        axis: FloatArray = self.as_matrix()[2]
+        return axis
 
     @property
     def ra_deg(self) -> float:

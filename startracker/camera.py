@@ -182,7 +182,8 @@ class Camera:
         if not self.distortion.is_zero:
             normalised = undistort(normalised, self.distortion.as_array())
         vectors = np.concatenate([normalised, np.ones((len(p), 1))], axis=1)
-        return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        unit: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        return unit
 
     def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
         """Whether pixels (N, 2) lie on the image, grown by a margin."""

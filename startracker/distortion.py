@@ -76,40 +76,52 @@ def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
+def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
+    """Newton's method from (x, y); false when it leaves the near side of the lens model or does not settle."""
+    for _ in range(50):
+        r2 = x * x + y * y
+        top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+        bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+        radial = top / bottom
+        slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
+        slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
+        slope = (slope_top - radial * slope_bottom) / bottom  # d radial / d r²
+        fx = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x) - xd
+        fy = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y - yd
+        jxx = radial + 2.0 * x * x * slope + 2.0 * k[2] * y + 6.0 * k[3] * x
+        jxy = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
+        jyy = radial + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
+        det = jxx * jyy - jxy * jxy
+        if not (det > 0.0 and jxx + jyy > 0.0):  # past the fold of the lens model, or NaN
+            return x, y, False
+        dx = (jyy * fx - jxy * fy) / det
+        dy = (jxx * fy - jxy * fx) / det
+        x -= dx
+        y -= dy
+        if abs(dx) + abs(dy) < 1e-14 * (1.0 + abs(x) + abs(y)):
+            return x, y, True
+    return x, y, False
+
+
+@njit(cache=True, error_model="numpy")
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted normalised coordinates, shape (N, 2), of distorted ones; NaN where the lens model cannot be inverted.
 
     Newton's method with the analytic Jacobian, from the distorted point; quadratic convergence, so that forward and
-    inverse agree to rounding (1e-13) wherever the distortion is one to one.
+    inverse agree to rounding (1e-13) wherever the distortion is one to one. Where that start lies past the fold of a
+    strong lens, the point is followed out from the centre in small steps, so that the root found is the near one.
     """
+    steps = 32
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
         xd, yd = xy[i, 0], xy[i, 1]
-        x, y = xd, yd
-        converged = False
-        for _ in range(50):
-            r2 = x * x + y * y
-            top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-            bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-            radial = top / bottom
-            slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
-            slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
-            slope = (slope_top - radial * slope_bottom) / bottom  # d radial / d r²
-            fx = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x) - xd
-            fy = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y - yd
-            jxx = radial + 2.0 * x * x * slope + 2.0 * k[2] * y + 6.0 * k[3] * x
-            jxy = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
-            jyy = radial + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
-            det = jxx * jyy - jxy * jxy
-            if not det > 0.0:  # past the fold of the lens model, or NaN
-                break
-            dx = (jyy * fx - jxy * fy) / det
-            dy = (jxx * fy - jxy * fx) / det
-            x -= dx
-            y -= dy
-            if abs(dx) + abs(dy) < 1e-14 * (1.0 + abs(x) + abs(y)):
-                converged = True
-                break
+        x, y, converged = _undistort_point(xd, yd, xd, yd, k)
+        if not converged:
+            x, y, converged = 0.0, 0.0, True
+            step = 1
+            while converged and step <= steps:
+                x, y, converged = _undistort_point(xd * step / steps, yd * step / steps, x, y, k)
+                step += 1
         if converged:
             out[i, 0], out[i, 1] = x, y
         else:

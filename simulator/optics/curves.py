@@ -64,7 +64,8 @@ class Curve:
 
     def __call__(self, wavelength_nm: ArrayLike) -> FloatArray:
         """Value at any wavelength (nm): linear between the points, zero outside."""
-        return np.interp(np.asarray(wavelength_nm, dtype=float), self.wavelength_nm, self.value, left=0.0, right=0.0)
+        points = np.asarray(wavelength_nm, dtype=float)
+        return np.asarray(np.interp(points, self.wavelength_nm, self.value, left=0.0, right=0.0))
 
     def __mul__(self, other: Curve) -> Curve:
         """Product, where both are given.

@@ -30,12 +30,11 @@ FLUX_LOSS = 1e-6
 """A Gaussian star is drawn at least so far out that no more than this share of it is left out."""
 
 MIN_LAMBDA_N_PX = 1.0 / 12.0
-"""A diffraction core sharper than this is drawn at it: less than a tenth of a pixel wide, it tells on a pixel's value
-only where a star stands on its very edge, and there the diffusion of charge blurs more."""
+"""An Airy pattern sharper than this is drawn at it, so that the tables stay small. Diffraction throws 0.36 λN of the
+light out of the pixel of a centred star, so that such a pixel gets 3 % too little at the most."""
 
 WING_RADIUS_PX = 512.0
-"""Where the tables of the wings end; for an Airy pattern 2 λN/(π² 512 px) of the light lies outside: 0.04 % at λN = 1
-px."""
+"""Where the tables of the wings end; 2 λN/(π² 512 px) of an Airy pattern lies outside: 0.04 % at λN = 1 px."""
 
 LEAST_SHARE = 1.5e-4
 """A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can

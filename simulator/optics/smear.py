@@ -121,7 +121,7 @@ def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
     x, y, z = turn / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, versine = np.sin(angle * moments), 2.0 * np.sin(0.5 * angle * moments) ** 2
-    return np.eye(3) + sine[:, None, None] * cross + versine[:, None, None] * (cross @ cross)
+    return np.asarray(np.eye(3) + sine[:, None, None] * cross + versine[:, None, None] * (cross @ cross))
 
 
 @functools.lru_cache(maxsize=256)

@@ -253,7 +253,7 @@ def _corner(x: float, y: float) -> float:
     half_chord = math.sqrt(1.0 - y * y)
     # where |X| > half_chord the whole chord of the disk lies below y (y > 0) or above it (y < 0)
     inner = min(max(x, -half_chord), half_chord)
-    area = _semicircle(inner) - _semicircle(-half_chord) + y * (inner + half_chord)
+    area: float = _semicircle(inner) - _semicircle(-half_chord) + y * (inner + half_chord)
     if y > 0.0:
         area += 2.0 * (_semicircle(min(x, -half_chord)) - _semicircle(-1.0))
         area += 2.0 * (_semicircle(max(x, half_chord)) - _semicircle(half_chord))
@@ -263,4 +263,5 @@ def _corner(x: float, y: float) -> float:
 @njit(cache=True, error_model="numpy")
 def _semicircle(t: float) -> float:
     """∫ √(1 − t²) dt."""
-    return 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))
+    area: float = 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))
+    return area

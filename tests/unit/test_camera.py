@@ -130,10 +130,21 @@ def test_beyond_the_fold_of_the_lens_there_is_no_way_back():
     # x (1 − 0.5 x²) has its largest value, 0.5443, at x = 0.8165
     lens = Distortion(k1=-0.5).as_array()
     assert np.isnan(undistort(np.array([[0.56, 0.0]]), lens)).all()
+    # and twice folded, x < −1.414, it has roots of the wrong sign, which are not the answer
+    assert np.isnan(undistort(np.array([[1.6, 0.0], [0.0, -2.5], [3.0, 3.0]]), lens)).all()
     np.testing.assert_allclose(distort(undistort(np.array([[0.54, 0.0]]), lens), lens), [[0.54, 0.0]], atol=1e-14)
     assert np.isnan(undistort(np.array([[np.nan, 0.0]]), lens)).all()
     # and a pixel out there has no direction, with its NaN in every component
     assert np.isnan(Camera(100.0, 100.0, 99.5, 99.5, distortion=Distortion(k1=-0.5)).unproject([[190.0, 99.5]])).all()
+
+
+def test_strong_lenses_are_undone_though_newton_would_start_past_their_fold():
+    # this lens folds at r = 2.0, where it has brought its points out to 4.0
+    lens = Distortion(k1=0.25, k2=0.125, k3=-0.03125).as_array()
+    points = np.array([[0.3, 1.4], [-1.9, 0.1], [0.0, 1.99]])
+    seen = distort(points, lens)
+    assert np.hypot(*seen.T).min() > 2.4
+    np.testing.assert_allclose(undistort(seen, lens), points, rtol=0, atol=1e-11)  # slope 0.1 at the last
 
 
 # ---------------------------------------------------------------- refusals
