@@ -1,9 +1,9 @@
 """A physically based simulator of a star camera in orbit, and the Monte Carlo harness that says how accurate it is.
 
-    from simulator import Scenario, render, run
-    scenario = Scenario.load("scenarios/cubesat.yaml")
-    frame, truth = render(scenario, index=0)
-    study = run(scenario, trials=1000, seed=1)
+from simulator import Scenario, render, run
+scenario = Scenario.load("scenarios/cubesat.yaml")
+frame, truth = render(scenario, index=0)
+study = run(scenario, trials=1000, seed=1)
 """
 
 from __future__ import annotations

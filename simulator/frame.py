@@ -6,7 +6,7 @@ of its other sensors. `FrameTruth` is a separate object that the tracker never s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +94,10 @@ class TrueSources:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    def select(self, rows: NDArray[np.int64]) -> TrueSources:
+        """Some of the sources, by index array."""
+        return TrueSources(**{column.name: getattr(self, column.name)[rows] for column in fields(self)})
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from simulator.detector.readout import section_reset_noise_e
 from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import Pointing, point, point_at_random
+from simulator.mission.pointing import Pointing, point, point_at_random, turned_to
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.curves import load_curve
 from simulator.optics.psf import build_psf
@@ -31,14 +31,15 @@ from simulator.sky.apparent import SkyIndex
 from simulator.sky.observer import observe
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import solar_system, sun_position_au
+from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
 
-_EDGE_MARGIN_PX = 64.0
-"""Stars this far outside the detector are drawn too: their wings reach in."""
+_EDGE_MARGIN_PX = 160.0
+"""Stars up to this far outside the detector are drawn where their wings reach in; a million electrons reach that far."""
 
 _LEAST_PRIOR_DEG = 0.1
 """No other sensor is trusted beyond this, even where a scenario gives it no error."""
@@ -62,7 +63,9 @@ def camera_of(scenario: Scenario) -> Camera:
     )
 
 
-def render(scenario: Scenario, index: int = 0, *, at_s: float | None = None) -> tuple[Frame, FrameTruth]:
+def render(
+    scenario: Scenario, index: int = 0, *, at_s: float | None = None, attitude: Attitude | None = None
+) -> tuple[Frame, FrameTruth]:
     """Render one frame of a scenario.
 
     Parameters
@@ -73,8 +76,10 @@ def render(scenario: Scenario, index: int = 0, *, at_s: float | None = None) -> 
         Index of the trial: its time, its attitude, its noise.
     at_s : float, optional
         Seconds after the epoch, in place of the trial's own time.
+    attitude : Attitude, optional
+        True camera attitude, in place of the trial's own; the prior is then off by the trial's random error.
     """
-    return _renderer(scenario).frame(index, at_s=at_s)
+    return _renderer(scenario).frame(index, at_s=at_s, attitude=attitude)
 
 
 class Renderer:
@@ -112,8 +117,10 @@ class Renderer:
             else 0.0
         )
 
-    def frame(self, index: int = 0, *, at_s: float | None = None) -> tuple[Frame, FrameTruth]:
-        """Frame and truth of trial `index`; `at_s` (seconds after the epoch) in place of the trial's own time."""
+    def frame(
+        self, index: int = 0, *, at_s: float | None = None, attitude: Attitude | None = None
+    ) -> tuple[Frame, FrameTruth]:
+        """Frame and truth of trial `index`; parameters as in `render`."""
         scenario = self.scenario
         sampling = scenario.study.sampling
         streams = functools.partial(_stream_of_trial, scenario.seed, index)
@@ -125,6 +132,8 @@ class Renderer:
             pointing = point_at_random(scenario.pointing, streams("pointing"), math.tau / self.orbit.period_s)
         else:
             pointing = point(scenario.pointing, r_km, v_km_s, streams("pointing"))
+        if attitude is not None:
+            pointing = turned_to(pointing, attitude)
 
         sources, radius_rad = self._sources(t_s, observer, pointing)
         mean_e = self._expose(sources, radius_rad, pointing)
@@ -182,8 +191,14 @@ class Renderer:
             b_v=b_v,
             electrons=self.photometer.electrons_per_s(v_mag, b_v) * scenario.detector.exposure_s,
         )
-        radius = np.concatenate([np.zeros(len(stars)), bodies.angular_radius_rad[near]])
-        return sources, radius
+        radius_rad = np.concatenate([np.zeros(len(stars)), bodies.angular_radius_rad[near]])
+        extent_px = self.psf.radius_px(sources.electrons) + (radius_rad + streak_rad) / camera.pixel_rad
+        outside = np.maximum(
+            np.maximum(-sources.xy[:, 0], sources.xy[:, 0] - camera.width),
+            np.maximum(-sources.xy[:, 1], sources.xy[:, 1] - camera.height),
+        )
+        reaching = np.flatnonzero(outside <= extent_px)
+        return sources.select(reaching), radius_rad[reaching]
 
     def _expose(self, sources: TrueSources, radius_rad: FloatArray, pointing: Pointing) -> FloatArray:
         """Mean photo-electrons of stars and bodies in every pixel: lens, PSF, smear."""
@@ -195,6 +210,7 @@ class Renderer:
             pointing.rate_camera_rad_s,
             detector.exposure_s,
             self.psf.feature_px,
+            margin_px=_EDGE_MARGIN_PX + float(radius_rad.max(initial=0.0)) / camera.pixel_rad,
         )
         disk = radius_rad / camera.pixel_rad > _DISK_PX
         points = np.flatnonzero(~disk)

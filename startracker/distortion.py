@@ -104,25 +104,41 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
 
 
 @njit(cache=True, error_model="numpy")
+def _fold_radius2(k: FloatArray) -> float:
+    """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops rising; there the lens model ends."""
+    for step in range(1, 513):
+        r2 = (step / 64.0) ** 2
+        top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+        bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+        slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
+        slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
+        # d(r · top/bottom)/dr, times bottom²
+        if bottom <= 0.0 or top * bottom + 2.0 * r2 * (slope_top * bottom - top * slope_bottom) <= 0.0:
+            return r2
+    return np.inf
+
+
+@njit(cache=True, error_model="numpy")
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted normalised coordinates, shape (N, 2), of distorted ones; NaN where the lens model cannot be inverted.
 
     Newton's method with the analytic Jacobian, from the distorted point; quadratic convergence, so that forward and
     inverse agree to rounding (1e-13) wherever the distortion is one to one. Where that start lies past the fold of a
-    strong lens, the point is followed out from the centre in small steps, so that the root found is the near one.
+    strong lens, the point is followed out from the centre in small steps; a root past the fold is none.
     """
     steps = 32
+    fold2 = _fold_radius2(k)
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
         xd, yd = xy[i, 0], xy[i, 1]
         x, y, converged = _undistort_point(xd, yd, xd, yd, k)
-        if not converged:
+        if not converged or x * x + y * y > fold2:
             x, y, converged = 0.0, 0.0, True
             step = 1
             while converged and step <= steps:
                 x, y, converged = _undistort_point(xd * step / steps, yd * step / steps, x, y, k)
                 step += 1
-        if converged:
+        if converged and x * x + y * y <= fold2:
             out[i, 0], out[i, 1] = x, y
         else:
             out[i, 0], out[i, 1] = np.nan, np.nan

@@ -88,6 +88,10 @@ def render_command(
     at: Annotated[
         str | None, typer.Option("--at", metavar="TIME", help="The frame at this UTC time (ISO 8601) instead.")
     ] = None,
+    pointing: Annotated[
+        str | None,
+        typer.Option("--pointing", metavar="RA,DEC,ROLL", help="Point the camera there (degrees, ICRS) instead."),
+    ] = None,
     seed: Seed = None,
     set_values: SetValues = None,
     out: Annotated[
@@ -101,7 +105,7 @@ def render_command(
     """Render one frame of a scenario."""
     from simulator.cli.render_command import render_frame
 
-    raise typer.Exit(render_frame(scenario, index, at, seed, set_values or [], out, preview, noiseless))
+    raise typer.Exit(render_frame(scenario, index, at, pointing, seed, set_values or [], out, preview, noiseless))
 
 
 @app.command("solve")
@@ -119,7 +123,10 @@ def solve_command(
         ),
     ] = None,
     camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None,
-    method: Annotated[str | None, typer.Option("--method", metavar="NAME", help="Identifier, for a known camera; default: match_groups.")] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", metavar="NAME", help="Identifier, for a known camera; default: match_groups."),
+    ] = None,
     catalog: Annotated[
         str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")
     ] = "hipparcos",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from simulator.cli.checks import writable
 from simulator.fits import write_fits
 from simulator.paths import write_atomically
 from simulator.renderer import Renderer
+from startracker.attitude import Attitude
 from startracker.errors import InputError
 
 
@@ -19,6 +21,7 @@ def render_frame(
     path: Path,
     index: int | None,
     at: str | None,
+    pointing: str | None,
     seed: int | None,
     set_values: list[str],
     out: Path | None,
@@ -36,7 +39,8 @@ def render_frame(
     if noiseless:
         scenario = scenario.noiseless()
     at_s = (_parse_time(at) - scenario.epoch).total_seconds() if at else None
-    frame, truth = Renderer(scenario).frame(index or 0, at_s=at_s)
+    attitude = _parse_pointing(pointing) if pointing else None
+    frame, truth = Renderer(scenario).frame(index or 0, at_s=at_s, attitude=attitude)
     if out is None and preview is None:
         out = Path(f"{scenario.name}-{index or 0:05d}.fits")
         writable(out)
@@ -57,6 +61,18 @@ def render_frame(
         f"{stars} stars to V {scenario.sky.magnitude_limit:g} in the field"
     )
     return 0
+
+
+def _parse_pointing(text: str) -> Attitude:
+    try:
+        ra, dec, roll = (float(part) for part in text.split(","))
+        if not (math.isfinite(ra + roll) and -90 <= dec <= 90):
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            f"--pointing: must be RA,DEC,ROLL in degrees with DEC from -90 to 90, such as 83.6,-5.4,0, not '{text}'"
+        ) from None
+    return Attitude.from_radec_roll(ra, dec, roll)
 
 
 def _parse_time(text: str) -> datetime:

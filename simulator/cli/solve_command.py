@@ -97,7 +97,12 @@ def _check(request: SolveRequest) -> None:
         raise InputError(f"--fov: must be between 0.1 and 120 degrees, not {request.fov_deg:g}")
     if not math.isfinite(request.magnitude_limit):
         raise InputError("--magnitude-limit: must be a number")
-    if request.method is not None and request.fov_deg is None and request.camera is None and request.centroids is not None:
+    if (
+        request.method is not None
+        and request.fov_deg is None
+        and request.camera is None
+        and request.centroids is not None
+    ):
         raise InputError("--method: needs --camera or --fov; without them the field of view is found out first")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")

@@ -7,7 +7,7 @@ Angles about X, Y, Z are roll, pitch, yaw, taken as one rotation vector.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -143,6 +143,12 @@ def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_
     draws = rng.uniform(-1.0, 1.0, 3)
     nominal = mounting_of(section).inverse @ random_attitude(rng)
     return _pointing(section, nominal, orbital_rate_rad_s, draws)
+
+
+def turned_to(pointing: Pointing, camera: Attitude) -> Pointing:
+    """The same spacecraft with another true camera attitude: error against the prior, and rate in camera axes, stay."""
+    error = pointing.camera @ pointing.prior.inverse
+    return replace(pointing, body=pointing.mounting.inverse @ camera, camera=camera, prior=error.inverse @ camera)
 
 
 def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:

@@ -243,7 +243,7 @@ def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y
         for i in range(max(math.ceil(x - radius_x - 0.5), 0), min(math.floor(x + radius_x + 0.5), width - 1) + 1):
             left, right = (i - 0.5 - x) / radius_x, (i + 0.5 - x) / radius_x
             area = _corner(right, high) - _corner(left, high) - _corner(right, low) + _corner(left, low)
-            image[j, i] += electrons / math.pi * area
+            image[j, i] += electrons / math.pi * max(area, 0.0)  # rounding can leave −1e-17
 
 
 @njit(cache=True, error_model="numpy")

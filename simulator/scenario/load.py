@@ -189,7 +189,12 @@ _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 def find_scenario(path: str | Path) -> Path:
     """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
     file = Path(path)
-    if not file.suffix and file.parent == Path() and str(path) not in ("", ".", "..") and (file.is_dir() or not os.path.lexists(file)):
+    if (
+        not file.suffix
+        and file.parent == Path()
+        and str(path) not in ("", ".", "..")
+        and (file.is_dir() or not os.path.lexists(file))
+    ):
         here = Path(__file__).resolve().parent
         for folder in (here / "shipped", here.parents[1] / "scenarios"):
             shipped = folder / f"{file.name}.yaml"

@@ -59,7 +59,12 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
         done = boresight("run", CUBESAT, "--trials", 45, "--workers", workers, "--out", f"w{workers}", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert "none wrong" in done.stdout
-    assert sorted(os.listdir(tmp_path / "w1")) == ["report.html", "scenario.resolved.yaml", "summary.json", "trials.parquet"]
+    assert sorted(os.listdir(tmp_path / "w1")) == [
+        "report.html",
+        "scenario.resolved.yaml",
+        "summary.json",
+        "trials.parquet",
+    ]
     one, two = (pq.read_table(tmp_path / f"w{w}" / "trials.parquet") for w in (1, 2))
     kept = [name for name in one.column_names if not name.endswith("_ms")]
     assert one.column_names == two.column_names
@@ -68,7 +73,17 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
         for left, right in zip(one[name].chunks, two[name].chunks, strict=True):
             assert [b and b.to_pybytes() for b in left.buffers()] == [b and b.to_pybytes() for b in right.buffers()]
     summary = json.loads((tmp_path / "w1" / "summary.json").read_text())
-    assert {"trials", "solved", "unsolved", "wrong", "identification_rate", "errors_deg", "trials_per_second", "seed", "version"} <= set(summary)
+    assert {
+        "trials",
+        "solved",
+        "unsolved",
+        "wrong",
+        "identification_rate",
+        "errors_deg",
+        "trials_per_second",
+        "seed",
+        "version",
+    } <= set(summary)
     for axis in ("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"):
         assert {"mean", "std", "rms", "p50", "p95", "p997", "max"} <= set(summary["errors_deg"][axis])
     page = (tmp_path / "w1" / "report.html").read_text()
@@ -80,7 +95,19 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_path, workers):
-    command = [sys.executable, "-m", "simulator.cli", "run", CUBESAT, "--trials", "2000", "--workers", str(workers), "--out", "out"]
+    command = [
+        sys.executable,
+        "-m",
+        "simulator.cli",
+        "run",
+        CUBESAT,
+        "--trials",
+        "2000",
+        "--workers",
+        str(workers),
+        "--out",
+        "out",
+    ]
     process = subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -134,6 +134,13 @@ def test_beyond_the_fold_of_the_lens_there_is_no_way_back():
     assert np.isnan(undistort(np.array([[1.6, 0.0], [0.0, -2.5], [3.0, 3.0]]), lens)).all()
     np.testing.assert_allclose(distort(undistort(np.array([[0.54, 0.0]]), lens), lens), [[0.54, 0.0]], atol=1e-14)
     assert np.isnan(undistort(np.array([[np.nan, 0.0]]), lens)).all()
+    # a lens that rises again, past its fold at r = 0.68, would offer a direction there
+    rising = Distortion(k1=-1.0, k2=0.4).as_array()
+    far = np.array([[1.6, 0.0], [0.0, 2.0]])
+    assert np.isnan(undistort(distort(far, rising), rising)).all()
+    # and one with decentring turns Newton's steps back to the far side of the centre
+    decentred = Distortion(k1=-0.778, k2=-0.466, p1=-5e-3, p2=2.8e-3, k3=0.011).as_array()
+    assert np.isnan(undistort(np.array([[-1.109, 1.634]]), decentred)).all()
     # and a pixel out there has no direction, with its NaN in every component
     assert np.isnan(Camera(100.0, 100.0, 99.5, 99.5, distortion=Distortion(k1=-0.5)).unproject([[190.0, 99.5]])).all()
 
