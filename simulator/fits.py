@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from startracker.wcs import wcs_header
 
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import write_atomically
@@ -17,6 +16,7 @@ from startracker.camera import Camera
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
+from startracker.wcs import wcs_header
 
 _DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
@@ -120,7 +120,7 @@ def _truth_table(truth: FrameTruth) -> Any:
             "b_v": s.b_v,
             "electrons": s.electrons,
         },
-        units={"x": "pix", "y": "pix", "v_mag": "mag", "b_v": "mag", "electrons": "electron"},
+        units={"x": "pix", "y": "pix", "v_mag": "mag", "b_v": "mag"},
     )
     unit = fits.table_to_hdu(table)
     unit.name = "TRUTH"

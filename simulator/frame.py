@@ -1,7 +1,7 @@
 """Frame and truth: what the camera hands on, and, apart from it, what really was.
 
-`Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, place and speed, the attitude
-of its other sensors. `FrameTruth` is a separate object that the tracker never sees.
+`Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, place and speed, the
+attitude of its other sensors. `FrameTruth` is a separate object that the tracker never sees.
 """
 
 from __future__ import annotations

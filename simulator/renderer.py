@@ -1,7 +1,7 @@
 """The stages in order: scenario → orbit → pointing → sky → optics → detector → frame and truth.
 
-This is the one place where the order of the physics is written down; every stage is a pure function of what stands before
-it, and of a random stream of its own.
+This is the one place where the order of the physics is written down; every stage is a pure function of what stands
+before it, and of a random stream of its own.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from startracker.observer import Observer
 FloatArray = NDArray[np.float64]
 
 _EDGE_MARGIN_PX = 160.0
-"""Stars up to this far outside the detector are drawn where their wings reach in; a million electrons reach that far."""
+"""Stars up to this far outside the detector are drawn where their wings reach in; those of a million electrons do."""
 
 _LEAST_PRIOR_DEG = 0.1
 """No other sensor is trusted beyond this, even where a scenario gives it no error."""

@@ -77,7 +77,7 @@ def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
-    """Newton's method from (x, y); false when it leaves the near side of the lens model or does not settle."""
+    """Newton's method from (x, y); false when it meets the fold of the lens model or does not settle."""
     for _ in range(50):
         r2 = x * x + y * y
         top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -92,7 +92,7 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
         jxy = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
         jyy = radial + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
         det = jxx * jyy - jxy * jxy
-        if not (det > 0.0 and jxx + jyy > 0.0):  # past the fold of the lens model, or NaN
+        if not det > 0.0:  # past the fold of the lens model, or NaN
             return x, y, False
         dx = (jyy * fx - jxy * fy) / det
         dy = (jxx * fy - jxy * fx) / det

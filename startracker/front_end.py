@@ -150,11 +150,7 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
             points, signal = points[order], signal[order]
         else:
             signal = None
-    alone = [
-        k
-        for k in range(len(points))
-        if not np.any(np.abs(points[:k] - points[k]).max(axis=1, initial=0) < SAME_STAR_PX)
-    ]
+    alone = [k for k, point in enumerate(points) if not _near_any(point, points[:k])]
     return points[alone], None if signal is None else signal[alone]
 
 

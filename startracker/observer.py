@@ -42,4 +42,4 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     inverse_gamma = float(np.sqrt(1.0 - beta @ beta))
     along = directions @ beta
     out = directions * inverse_gamma + beta * (1.0 + along / (1.0 + inverse_gamma))[:, None]
-    return out / np.linalg.norm(out, axis=1, keepdims=True)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))

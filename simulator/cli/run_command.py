@@ -13,8 +13,8 @@ from rich.table import Table
 
 from simulator.checks import load_scenario
 from simulator.paths import make_folder
-from simulator.study.run import RESULT_FILES, Study, deg_text, run
-from simulator.study.statistics import AXES, BODY_AXES
+from simulator.study.run import RESULT_FILES, Study, run
+from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:

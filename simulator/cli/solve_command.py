@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import sys
@@ -12,19 +13,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from startracker.blind import solve_unknown_fov
-from startracker.image import read_image
-from startracker.tracker import StarTracker
-from startracker.wcs import wcs_header
 
 from simulator.cli.checks import writable
 from simulator.fits import catalog_attitude, read_fits
 from simulator.frame import Frame
 from simulator.paths import write_atomically
+from startracker.blind import solve_unknown_fov
 from startracker.camera import Camera
 from startracker.errors import BoresightError, InputError
+from startracker.image import read_image
 from startracker.observer import Observer
 from startracker.solution import Solution
+from startracker.tracker import StarTracker
+from startracker.wcs import wcs_header
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *_FITS_SUFFIXES)
@@ -143,13 +144,13 @@ class _Solver:
             return _Job(str(path), width, height, camera, frame.image, saturation_dn=frame.saturation_dn, frame=frame)
         loaded = read_image(path)
         height, width = loaded.image.shape
-        camera = self.camera or self._from_fov(width, height)
+        known = self.camera or self._from_fov(width, height)
         if self.camera is not None and (self.camera.width, self.camera.height) != (width, height):
             raise InputError(
                 f"{path}: has {width}×{height} pixels, but the camera file {self.request.camera} is for "
                 f"{self.camera.width}×{self.camera.height}"
             )
-        return _Job(str(path), width, height, camera, loaded.image, saturation_dn=loaded.saturation_dn)
+        return _Job(str(path), width, height, known, loaded.image, saturation_dn=loaded.saturation_dn)
 
     def _from_fov(self, width: int, height: int) -> Camera | None:
         return Camera.from_fov(self.request.fov_deg, width, height) if self.request.fov_deg else None
@@ -171,17 +172,16 @@ class _Solver:
         """
         request = self.request
         by_hand = request.fov_deg is not None
-        if job.camera is not None and (not by_hand or request.method is not None):
-            return self._with_camera(job, job.camera)
-        if job.camera is None:
+        camera = job.camera
+        if camera is None:
             return self._without_camera(job)
-        exact, fitted = (lambda: self._with_camera(job, job.camera)), (lambda: self._without_camera(job))
-        first, second = (exact, fitted) if job.xy is not None else (fitted, exact)
-        solution = first()
-        if solution.solved:
-            return solution
-        other = second()
-        return other if other.solved else solution
+        if not by_hand or request.method is not None:
+            return self._with_camera(job, camera)
+        if job.xy is not None:
+            solution = self._with_camera(job, camera)
+            return solution if solution.solved else self._without_camera(job)
+        solution = self._without_camera(job)
+        return solution if solution.solved else self._with_camera(job, camera)
 
     def _without_camera(self, job: _Job) -> Solution:
         request = self.request
@@ -331,8 +331,13 @@ def _write_outputs(request: SolveRequest, job: _Job, solution: Solution) -> None
         from astropy.io import fits
 
         observer = job.frame.observer if job.frame else Observer()
-        header = fits.Header(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer)))
-        write_atomically(request.wcs, header.tostring(endcard=True, padding=True).encode("ascii"))
+        unit = fits.PrimaryHDU()
+        unit.header["IMAGEW"] = (job.width, "[px] width of the image this is for")
+        unit.header["IMAGEH"] = (job.height, "[px] height of the image this is for")
+        unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer)))
+        buffer = io.BytesIO()
+        unit.writeto(buffer)
+        write_atomically(request.wcs, buffer.getvalue())
     if request.annotate is not None:
         from simulator.study.plots import save_bytes, solved_image
 

@@ -1,7 +1,7 @@
 """The Monte Carlo engine: blocks of trials on any number of processes, kept as they come.
 
-Every block of finished trials is written at once to a folder of its own beside the results, so that an interrupt, a kill
-or a full disk costs no finished block; `resume` goes on from there. The rows depend on (scenario, seed, index) alone.
+Every block of finished trials is written at once to a folder of its own beside the results, so that an interrupt, a
+kill or a full disk costs no finished block; `resume` goes on from there. The rows depend on (scenario, seed, index) alone.
 """
 
 from __future__ import annotations
@@ -133,11 +133,11 @@ class _Here:
 
     def results(self) -> Iterator[Result]:
         runner = TrialRunner(self.scenario)
-        for self.block in self.blocks:
-            self.rows = []
-            for index in self.block:
+        for block in self.blocks:
+            self.block, self.rows = block, []
+            for index in block:
                 self.rows.append(runner.run(index))
-            yield self.block, pa.Table.from_pylist(self.rows)
+            yield block, pa.Table.from_pylist(self.rows)
 
     def unfinished_business(self) -> Iterator[Result]:
         """After an interrupt: the trials of the block under way."""
@@ -233,7 +233,9 @@ class _Store:
         self.folder = folder / PARTS_FOLDER if folder else None
         if self.folder is None:
             return
-        key = hashlib.sha256(f"{__version__}\n{scenario.fingerprint()}".encode()).hexdigest()
+        # more trials of the same scenario may join those that are done
+        same = scenario.with_values(trials=1).fingerprint()
+        key = hashlib.sha256(f"{__version__}\n{same}".encode()).hexdigest()
         key_file = self.folder / "scenario.sha256"
         if resume and key_file.exists():
             if key_file.read_text(encoding="utf-8") != key:

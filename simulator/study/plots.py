@@ -31,7 +31,7 @@ TITLES = {
 }
 Columns = dict[str, NDArray[Any]]
 
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9,
     "axes.grid": True,
     "grid.color": "#dddddd",
@@ -127,12 +127,12 @@ def sky_path(columns: Columns, catalog: StarCatalog, magnitude_limit: float = 4.
         offset = (np.asarray(ra_deg, dtype=float) - 180.0 + 180.0) % 360.0 - 180.0
         return -offset * np.cos(np.radians(dec_deg)) + 180.0, np.asarray(dec_deg, dtype=float)
 
-    for ra in range(0, 361, 30):
-        dec = np.linspace(-90, 90, 181)
-        ax.plot(-(ra - 180.0) * np.cos(np.radians(dec)) + 180.0, dec, color="#cccccc", linewidth=0.5)
-    for dec in range(-60, 61, 30):
-        reach = 180.0 * np.cos(np.radians(dec))
-        ax.plot([180 - reach, 180 + reach], [dec, dec], color="#cccccc", linewidth=0.5)
+    latitude = np.linspace(-90, 90, 181)
+    for meridian in range(0, 361, 30):
+        ax.plot(180.0 - (meridian - 180.0) * np.cos(np.radians(latitude)), latitude, color="#cccccc", linewidth=0.5)
+    for parallel in range(-60, 61, 30):
+        reach = 180.0 * np.cos(np.radians(parallel))
+        ax.plot([180 - reach, 180 + reach], [parallel, parallel], color="#cccccc", linewidth=0.5)
     bright = catalog.brighter_than(magnitude_limit)
     x, y = plane(np.degrees(bright.ra_rad), np.degrees(bright.dec_rad))
     ax.scatter(
@@ -178,7 +178,7 @@ def sky_path(columns: Columns, catalog: StarCatalog, magnitude_limit: float = 4.
     ax.set_xlabel("right ascension (ICRS), at the equator")
     ax.set_ylabel("declination (ICRS)")
     ax.grid(visible=False)
-    ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=6, frameon=False)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
@@ -211,13 +211,7 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     _show_sky(ax, np.asarray(frame.image, dtype=float))
     inside = np.flatnonzero(frame.camera.contains(truth.sources.xy))
     for i in inside[np.argsort(-truth.sources.electrons[inside])][:names]:
-        x, y = truth.sources.xy[i]
-        right = x > 0.82 * width
-        name = " ".join(str(truth.sources.name[i]).split()) or str(truth.sources.id[i])
-        ax.annotate(
-            f"{name} {truth.sources.v_mag[i]:.1f}", (x, y), xytext=(-8 if right else 8, 4), textcoords="offset points",
-            fontsize=6.5, color=BLUE, ha="right" if right else "left", annotation_clip=True,
-        )  # fmt: skip
+        _label(ax, truth.sources.xy[i], width, truth.sources.name[i], truth.sources.id[i], truth.sources.v_mag[i])
     ax.set_title(
         f"{frame.scenario} {frame.index}  {frame.utc} UTC  RA {truth.attitude.ra_deg:.4f}°  "
         f"Dec {truth.attitude.dec_deg:+.4f}°  roll {truth.attitude.roll_deg:.3f}°",
@@ -230,8 +224,9 @@ def _show_sky(ax: Axes, image: NDArray[Any]) -> None:
     """Image in reversed grey with an arcsinh stretch: sky white, stars dark, faint and bright at once."""
     low = float(np.nanmedian(image))
     spread = float(np.nanmedian(np.abs(image - low))) * 1.4826 or float(np.nanstd(image)) or 1.0
-    top = max(float(np.nanpercentile(image, 99.97)), low + 12 * spread)
-    stretched = np.arcsinh(np.clip(image - low + spread, 0, None) / spread) / np.arcsinh((top - low + spread) / spread)
+    soft = 4.0 * spread  # the noise stays pale, stars grow dark at once
+    top = max(float(np.nanpercentile(image, 99.97)), low + 5 * soft)
+    stretched = np.arcsinh(np.clip(image - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
     ax.imshow(stretched, cmap="Greys", vmin=0, vmax=1.1, origin="upper", interpolation="nearest")
     ax.grid(visible=False)
     for side in ("top", "right"):
@@ -246,21 +241,14 @@ def draw_solution(ax: Axes, image: NDArray[Any], solution: Solution, names: int 
     """Draw an image in reversed grey with what was detected and identified, the brightest `names` stars by name."""
     _show_sky(ax, image)
     if len(solution.centroids):
-        ax.plot(*solution.centroids.T, "s", markersize=9, markerfacecolor="none", markeredgecolor=ORANGE, markeredgewidth=0.7,
+        ax.plot(*solution.centroids.T, "s", ms=9, mfc="none", mec=ORANGE, mew=0.7,
                 label=f"detected ({len(solution.centroids)})")  # fmt: skip
     if solution.matched:
-        ax.plot(*solution.stars.xy.T, "o", markersize=13, markerfacecolor="none", markeredgecolor=BLUE, markeredgewidth=1.1,
+        ax.plot(*solution.stars.xy.T, "o", ms=13, mfc="none", mec=BLUE, mew=1.1,
                 label=f"identified ({solution.matched})")  # fmt: skip
-        height, width = image.shape
-        order = np.argsort(solution.stars.v_mag)[:names]
-        for i in order:
-            x, y = solution.stars.xy[i]
-            right = x > 0.82 * width
-            name = " ".join(str(solution.stars.name[i]).split()) or str(solution.stars.catalog_id[i])
-            ax.annotate(
-                f"{name} {solution.stars.v_mag[i]:.1f}", (x, y), xytext=(-8 if right else 8, 4), textcoords="offset points",
-                fontsize=6.5, color=BLUE, ha="right" if right else "left", annotation_clip=True,
-            )  # fmt: skip
+        for i in np.argsort(solution.stars.v_mag)[:names]:
+            stars = solution.stars
+            _label(ax, stars.xy[i], image.shape[1], stars.name[i], stars.catalog_id[i], stars.v_mag[i])
     if solution.solved:
         ax.set_title(
             f"RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°"
@@ -270,7 +258,27 @@ def draw_solution(ax: Axes, image: NDArray[Any], solution: Solution, names: int 
     else:
         ax.set_title(f"{solution.status}: {solution.reason}", fontsize=9, wrap=True)
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, frameon=False)
+        ax.figure.legend(
+            *ax.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3, frameon=False
+        )
+
+
+def _label(ax: Axes, xy: NDArray[Any], width: int, name: Any, number: Any, v_mag: float) -> None:
+    """Name, or number, and magnitude beside a star, on the side where there is room."""
+    from matplotlib.patheffects import withStroke
+
+    right = xy[0] > 0.82 * width
+    ax.annotate(
+        f"{' '.join(str(name).split()) or number} {v_mag:.1f}",
+        (float(xy[0]), float(xy[1])),
+        xytext=(-8 if right else 8, 4),
+        textcoords="offset points",
+        fontsize=6.5,
+        color=BLUE,
+        ha="right" if right else "left",
+        annotation_clip=True,
+        path_effects=[withStroke(linewidth=1.5, foreground="white")],
+    )
 
 
 def _note(ax: Axes, text: str) -> None:

@@ -8,33 +8,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simulator.scenario import Scenario
 from simulator.study import plots
-from simulator.study.statistics import AXES, BODY_AXES
+from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from simulator.study.trial import TrialRunner, solve_frame
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from simulator.study.run import Study
-
 _TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
-def report_html(study: Study) -> str:
+def report_html(scenario: Scenario, summary: dict[str, Any], columns: dict[str, NDArray[Any]]) -> str:
     """Whole report as one page: no script, no link to anything outside it.
 
     Parameters
     ----------
-    study : Study
-        A finished study; its summary may say that it was interrupted, and the report then says so too.
+    scenario : Scenario
+        What was run.
+    summary : dict
+        As in ``summary.json``; where it says that the run was interrupted, the report says so too.
+    columns : dict of arrays
+        As in ``trials.parquet``.
     """
     from jinja2 import Environment, StrictUndefined
 
-    from simulator.study.run import deg_text
-
-    scenario, summary, columns = study.scenario, study.summary, study.columns
     specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
     example = _example_index(columns)
     runner = TrialRunner(scenario)
@@ -43,8 +44,7 @@ def report_html(study: Study) -> str:
         (
             "Attitude errors",
             plots.error_histograms(columns, specification),
-            "Errors of all solved trials about the body axes (above) and the camera axes (below). "
-            "σ is the root mean square about zero.",
+            "Errors of all solved trials: body axes above, camera axes below. σ is the root mean square about zero.",
         ),
         (
             "Errors against the number of stars",
@@ -59,8 +59,7 @@ def report_html(study: Study) -> str:
         (
             f"Frame of trial {example}",
             plots.solved_image(frame.image, solve_frame(runner.tracker, frame)),
-            f"Digital numbers in reversed grey, arcsinh stretch. Made again by: "
-            f"boresight render {scenario.source_name} --index {example} --seed {scenario.seed}",
+            f"Made again by: boresight render {scenario.source_name} --index {example} --seed {scenario.seed}",
         ),
     ]
     unsolved = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 import time
 from dataclasses import dataclass
@@ -140,7 +139,8 @@ def write_results(study: Study, folder: Path) -> None:
     write_atomically(
         folder / "scenario.resolved.yaml", f"# boresight {__version__}\n{header}{study.scenario.to_yaml()}"
     )
-    write_atomically(folder / "report.html", report_html(study))
+    page = report_html(study.scenario, study.summary, study.columns)
+    write_atomically(folder / "report.html", page)
     if not study.summary["interrupted"]:
         discard_parts(folder)
 
@@ -158,10 +158,3 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "unknown"
     return found
-
-
-def deg_text(value_deg: float | None) -> str:
-    """Angle for people: degrees, and arcseconds where these read better."""
-    if value_deg is None or not math.isfinite(value_deg):
-        return "–"
-    return f"{value_deg:.4f}°" if abs(value_deg) >= 0.1 else f"{value_deg * 3600:.2f}″"

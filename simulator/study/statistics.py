@@ -109,3 +109,10 @@ def summarise(columns: dict[str, NDArray[Any]], specification: dict[str, float])
         "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
         "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
     }
+
+
+def deg_text(value_deg: float | None) -> str:
+    """Angle for people: degrees, and arcseconds where these read better."""
+    if value_deg is None or not math.isfinite(value_deg):
+        return "–"
+    return f"{value_deg:.4f}°" if abs(value_deg) >= 0.1 else f"{value_deg * 3600:.2f}″"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from startracker.tracker import StarTracker
 
 from simulator.frame import Frame, FrameTruth
 from simulator.renderer import Renderer
@@ -17,6 +16,7 @@ from simulator.study.statistics import WRONG_FACTOR
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.solution import Solution
+from startracker.tracker import StarTracker
 
 FloatArray = NDArray[np.float64]
 

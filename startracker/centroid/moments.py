@@ -152,5 +152,6 @@ def _intrusion(xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float,
 
 def _gain_from_background(background: Background) -> float:
     """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
-    level, noise = float(np.median(background.level[::16, ::16])), float(np.median(background.noise[::16, ::16]))
+    level = float(np.median(background.level[::16, ::16].astype(np.float64)))
+    noise = float(np.median(background.noise[::16, ::16].astype(np.float64)))
     return max(level, noise) / noise**2

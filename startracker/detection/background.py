@@ -106,8 +106,8 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
 
     The step is the greatest common divisor of the differences of whole-numbered values (16 for a 12-bit image
     stretched to 16 bits); the smallest gap of other values on a lattice (means of colour channels); the median gap of
-    values that at least repeat; else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5 of the range where values are
-    not whole.
+    values that at least repeat; else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5
+    of the range where values are not whole.
     """
     flat = image.reshape(-1)
     sample = flat[:: max(1, flat.size // _STEP_SAMPLES)]
@@ -115,7 +115,9 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
     if values.size and float(np.abs(values).max()) < 2**31 and np.array_equal(values, np.rint(values)):
         divisor = int(np.gcd.reduce(np.diff(values).astype(np.int64))) if values.size > 1 else 1
         return float(divisor), divisor / math.sqrt(12.0)
-    finite = flat[np.isfinite(flat)] if not np.isfinite(flat.sum(dtype=np.float64)) else flat
+    with np.errstate(invalid="ignore"):
+        all_finite = bool(np.isfinite(flat.sum(dtype=np.float64)))
+    finite = flat if all_finite else flat[np.isfinite(flat)]
     if not values.size or not finite.size:
         return 0.0, 1.0
     span = float(finite.max()) - float(np.median(values))
@@ -126,7 +128,7 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
 
 
 def _lattice_step(values: FloatImage) -> float:
-    """Step of the lattice on which sorted values lie; where they lie on none, their median gap, at most 1/255 of them."""
+    """Step of the lattice of sorted values; where they lie on none, their median gap, at most 1/255 of the range."""
     if values.size < 3:
         return 0.0
     gaps = np.diff(values.astype(np.float64))

@@ -62,7 +62,7 @@ def find_runs(
 ) -> IntArray:
     """Runs (row, first column, last column + 1), shape (R, 3), of pixels above level + threshold × noise.
 
-    In reading order. Pixels that are not a number are not above.
+    In reading order. Pixels that are not finite are not above.
     """
     height, width = image.shape
     runs = np.empty((1024, 3), np.int64)
@@ -73,7 +73,7 @@ def find_runs(
         row, sky, sigma = image[y], level[y], noise[y]
         # without a branch the comparison is vectorised (0.1 ns a pixel instead of 1.2), and nearly every group is sky
         for x in range(width):
-            above[x] = row[x] > sky[x] + threshold * sigma[x]
+            above[x] = (row[x] > sky[x] + threshold * sigma[x]) & (row[x] < np.inf)
         start = -1
         for group in range(groups):
             first = group * _GROUP

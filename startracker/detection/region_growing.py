@@ -66,6 +66,12 @@ def grow_regions(
 
 
 @njit(cache=True, error_model="numpy")
+def _above(value: float, level: float, noise: float, threshold: float) -> bool:
+    """Whether a pixel belongs to an object; one that is not finite does not."""
+    return value > level + threshold * noise and value < np.inf
+
+
+@njit(cache=True, error_model="numpy")
 def grow_objects(
     image: NDArray[np.float32],
     level: NDArray[np.float32],
@@ -87,8 +93,7 @@ def grow_objects(
         shift = (y0 // step) % 2 if step > 1 else 0
         for x0 in range(step - 1 + shift, width - step + 1, step):
             visited += 1
-            # written so that NaN is not above
-            if not image[y0, x0] > level[y0, x0] + threshold * noise[y0, x0] or erased[y0, x0]:
+            if erased[y0, x0] or not _above(image[y0, x0], level[y0, x0], noise[y0, x0], threshold):
                 continue
             if found == len(table):
                 table = np.concatenate((table, np.zeros_like(table)))
@@ -110,7 +115,7 @@ def grow_objects(
                     yn = y + (1 if direction == 1 else -1 if direction == 3 else 0)
                     if xn < 0 or yn < 0 or xn >= width or yn >= height or erased[yn, xn]:
                         continue
-                    if image[yn, xn] > level[yn, xn] + threshold * noise[yn, xn]:
+                    if _above(image[yn, xn], level[yn, xn], noise[yn, xn], threshold):
                         erased[yn, xn] = True
                         stack[depth] = yn * width + xn
                         depth += 1

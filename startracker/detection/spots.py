@@ -95,9 +95,9 @@ def is_streak(table: NDArray[np.float64], max_axis_ratio: float) -> NDArray[np.b
 def _is_halo(table: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
-    Under 0.05 of the star's peak, and within 2½ of its radii or as near as a ring of an Airy pattern can be that bright:
-    the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its peak
-    gives that radius as 1.9 √(flux / (π peak)).
+    Under 0.05 of the star's peak, and within 2½ of its radii or as near as a ring of an Airy pattern can be that
+    bright: the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its
+    peak gives that radius as 1.9 √(flux / (π peak)).
     """
     halo = np.zeros(len(table), np.bool_)
     peak, flux = table[:, PEAK_RESIDUAL], table[:, FLUX]

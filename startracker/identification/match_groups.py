@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,9 +79,15 @@ def match_groups(
             search = _Search.prepare(chosen, guide, settings, prior, scale)
             bench.count(scale, search.trials)
             bench.largest_group = max(bench.largest_group, search.largest)
-            for matrix in search.attitudes():
-                bench.add(_within(verify(matrix, observed, guide, scale), prior))
-                if bench.surely:
+            decisive = 0
+            for threshold in search.thresholds():
+                for size, matrix in search.attitudes(threshold):
+                    if size < decisive - 1:  # what comes now cannot compete
+                        break
+                    bench.add(_within(verify(matrix, observed, guide, scale), prior))
+                    if decisive == 0 and bench.surely:
+                        decisive = size
+                if decisive:
                     break
             verdict = bench.judge(observed, prior)
             if verdict.status is Status.SOLVED:
@@ -112,6 +118,7 @@ class _Search:
     separations: FloatArray
     sizes: IntArray
     trials: float
+    given_out: set[bytes] = field(default_factory=set)
 
     @classmethod
     def prepare(
@@ -152,24 +159,22 @@ class _Search:
         """Stars in the largest match group."""
         return int(self.sizes.max())
 
-    def attitudes(self) -> Iterator[FloatArray]:
-        """Attitudes of the validated groups, best first; the threshold is lowered as long as the caller asks on."""
+    def thresholds(self) -> range:
+        """Limits on the group size, from two below the largest group (or the setting, if lower) downwards."""
         least = max(self.settings.min_stars, 3)
-        threshold = max(least, min(self.settings.group_threshold, self.largest - 2))
-        tried: set[bytes] = set()
-        while threshold >= least:
-            for found in self._validated(threshold):
-                code = found.tobytes()
-                if code in tried:
-                    continue
-                tried.add(code)
-                seen = np.flatnonzero(found >= 0)
-                yield fit_rotation(
-                    self.observed.vectors[seen],
-                    self.guide.directions[found[seen]],
-                    1.0 / self.observed.sigma_rad[seen] ** 2,
-                )
-            threshold -= 1
+        return range(max(least, min(self.settings.group_threshold, self.largest - 2)), least - 1, -1)
+
+    def attitudes(self, threshold: int) -> Iterator[tuple[int, FloatArray]]:
+        """Size and attitude of the validated groups, largest first; what was given out before is left out."""
+        for found in self._validated(threshold):
+            code = found.tobytes()
+            if code in self.given_out:
+                continue
+            self.given_out.add(code)
+            seen = np.flatnonzero(found >= 0)
+            weight = 1.0 / self.observed.sigma_rad[seen] ** 2
+            matrix = fit_rotation(self.observed.vectors[seen], self.guide.directions[found[seen]], weight)
+            yield len(seen), matrix
 
     def _validated(self, threshold: int) -> IntArray:
         """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""

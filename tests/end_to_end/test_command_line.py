@@ -15,13 +15,15 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 CUBESAT = str(ROOT / "scenarios" / "cubesat.yaml")
+TC211 = str(ROOT / "scenarios" / "tc211.yaml")  # small frames: quick
 
 
 def boresight(*arguments, cwd, timeout=300):
+    command = [sys.executable, "-m", "simulator.cli", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(
-        [sys.executable, "-m", "simulator.cli", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=timeout,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}, check=False,
-    )  # fmt: skip
+        command, cwd=cwd, capture_output=True, text=True, timeout=timeout, env=environment, check=False
+    )
 
 
 def assert_one_clear_line(done, status=2):
@@ -100,9 +102,9 @@ def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_pat
         "-m",
         "simulator.cli",
         "run",
-        CUBESAT,
+        TC211,
         "--trials",
-        "2000",
+        "5000",
         "--workers",
         str(workers),
         "--out",
@@ -121,14 +123,13 @@ def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_pat
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     kept = pq.read_table(tmp_path / "out" / "trials.parquet")
-    assert 20 <= kept.num_rows < 2000
+    assert 20 <= kept.num_rows < 5000
     assert "Interrupted" in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["interrupted"] is True
     assert summary["trials"] == kept.num_rows
     total = kept.num_rows // 20 * 20 + 30
-    resumed = boresight("run", CUBESAT, "--trials", total, "--resume", "--out", "out", cwd=tmp_path)
-    # another number of trials is another scenario only in its last blocks: the finished ones are taken over
+    resumed = boresight("run", TC211, "--trials", total, "--resume", "--out", "out", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     whole = pq.read_table(tmp_path / "out" / "trials.parquet")
     assert whole["index"].to_pylist() == list(range(total))

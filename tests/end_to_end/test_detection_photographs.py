@@ -1,4 +1,4 @@
-"""Detection on photographs of the night sky that nobody simulated: ../shared/sky, see its README; skipped without it."""
+"""Detection on photographs of the night sky that nobody simulated: ../shared/sky; skipped where it is missing."""
 
 from pathlib import Path
 

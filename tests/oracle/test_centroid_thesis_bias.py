@@ -2,8 +2,8 @@
 Table 4.1 (σ = 1.23, offsets 0 to 0.5 detector lengths).
 
 The table is that of a Gaussian sampled at the pixels' centres, not integrated over them, and it cuts its digits off
-instead of rounding them: 0.0102847 is printed 0.010284. So the computed value lies above the printed one by less than one
-unit of the last printed digit, 1e-6, and 1e-5 for the last entry, which has one digit less.
+instead of rounding them: 0.0102847 is printed 0.010284. So the computed value lies above the printed one by less than
+one unit of the last printed digit, 1e-6, and 1e-5 for the last entry, which has one digit less.
 """
 
 import numpy as np

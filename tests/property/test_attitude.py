@@ -1,7 +1,10 @@
 """Attitude: what must hold for every rotation, with SciPy's `Rotation` as the independent twin.
 
 SciPy's rotations turn vectors, ours turn coordinates: the matrix of our quaternion q is SciPy's of q, transposed.
-Tolerances are rounding: 1e-14 for a product of matrices, 1e-12 rad where an angle comes out of one.
+Tolerances count rounding errors, u = 1.1e-16 each. An element of a matrix from a quaternion: each component carries 4 u
+from its normalisation, its square 9 u, two squares doubled and taken from one 37 u = 4e-15; compared between two such
+matrices 8e-15, between products of them 3e-14. A unit vector from two angles: 4 u a component, with the angles' own
+rounding 8 u = 1e-15.
 """
 
 import math
@@ -51,17 +54,17 @@ def scipy_matrix(quat):
 @given(rotations)
 def test_matrix_of_a_quaternion_and_back(quat):
     matrix = quat_to_matrix(quat)
-    np.testing.assert_allclose(matrix, scipy_matrix(quat), atol=2e-15)
+    np.testing.assert_allclose(matrix, scipy_matrix(quat), atol=8e-15)
     back = matrix_to_quat(matrix)
     assert back[3] >= 0
-    assert abs(back @ quat) == pytest.approx(1.0, abs=1e-14)  # q and −q are the same rotation
-    np.testing.assert_allclose(quat_to_matrix(back), matrix, atol=3e-15)
+    assert abs(back @ quat) == pytest.approx(1.0, abs=3e-14)  # q and −q are the same rotation
+    np.testing.assert_allclose(quat_to_matrix(back), matrix, atol=8e-15)
 
 
 @given(rotations, rotations)
 def test_product_of_quaternions_is_that_of_matrices(second, first):
     np.testing.assert_allclose(
-        quat_to_matrix(quat_multiply(second, first)), scipy_matrix(second) @ scipy_matrix(first), atol=3e-15
+        quat_to_matrix(quat_multiply(second, first)), scipy_matrix(second) @ scipy_matrix(first), atol=3e-14
     )
 
 
@@ -72,7 +75,7 @@ def test_product_of_quaternions_is_that_of_matrices(second, first):
 @example(np.array([1e-9, 2e-9, 0]))
 def test_rotation_vector_turns_the_frame_right_handedly(vector):
     np.testing.assert_allclose(
-        rotation_vector_to_matrix(vector), Rotation.from_rotvec(vector).as_matrix().T, atol=1e-14
+        rotation_vector_to_matrix(vector), Rotation.from_rotvec(vector).as_matrix().T, atol=3e-14
     )
 
 
@@ -82,7 +85,7 @@ def test_direction_round_trip(ra, dec):
     assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-15)
     ra_back, dec_back = direction_to_radec(3.7 * direction)
     assert 0.0 <= ra_back < 2 * math.pi
-    np.testing.assert_allclose(radec_to_direction(ra_back, dec_back), direction, atol=3e-16)
+    np.testing.assert_allclose(radec_to_direction(ra_back, dec_back), direction, atol=1e-15)
     assert math.degrees(dec_back) == pytest.approx(dec, abs=1e-13)
 
 
@@ -105,7 +108,7 @@ def test_radec_roll_round_trip(ra, dec, roll):
     assert attitude.dec_deg == pytest.approx(dec, abs=1e-13 if abs(dec) < 89 else 3e-14 / 1e-2)
     again = Attitude.from_radec_roll(attitude.ra_deg, attitude.dec_deg, attitude.roll_deg)
     # also at the poles, where RA and roll are one angle shared between two names
-    assert attitude.angle_to(again) < 2e-14
+    assert attitude.angle_to(again) < 3e-14
     if abs(dec) < 89.9:
         for given_deg, found in ((ra, attitude.ra_deg), (roll, attitude.roll_deg)):
             assert abs((found - given_deg + 180.0) % 360.0 - 180.0) < 1e-13 / math.cos(math.radians(dec)) * 10
@@ -119,17 +122,17 @@ def test_camera_axes_on_the_sky(ra, dec, roll):
     psi = math.radians(roll)
     up = math.cos(psi) * north + math.sin(psi) * east
     matrix = attitude.as_matrix()
-    np.testing.assert_allclose(matrix[2], boresight, atol=1e-14)
-    np.testing.assert_allclose(-matrix[1], up, atol=1e-14)
+    np.testing.assert_allclose(matrix[2], boresight, atol=3e-14)
+    np.testing.assert_allclose(-matrix[1], up, atol=3e-14)
     # seen from inside the sphere, east is to the left of north
-    np.testing.assert_allclose(-matrix[0], math.cos(psi) * east - math.sin(psi) * north, atol=1e-14)
+    np.testing.assert_allclose(-matrix[0], math.cos(psi) * east - math.sin(psi) * north, atol=3e-14)
 
 
 @given(rotations)
 def test_any_attitude_is_given_by_its_three_angles(quat):
     attitude = Attitude(quat)
     angles = Attitude.from_radec_roll(attitude.ra_deg, attitude.dec_deg, attitude.roll_deg)
-    assert attitude.angle_to(angles) < 2e-14
+    assert attitude.angle_to(angles) < 3e-14
 
 
 # ---------------------------------------------------------------- the value object
@@ -138,11 +141,11 @@ def test_composition_and_inverse(first, second, vector):
     one, two = Attitude(first, "icrs", "body"), Attitude(second, "body", "camera")
     both = two @ one
     assert (both.source, both.target) == ("icrs", "camera")
-    np.testing.assert_allclose(both.as_matrix(), scipy_matrix(second) @ scipy_matrix(first), atol=5e-15)
+    np.testing.assert_allclose(both.as_matrix(), scipy_matrix(second) @ scipy_matrix(first), atol=3e-14)
     np.testing.assert_allclose(both.apply(vector), two.apply(one.apply(vector)), atol=1e-13)
     np.testing.assert_allclose(both.inverse.apply(both.apply(vector)), vector, atol=1e-13)
     assert (both.inverse.source, both.inverse.target) == ("camera", "icrs")
-    assert (both.inverse @ both).angle_to(Attitude(np.array([0, 0, 0, 1.0]), "icrs", "icrs")) < 1e-14
+    assert (both.inverse @ both).angle_to(Attitude(np.array([0, 0, 0, 1.0]), "icrs", "icrs")) < 3e-14
 
 
 @given(rotations, vectors)
@@ -163,11 +166,11 @@ def test_rotation_vector_between_attitudes(quat, vector):
     expected = Rotation.from_matrix(estimate.as_matrix() @ truth.as_matrix().T).inv().as_rotvec()
     assert np.linalg.norm(found) <= math.pi * (1 + 1e-15)
     # close to a half turn the axis has two directions: compare the turns themselves
-    np.testing.assert_allclose(rotation_vector_to_matrix(found), rotation_vector_to_matrix(vector), atol=3e-15)
+    np.testing.assert_allclose(rotation_vector_to_matrix(found), rotation_vector_to_matrix(vector), atol=3e-14)
     if np.linalg.norm(vector) < 3.0:
-        np.testing.assert_allclose(found, vector, atol=2e-14)
-        np.testing.assert_allclose(found, expected, atol=2e-14)
-    assert truth.angle_to(estimate) == pytest.approx(np.linalg.norm(vector), abs=1e-14)
+        np.testing.assert_allclose(found, vector, atol=3e-14)
+        np.testing.assert_allclose(found, expected, atol=3e-14)
+    assert truth.angle_to(estimate) == pytest.approx(np.linalg.norm(vector), abs=3e-14)
 
 
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0, -0.8], [1, 1, 1]])
@@ -176,7 +179,7 @@ def test_half_turn(axis, quat):
     axis = np.array(axis) / np.linalg.norm(axis)
     truth = Attitude(quat)
     found = truth.rotation_vector_to(Attitude.from_rotation_vector(math.pi * axis, "camera", "camera") @ truth)
-    assert np.linalg.norm(found) == pytest.approx(math.pi, abs=1e-14)
+    assert np.linalg.norm(found) == pytest.approx(math.pi, abs=3e-14)
     assert abs(found @ axis) == pytest.approx(math.pi, abs=1e-13)
 
 
@@ -192,9 +195,9 @@ def test_smallest_errors_keep_their_digits(angle_rad):
 @given(rotations)
 def test_sign_and_length_of_the_quaternion_do_not_matter(quat):
     one, two = Attitude(quat), Attitude(-17.5 * quat)
-    np.testing.assert_allclose(one.as_matrix(), two.as_matrix(), atol=3e-16)
+    np.testing.assert_allclose(one.as_matrix(), two.as_matrix(), atol=8e-15)
     assert one.as_quat()[3] >= 0
-    assert np.linalg.norm(one.as_quat()) == pytest.approx(1.0, abs=3e-16)
+    assert np.linalg.norm(one.as_quat()) == pytest.approx(1.0, abs=1e-15)
 
 
 @pytest.mark.parametrize("scale", [1e-200, 1e200])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -40,6 +40,8 @@ def check(image, method, saturation):
 
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=60, deadline=None)
+@example(image=np.array([[0.0, np.inf]], np.float32), saturation=None)
+@example(image=np.array([[-np.inf, np.inf]], np.float32), saturation=None)
 @given(image=IMAGES, saturation=st.none() | st.floats(-10, 70000))
 def test_any_image(method, image, saturation):
     check(image, method, saturation)

@@ -138,9 +138,9 @@ def test_beyond_the_fold_of_the_lens_there_is_no_way_back():
     rising = Distortion(k1=-1.0, k2=0.4).as_array()
     far = np.array([[1.6, 0.0], [0.0, 2.0]])
     assert np.isnan(undistort(distort(far, rising), rising)).all()
-    # and one with decentring turns Newton's steps back to the far side of the centre
-    decentred = Distortion(k1=-0.778, k2=-0.466, p1=-5e-3, p2=2.8e-3, k3=0.011).as_array()
-    assert np.isnan(undistort(np.array([[-1.109, 1.634]]), decentred)).all()
+    # and one with decentring lets Newton's steps jump across the fold to the far side of the centre
+    decentred = Distortion(k1=-0.77795263, k2=-0.4664447, p1=-0.00503182, p2=0.00277436, k3=0.01114338).as_array()
+    assert np.isnan(undistort(np.array([[-1.76970036, 0.76169249]]), decentred)).all()
     # and a pixel out there has no direction, with its NaN in every component
     assert np.isnan(Camera(100.0, 100.0, 99.5, 99.5, distortion=Distortion(k1=-0.5)).unproject([[190.0, 99.5]])).all()
 
@@ -152,6 +152,14 @@ def test_strong_lenses_are_undone_though_newton_would_start_past_their_fold():
     seen = distort(points, lens)
     assert np.hypot(*seen.T).min() > 2.4
     np.testing.assert_allclose(undistort(seen, lens), points, rtol=0, atol=1e-11)  # slope 0.1 at the last
+
+
+def test_near_root_is_found_where_newton_first_meets_a_far_one():
+    lens = Distortion(k1=0.91749412, k2=-0.39198052, p1=-0.00779078, p2=0.00462729, k3=0.00702901).as_array()
+    seen = np.array([[0.32916217, 1.26018435]])
+    found = undistort(seen, lens)
+    np.testing.assert_allclose(found, [[0.22113813, 0.86029022]], atol=1e-7)
+    np.testing.assert_allclose(distort(found, lens), seen, atol=1e-14)
 
 
 # ---------------------------------------------------------------- refusals

@@ -142,7 +142,7 @@ def test_width_is_measured_along_each_axis(sigmas):
 
 
 def test_airy_stars():
-    # first dark ring at 1.5 to 3 px, noise-free, widths measured. A Gaussian is not the true image: up to 0.04 px remain
+    # first dark ring at 1.5 to 3 px, noise-free, widths measured; a Gaussian is not the true image: 0.04 px remain
     from scipy.special import j1
 
     rng = np.random.default_rng(2)
@@ -172,6 +172,18 @@ def test_choice_of_the_brightest_pixel_costs_nothing():
             for y in (19, 20, 21)
         ]
         assert np.abs(np.array(found) - [x, 20.2]).max() < 2e-6
+
+
+def test_window_moves_to_the_star():
+    # without the correction the wrong central pixel would cost 0.2 px; with it, noise
+    image = draw((40, 40), [(20.2, 20.1, 1e5)], 1.1)
+    settings = CentroidSettings(bias_correction=False)
+    found = [
+        first_moment(image, flat(image.shape), spots_at(peak), settings, 1.0) for peak in ((20, 20), (21, 20), (19, 21))
+    ]
+    for other in found[1:]:
+        assert np.array_equal(other.xy, found[0].xy)
+        assert np.array_equal(other.covariance, found[0].covariance)
 
 
 @pytest.mark.parametrize("x", [0.0, 0.3, 0.9, -0.3, 61.4, 63.0])

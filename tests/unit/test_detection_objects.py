@@ -87,8 +87,8 @@ def test_growing_from_every_pixel_equals_scipy():
 
 
 def test_search_pattern_of_the_thesis():
-    # Fig. 4.6: "a total of ((Npx − 2)/3)((Npy − 2)/3) = 28900, about 11 % of the total"; every other row of the staggered
-    # pattern has one pixel fewer: 170 rows of 170 and 169 in turn
+    # Fig. 4.6: "a total of ((Npx − 2)/3)((Npy − 2)/3) = 28900, about 11 % of the total"; every other row of the
+    # staggered pattern has one pixel fewer: 170 rows of 170 and 169 in turn
     image = np.zeros((512, 512), np.float32)
     background = flat(image.shape)
     visited = grow_objects(image, background.level, background.noise, np.float32(5.0), 3, np.inf)[1]
@@ -272,6 +272,17 @@ def test_false_alarms_in_pure_noise():
     image = np.rint(np.random.default_rng(8).normal(200, 12, (1024, 1024))).astype(np.float32)
     for method in METHODS.values():
         assert len(method(image, estimate(image), DetectionSettings(), None)) == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_pixels_that_are_not_finite_belong_to_no_object(method, bad):
+    image = draw((60, 60), [(40, 40, 1e4)])
+    image[9:12, 9:12] = bad
+    image[40, 46] = bad
+    spots = METHODS[method](image, flat(image.shape), DetectionSettings(min_pixels=1), None)
+    assert (spots.x_peak.tolist(), spots.y_peak.tolist()) == ([40], [40])
+    assert np.isfinite(spots.flux).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
