@@ -159,9 +159,19 @@ def solve_command(
     from simulator.cli.solve_command import SolveRequest, solve_images
 
     request = SolveRequest(
-        images=images or [], fov_deg=fov, camera=camera, method=method, catalog=catalog,
-        magnitude_limit=magnitude_limit, centroids=centroids, size=size, lost_in_space=lost_in_space, as_json=as_json, wcs=wcs, annotate=annotate,
-    )  # fmt: skip
+        images=images or [],
+        fov_deg=fov,
+        camera=camera,
+        method=method,
+        catalog=catalog,
+        magnitude_limit=magnitude_limit,
+        centroids=centroids,
+        size=size,
+        lost_in_space=lost_in_space,
+        as_json=as_json,
+        wcs=wcs,
+        annotate=annotate,
+    )
     raise typer.Exit(solve_images(request))
 
 

@@ -1,7 +1,8 @@
 """The Monte Carlo engine: blocks of trials on any number of processes, kept as they come.
 
 Every block of finished trials is written at once to a folder of its own beside the results, so that an interrupt, a
-kill or a full disk costs no finished block; `resume` goes on from there. The rows depend on (scenario, seed, index) alone.
+kill or a full disk costs no finished block; `resume` goes on from there. The rows depend on (scenario, seed, index)
+alone.
 """
 
 from __future__ import annotations

@@ -207,6 +207,15 @@ def test_a_prior_elsewhere_gives_no_match(guide):
     assert len(found.pairs) == 0
 
 
+def test_a_roll_outside_the_prior_is_no_match_though_no_star_moves_far(guide):
+    attitude, index, vectors, _ = field(guide, 85.0, 0.0)
+    rolled = Attitude.from_rotation_vector([0.0, 0.0, math.radians(10.0)], "camera", "camera") @ attitude
+    stars = observed(guide, index, vectors)
+    # ten degrees about the boresight move a corner of the field by 1.2°
+    assert match_groups(stars, guide, None, Prior(rolled, math.radians(1.7))).status is Status.NO_MATCH
+    assert match_groups(stars, guide, None, Prior(rolled, math.radians(10.5))).status is Status.SOLVED
+
+
 def test_a_prior_makes_few_stars_enough(guide):
     attitude, index, vectors, _ = field(guide, 40.0, 15.0)
     few = observed(guide, index[:4], vectors[:4], flux=False)

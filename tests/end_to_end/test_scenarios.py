@@ -1,0 +1,46 @@
+"""Every scenario that ships runs, identifies its frames without a wrong one, and meets its specification."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulator import Scenario, run
+from simulator.mission.orbit import build_orbit
+from simulator.mission.pointing import boresight_path
+
+SCENARIOS = sorted((Path(__file__).resolve().parents[2] / "scenarios").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_shipped_scenario(path, tmp_path):
+    study = run(Scenario.load(path), trials=60, out=tmp_path)
+    summary = study.summary
+    assert summary["wrong"] == 0
+    assert summary["stars_misidentified"] == 0
+    # the issue asks for 99 % of 500 and more; of 60 frames one may be missed (binomial, 12 % for two or more at 99 %)
+    assert summary["solved"] >= 59
+    if path.stem != "tc211":  # a prototype: nobody asked it for the mission's accuracy
+        assert all(entry["met"] for entry in summary["specification"].values())
+
+
+def test_sunsat_looks_where_the_thesis_says():
+    """Dec +8.6°, RA = Ω + 90° (thesis, section 3.2): exact in the equator of date, to precession's 0.03° in ICRS."""
+    scenario = Scenario.load("sunsat")
+    orbit = build_orbit(scenario.orbit, scenario.epoch)
+    t_s = np.linspace(0, 365.25 * 86400, 400)
+    path = boresight_path(orbit, scenario.pointing, t_s)
+    node_deg = np.degrees(orbit.raan_rad(t_s))
+    assert np.allclose(path.dec_date_deg, 8.6, atol=1e-6)
+    assert np.allclose((path.ra_date_deg - node_deg - 90 + 180) % 360 - 180, 0, atol=1e-6)
+    assert np.allclose(path.dec_deg, 8.6, atol=0.04)
+
+
+def test_trials_of_a_year_stay_on_the_path():
+    scenario = Scenario.load("tc211")
+    columns = run(scenario, trials=100).columns
+    # the random offset is at most 1° about each axis
+    assert np.max(np.abs(columns["true_dec_deg"] - 8.6)) < 1.5
+    # and the year goes round the sky: 100 evenly spread times leave no gap above 2 × 3.6° + 2 × 1.5°
+    gaps = np.diff(np.sort(columns["true_ra_deg"]))
+    assert gaps.max() < 11
