@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
-from startracker.constants import ARCSEC_RAD
 from startracker.estimation import Estimator
 from startracker.identification.hypothesis import fit_rotation, nearest_unique
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-CATALOG_FLOOR_RAD = 0.1 * ARCSEC_RAD
-"""Error of a catalogued direction: doubles' photocentres, motion since the epoch."""
 REJECT_SIGMAS = 3.7
 """A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
@@ -78,7 +75,7 @@ def refine(
     The covariance is the estimator's, times χ²/ν (at least one where the errors are known), ν = 2M − 3.
     """
     known = variance_px2 is not None
-    floor = CATALOG_FLOOR_RAD / camera.pixel_rad
+    floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
     vectors = camera.unproject(xy)
     matrix = fit_rotation(vectors[pairs[:, 0]], guide.directions[pairs[:, 1]], 1.0 / sigma[pairs[:, 0]] ** 2)

@@ -18,6 +18,8 @@ from scipy.special import gammaln, xlogy
 
 from startracker.errors import InputError
 
+FloatArray = NDArray[np.float64]
+
 TABLE_LIMIT = 64
 """Means from here on are NumPy's to draw."""
 STEPS = 8
@@ -76,7 +78,9 @@ def draw_poisson(mean: NDArray[np.float64], rng: np.random.Generator) -> NDArray
 
 
 @numba.njit(cache=True, error_model="numpy")
-def poisson_from_uniform(mean, uniform, keep, alias, out):  # type: ignore[no-untyped-def]  # numba kernel
+def poisson_from_uniform(
+    mean: FloatArray, uniform: FloatArray, keep: FloatArray, alias: NDArray[np.uint8], out: FloatArray
+) -> None:
     """Poisson numbers of the means below `TABLE_LIMIT` from two uniform numbers each; other elements are left alone.
 
     Parameters
@@ -136,7 +140,7 @@ def alias_tables() -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fill_alias_tables(probability, keep, alias):  # type: ignore[no-untyped-def]  # numba kernel; Vose 1991
+def _fill_alias_tables(probability: FloatArray, keep: FloatArray, alias: NDArray[np.uint8]) -> None:
     rows, columns = probability.shape
     small = np.empty(columns, dtype=np.int64)
     large = np.empty(columns, dtype=np.int64)

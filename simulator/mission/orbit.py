@@ -195,7 +195,7 @@ class Sgp4Orbit:
         days = satellite.jdsatepochF + t.ravel() / SECONDS_PER_DAY
         error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
         if error.any():
-            from sgp4.api import SGP4_ERRORS  # type: ignore[import-untyped]  # python-sgp4 ships no types
+            from sgp4.api import SGP4_ERRORS
 
             raise InputError(
                 f"orbit: SGP4 cannot follow this orbit ({SGP4_ERRORS[int(error[error != 0][0])]}); "

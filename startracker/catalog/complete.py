@@ -6,6 +6,9 @@ catalogue has as a single entry of both (nothing to add), or it is missing there
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -63,9 +66,9 @@ def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -
     columns["v_mag"] = columns["v_mag"].copy()
     columns["v_mag"][found[saturated]] = bright.v_mag[saturated]
     added = bright.select(np.flatnonzero(_missing(bright, precise, found))).at_epoch(precise.epoch_jyear)
-    joined = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
+    joined: dict[str, Any] = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
     joined["id"] = np.concatenate([precise.id, -added.id])
-    return StarCatalog(precise.name, precise.epoch_jyear, **joined)
+    return replace(precise, **joined)
 
 
 def _missing(bright: StarCatalog, precise: StarCatalog, found: IntArray) -> NDArray[np.bool_]:

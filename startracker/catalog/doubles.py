@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -74,4 +76,4 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
         columns[column][several] = mean(getattr(catalog, column))
     columns["v_mag"][several] = -2.5 * np.log10(total[which])
     place = np.argsort(brightest, kind="stable")
-    return StarCatalog(catalog.name, catalog.epoch_jyear, **{name: values[place] for name, values in columns.items()})
+    return replace(catalog, **{name: values[place] for name, values in columns.items()})

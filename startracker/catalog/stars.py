@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import direction_to_radec, radec_to_direction
-from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
+from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +44,9 @@ class StarCatalog:
         Empty where unknown.
     star_name : str array
         Bayer/Flamsteed or proper name; empty where unknown.
+    position_sigma_rad : float
+        Standard error of the positions on one axis, which the tracker adds to that of its centroids; the default, 0.1″,
+        is what unresolved companions add to a catalogue that is itself far better.
     """
 
     name: str
@@ -59,6 +62,7 @@ class StarCatalog:
     b_v: FloatArray
     spectral_type: NDArray[np.str_]
     star_name: NDArray[np.str_]
+    position_sigma_rad: float = 0.1 * ARCSEC_RAD
 
     def __post_init__(self) -> None:
         n = len(self.id)
@@ -72,14 +76,14 @@ class StarCatalog:
     @classmethod
     def columns(cls) -> list[str]:
         """Names of the columns."""
-        return [f.name for f in fields(cls) if f.name not in ("name", "epoch_jyear")]
+        return [f.name for f in fields(cls) if f.name not in ("name", "epoch_jyear", "position_sigma_rad")]
 
     def __len__(self) -> int:
         return len(self.id)
 
     def select(self, index: NDArray[Any]) -> StarCatalog:
         """Part of the catalogue, by boolean mask or by index array (which also orders)."""
-        return StarCatalog(self.name, self.epoch_jyear, **{c: getattr(self, c)[index] for c in self.columns()})
+        return replace(self, **{c: getattr(self, c)[index] for c in self.columns()})
 
     def brighter_than(self, magnitude: float) -> StarCatalog:
         """Stars with V ≤ `magnitude`, brightest first."""
@@ -138,7 +142,7 @@ class StarCatalog:
             "radial_velocity_km_s": self.radial_velocity_km_s.copy(),
         }
         columns["radial_velocity_km_s"][near] = speed
-        return StarCatalog(self.name, epoch_jyear, **columns)
+        return replace(self, epoch_jyear=epoch_jyear, **columns)
 
 
 def _east_north(ra_rad: FloatArray, dec_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -51,11 +51,19 @@ def test_smear_keeps_the_flux(dx, dy, model, angle, length):
     path = np.array([80 + dx, 80 + dy]) + nodes[:, None] * length / 2 * np.array([np.cos(angle), np.sin(angle)])
     smeared = render_stars((161, 161), path[None], weights, [1e4], psf).sum() / 1e4
     still = render_stars((161, 161), path[:1, None].mean(axis=1), np.ones(1), [1e4], psf).sum() / 1e4
-    assert abs(smeared - still) < (1e-6 if model == "gaussian" else 2e-5)
+    # An Airy stamp is a circle of pixels that ends at WING_LIMIT_E each. As its centre moves, the number of pixels in
+    # it varies about πR² (Gauss's circle problem; for R < 100 by less than 4 √R, which is what the sum may differ by).
+    radius = float(psf.radius_px([1e4])[0])
+    assert abs(smeared - still) < (1e-6 if model == "gaussian" else 4 * np.sqrt(radius) * WING_LIMIT_E / 1e4)
+
+
+def _exact(low, high):
+    """Multiples of 2⁻²⁰: adding 50 to them rounds nothing off, so that both images draw the very same star."""
+    return st.integers(low * 2**20, high * 2**20).map(lambda n: n / 2**20)
 
 
 @settings(max_examples=100, deadline=None)
-@given(st.floats(-40, 103), st.floats(-40, 103), st.sampled_from(["gaussian", "airy"]), st.floats(1, 1e6))
+@given(_exact(-40, 103), _exact(-40, 103), st.sampled_from(["gaussian", "airy"]), st.floats(1, 1e6))
 def test_part_off_the_image_is_a_window_of_the_whole(x, y, model, electrons):
     psf = build_psf(PsfSection(model=model, first_dark_ring_px=2.0), 2.0, (10.0, 10.0))
     small = render_stars((64, 48), np.array([[x, y]]), np.ones(1), [electrons], psf)
