@@ -28,6 +28,10 @@ ScenarioFile = Annotated[
     Path,
     typer.Argument(help="Scenario YAML, or the name of one that ships (sunsat, cubesat, tc211).", show_default=False),
 ]
+ScenarioFiles = Annotated[
+    list[Path],
+    typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
+]
 SetValues = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
@@ -81,7 +85,7 @@ def run_command(
 
 @app.command("render")
 def render_command(
-    scenario: ScenarioFile,
+    scenarios: ScenarioFiles,
     index: Annotated[
         int | None, typer.Option("--index", metavar="I", help="The frame of this trial; default 0.")
     ] = None,
@@ -102,10 +106,10 @@ def render_command(
         bool, typer.Option("--noiseless", help="Switch off every noise and flaw of the detector, and the background.")
     ] = False,
 ) -> None:
-    """Render one frame of a scenario."""
-    from simulator.cli.render_command import render_frame
+    """Render a frame; of several scenarios one each, --out and --preview then name folders."""
+    from simulator.cli.render_command import render_frames
 
-    raise typer.Exit(render_frame(scenario, index, at, pointing, seed, set_values or [], out, preview, noiseless))
+    raise typer.Exit(render_frames(scenarios, index, at, pointing, seed, set_values or [], out, preview, noiseless))
 
 
 @app.command("solve")

@@ -1,4 +1,4 @@
-"""``boresight render``: one frame to FITS and PNG."""
+"""``boresight render``: frames to FITS and PNG."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import numpy as np
 from simulator.checks import load_scenario
 from simulator.cli.checks import writable
 from simulator.fits import write_fits
-from simulator.paths import write_atomically
+from simulator.frame import Frame, FrameTruth
+from simulator.paths import make_folder, write_atomically
 from simulator.renderer import Renderer
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 
 
-def render_frame(
-    path: Path,
+def render_frames(
+    paths: list[Path],
     index: int | None,
     at: str | None,
     pointing: str | None,
@@ -28,39 +29,56 @@ def render_frame(
     preview: Path | None,
     noiseless: bool,
 ) -> int:
-    """Render, write what is asked for, and say where the camera looked."""
+    """Render one frame of each scenario, write what is asked for, and say where the cameras looked."""
     if index is not None and at is not None:
         raise InputError("--index and --at: give one of the two")
     if index is not None and index < 0:
         raise InputError(f"--index: must be 0 or more, not {index}")
-    scenario = load_scenario(path, set_values, seed=seed)
-    for target in (out, preview):
-        writable(target)
-    if noiseless:
-        scenario = scenario.noiseless()
-    at_s = (_parse_time(at) - scenario.epoch).total_seconds() if at else None
     attitude = _parse_pointing(pointing) if pointing else None
-    frame, truth = Renderer(scenario).frame(index or 0, at_s=at_s, attitude=attitude)
-    if out is None and preview is None:
-        out = Path(f"{scenario.name}-{index or 0:05d}.fits")
-        writable(out)
-    if out is not None:
-        write_fits(out, frame, truth)
-        print(f"{out}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
-    if preview is not None:
+    when = _parse_time(at) if at else None
+    scenarios = [load_scenario(path, set_values, seed=seed) for path in paths]
+    for scenario in scenarios:
+        name = f"{scenario.name}-{index or 0:05d}" if len(scenarios) == 1 else scenario.name
+        image = _target(out, f"{name}.fits", len(scenarios) > 1)
+        picture = _target(preview, f"{name}.png", len(scenarios) > 1)
+        if image is None and picture is None:
+            image = Path(f"{name}.fits")
+        for target in (image, picture):
+            writable(target)
+        at_s = (when - scenario.epoch).total_seconds() if when else None
+        renderer = Renderer(scenario.noiseless() if noiseless else scenario)
+        frame, truth = renderer.frame(index or 0, at_s=at_s, attitude=attitude)
+        _write(frame, truth, image, picture)
+        print(
+            f"{frame.utc} UTC  RA {truth.attitude.ra_deg:.5f}°  Dec {truth.attitude.dec_deg:+.5f}°  "
+            f"roll {truth.attitude.roll_deg:.4f}°  in the field: {_in_field(frame, truth)}"
+        )
+    return 0
+
+
+def _target(given: Path | None, name: str, several: bool) -> Path | None:
+    """File to write: as given, or in the folder given where there are several scenarios."""
+    if given is None or not (several or given.is_dir()):
+        return given
+    return make_folder(given) / name
+
+
+def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None) -> None:
+    if image is not None:
+        write_fits(image, frame, truth)
+        print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
+    if picture is not None:
         from simulator.study.plots import frame_preview, save_bytes
 
-        write_atomically(preview, save_bytes(frame_preview(frame, truth)))
-        print(f"{preview}: preview")
-    attitude, stars = (
-        truth.attitude,
-        int(np.sum((truth.sources.kind == "star") & frame.camera.contains(truth.sources.xy))),
-    )
-    print(
-        f"{frame.utc} UTC  RA {attitude.ra_deg:.5f}°  Dec {attitude.dec_deg:+.5f}°  roll {attitude.roll_deg:.4f}°  "
-        f"{stars} stars to V {scenario.sky.magnitude_limit:g} in the field"
-    )
-    return 0
+        write_atomically(picture, save_bytes(frame_preview(frame, truth)))
+        print(f"{picture}: preview")
+
+
+def _in_field(frame: Frame, truth: FrameTruth) -> str:
+    inside = frame.camera.contains(truth.sources.xy)
+    stars = int(np.sum(inside & (truth.sources.kind == "star")))
+    bodies = [str(name) for name in truth.sources.name[inside & (truth.sources.kind != "star")]]
+    return " and ".join([f"{stars} stars", *bodies])
 
 
 def _parse_pointing(text: str) -> Attitude:

@@ -145,6 +145,11 @@ def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_
     return _pointing(section, nominal, orbital_rate_rad_s, draws)
 
 
+def hold(section: PointingSection, camera: Attitude, rng: np.random.Generator) -> Pointing:
+    """`point` with a nominal camera attitude (ICRS → camera) that stands still: no rate but `rate_deg_s`."""
+    return _pointing(section, mounting_of(section).inverse @ camera, 0.0, rng.uniform(-1.0, 1.0, 3))
+
+
 def turned_to(pointing: Pointing, camera: Attitude) -> Pointing:
     """The same spacecraft with another true camera attitude: error against the prior, and rate in camera axes, stay."""
     error = pointing.camera @ pointing.prior.inverse

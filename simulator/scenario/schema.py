@@ -48,6 +48,13 @@ class PointingSection(Section):
 
     mounting: str | tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = "orbit_normal"
     """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
+    target: str | Vector3 | None = None
+    """Hold the camera on this instead of the local level: right ascension, declination, roll in degrees (ICRS), or the
+    name of a star of the sky's catalogue (``Alp CMa``, ``HIP 32349``) or of a body (``Moon``, ``Jupiter``)."""
+    target_offset_deg: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    """Where a named target stands in the image: degrees from the boresight along +x (columns) and +y (rows)."""
+    target_roll_deg: FiniteFloat = 0.0
+    """Roll of the camera on a named target."""
     offset_deg: Vector3 = (0.0, 0.0, 0.0)
     """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
     error_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
@@ -110,9 +117,23 @@ class OpticsSection(Section):
     """Principal point minus the centre of the detector."""
 
 
+class CosmicRaySection(Section):
+    """Charged particles that cross the detector."""
+
+    rate_cm2_s: NonNegative = 0.0
+    """Particles through a square centimetre of the surface a second; 0: none. About 1 to 1.7 in a low orbit, up to
+    1100 in the South Atlantic Anomaly."""
+    depth_um: Positive = 10.0
+    """Depth of the silicon from which charge is collected."""
+    charge_e_um: Positive = 80.0
+    """Most probable charge along a micrometre of track; 80 e⁻/µm: fast singly charged particles."""
+
+
 class DetectorSection(Section):
     """The detector and its readout."""
 
+    kind: Literal["cmos", "ccd_full_frame", "ccd_frame_transfer"] = "cmos"
+    """Which effects make sense: charge blooms and is transferred in CCDs alone."""
     width: Annotated[int, Field(ge=16, le=16384)]
     """Columns."""
     height: Annotated[int, Field(ge=16, le=16384)]
@@ -141,12 +162,32 @@ class DetectorSection(Section):
     """Share of hot pixels."""
     hot_pixel_dark_e_s: NonNegative = 0.0
     """Mean dark current of a hot pixel at `dark_reference_c`, exponentially distributed, on top of the ordinary one."""
+    hot_columns: Annotated[int, Field(ge=0)] = 0
+    """Number of hot columns."""
+    hot_column_dark_e_s: NonNegative = 0.0
+    """Mean dark current of a pixel of a hot column at `dark_reference_c`, exponentially distributed over the columns."""
+    dead_pixel_fraction: Fraction = 0.0
+    """Share of dead pixels, which collect neither light nor dark current."""
+    dead_columns: Annotated[int, Field(ge=0)] = 0
+    """Number of dead columns."""
+    cosmic_rays: CosmicRaySection = CosmicRaySection()
+    """Charged particles."""
     full_well_e: Positive = 30000.0
-    """Full well; above it charge is lost."""
+    """Full well; charge above it drains or blooms (`antiblooming`)."""
+    antiblooming: Fraction = 1.0
+    """Share of the charge above the full well that is drained; the rest spills along the column (CCD). 1: no blooming."""
+    cti_parallel: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
+    """Share of the charge left behind in each transfer along a column (CCD)."""
+    cti_serial: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
+    """Share of the charge left behind in each transfer along the serial register (CCD)."""
+    readout_corner: Literal["top_left", "top_right", "bottom_left", "bottom_right"] = "top_left"
+    """Corner of the output node, to which charge is transferred; ``top_left`` is pixel (0, 0)."""
     read_noise_e: NonNegative = 0.0
     """Read noise, standard deviation."""
     reset_capacitance_ff: NonNegative = 0.0
     """Capacitance of the output node, whose reset (kTC) noise stays in the frame; 0: correlated double sampling."""
+    nonlinearity: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    """Relative departure from a straight line at the full well, of second and of third order: (c2, c3)."""
     gain_e_per_dn: Positive | Literal["auto"] = "auto"
     """Electrons a digital number; ``auto`` puts the full well at the top of the converter."""
     offset_dn: NonNegative = 0.0

@@ -1,0 +1,142 @@
+"""What the camera could see at one instant: where the spacecraft is, how it is turned, which stars are there.
+
+The stages orbit → pointing → sky in order; nothing here knows of pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.mission.clock import Clock
+from simulator.mission.orbit import build_orbit
+from simulator.mission.pointing import Pointing, hold, point, point_at_random, turned_to
+from simulator.mission.sampling import trial_time_s
+from simulator.scenario import Scenario
+from simulator.sky.apparent import SkyIndex
+from simulator.sky.observer import observe
+from simulator.sky.solar_system import Bodies, solar_system, sun_position_au
+from simulator.sky.target import attitude_towards, body_direction, find_target
+from startracker.attitude import Attitude
+from startracker.catalog import load_catalog
+from startracker.catalog.stars import StarCatalog
+from startracker.observer import Observer
+
+FloatArray = NDArray[np.float64]
+Streams = Callable[[str], np.random.Generator]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The sky from the spacecraft at one instant.
+
+    Parameters
+    ----------
+    t_s : float
+        Seconds after the scenario's epoch.
+    r_km : array, shape (3,)
+        Position of the spacecraft, GCRS.
+    observer : Observer
+        Epoch, barycentric position and velocity.
+    sun_au : array, shape (3,)
+        Barycentric position of the Sun.
+    pointing : Pointing
+        Attitudes and rate.
+    stars : StarCatalog
+        Stars in and around the field.
+    star_directions : array, shape (N, 3)
+        Where each appears, ICRS axes.
+    bodies : Bodies
+        Sun, Moon and planets, wherever they are.
+    """
+
+    t_s: float
+    r_km: FloatArray
+    observer: Observer
+    sun_au: FloatArray
+    pointing: Pointing
+    stars: StarCatalog
+    star_directions: FloatArray
+    bodies: Bodies
+
+
+class SceneBuilder:
+    """Scenes of one scenario's trials; clock, orbit and catalogue are shared.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+
+    Raises
+    ------
+    InputError
+        For a target that is not in its sky.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.clock = Clock(scenario.epoch)
+        self.orbit = build_orbit(scenario.orbit, scenario.epoch)
+        catalog = load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit)
+        self.sky = SkyIndex(catalog)
+        target = scenario.pointing.target
+        self._target = find_target(target, catalog) if isinstance(target, str) else None
+
+    def scene(
+        self,
+        index: int,
+        streams: Streams,
+        half_field_rad: float,
+        at_s: float | None = None,
+        attitude: Attitude | None = None,
+    ) -> Scene:
+        """Scene of trial `index`.
+
+        Parameters
+        ----------
+        index : int
+            Index of the trial.
+        streams : callable
+            Random stream of a stage by name.
+        half_field_rad : float
+            Stars this far from the boresight, at any moment of the exposure, are given.
+        at_s, attitude : optional
+            Time and true camera attitude in place of the trial's own.
+        """
+        scenario = self.scenario
+        seed, sampling = scenario.seed, scenario.study.sampling
+        t_s = trial_time_s(sampling, seed, index, self.orbit.period_s) if at_s is None else at_s
+        r_km, v_km_s = self.orbit.state(t_s)
+        observer = observe(self.clock, t_s, r_km, v_km_s)
+        sun_au = sun_position_au(self.clock, t_s)
+        bodies = solar_system(self.clock, t_s, observer, scenario.sky)
+        rng = streams("pointing")
+        if scenario.pointing.target is not None:
+            pointing = hold(scenario.pointing, self._towards_target(observer, sun_au, bodies), rng)
+        elif sampling == "sky" and at_s is None:
+            pointing = point_at_random(scenario.pointing, rng, math.tau / self.orbit.period_s)
+        else:
+            pointing = point(scenario.pointing, r_km, v_km_s, rng)
+        if attitude is not None:
+            pointing = turned_to(pointing, attitude)
+        streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * scenario.detector.exposure_s
+        reach_rad = min(half_field_rad + streak_rad, math.pi / 2)
+        stars, directions = self.sky.view(pointing.camera.boresight, reach_rad, observer, sun_au, scenario.sky)
+        return Scene(t_s, r_km, observer, sun_au, pointing, stars, directions, bodies)
+
+    def _towards_target(self, observer: Observer, sun_au: FloatArray, bodies: Bodies) -> Attitude:
+        """Nominal camera attitude on the target."""
+        section = self.scenario.pointing
+        if isinstance(section.target, tuple):
+            return Attitude.from_radec_roll(*section.target)
+        if isinstance(self._target, str):
+            return attitude_towards(body_direction(self._target, bodies), section)
+        assert self._target is not None
+        place = self.sky.catalog.select(np.array([self._target])).directions(observer.epoch_jyear)[0]
+        _, directions = self.sky.view(place, 1e-9, observer, sun_au, self.scenario.sky)
+        return attitude_towards(directions[np.argmax(directions @ place)], section)
