@@ -63,6 +63,7 @@ def _curve(kind: CurveKind) -> Callable[[Any], str | None]:
 NAME_CHECKS: Mapping[str, Callable[[Any], str | None]] = {
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "sky.spectrum": _registered("spectra", "simulator.sky.spectra", "SPECTRA"),
     "optics.transmission": _curve("transmission"),
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),
     "detector.quantum_efficiency": _curve("quantum_efficiency"),

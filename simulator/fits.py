@@ -84,6 +84,7 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("CAM_FY", camera.fy, "[px] focal length along rows"),
         ("CAM_CX", camera.cx, "[px] principal point, first pixel = 0"),
         ("CAM_CY", camera.cy, "[px] principal point, first pixel = 0"),
+        ("CAM_PROJ", camera.projection, "pinhole, fisheye, equidistant or equisolid"),
         ("CAM_PAR", camera.parity, "1 as the sky is seen, -1 mirrored"),
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
@@ -168,6 +169,7 @@ def read_fits(path: str | Path) -> Frame:
         height,
         Distortion(**{k: header[f"CAM_{k.upper()}"] for k in _DISTORTION_KEYS}),
         header["CAM_PAR"],
+        header["CAM_PROJ"],
     )
     return Frame(
         image=np.asarray(image).astype(image.dtype.newbyteorder("=")),

@@ -9,12 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
+from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
-from simulator.optics.psf import build_psf
+from simulator.optics.ghosts import ghost_sources
+from simulator.optics.illumination import illumination_map, is_off, star_illumination
+from simulator.optics.psf_set import build_psf_set
+from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_disk, add_stars
+from simulator.optics.stray_light import build_baffle, stray_light_e_s_pixel
+from simulator.optics.thermal import true_camera
 from simulator.scenario import Scenario
 from simulator.scene import Scene
+from simulator.sky.background import diffuse_sky_s10
+from simulator.sky.earth import occulted, stray_sources
 from simulator.sky.photometry import Photometer
 from startracker.camera import Camera
 
@@ -39,6 +47,7 @@ def camera_of(scenario: Scenario) -> Camera:
         width=detector.width,
         height=detector.height,
         distortion=optics.distortion,
+        projection=optics.projection,
     )
 
 
@@ -53,16 +62,29 @@ class Exposure:
     mean_e : array, shape (height, width)
         Mean photo-electrons of the sources.
     background_e : float or array
-        Mean photo-electrons a pixel of the diffuse background.
+        Mean photo-electrons a pixel that are no source's: diffuse sky, Earth, stray light, transfer smear.
+    excluded : tuple of str
+        Bodies within the baffle's exclusion angle.
     """
 
     sources: TrueSources
     mean_e: FloatArray
     background_e: float | FloatArray
+    excluded: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Light:
+    """Sources of one exposure with what drawing them needs; columns of equal length N."""
+
+    sources: TrueSources
+    radius_rad: FloatArray
+    lit: FloatArray
+    sun_angle_rad: FloatArray
 
 
 class FocalPlane:
-    """Camera, response and point spread function of one scenario, built once.
+    """Camera, response and point spread functions of one scenario, built once.
 
     Parameters
     ----------
@@ -78,71 +100,183 @@ class FocalPlane:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         optics, detector = scenario.optics, scenario.detector
+        self.sky = scenario.sky
+        if scenario.study.sampling == "sky" and scenario.pointing.target is None:
+            # attitudes drawn at random are for trying the whole sky, a third of which the Earth would hide
+            self.sky = scenario.sky.model_copy(update={"earth": False})
         self.camera = camera_of(scenario)
-        self.half_field_rad = min(self.camera.half_diagonal_rad + _EDGE_MARGIN_PX * self.camera.pixel_rad, math.pi / 2)
+        """As calibrated: what the frame carries."""
+        self.true_camera = true_camera(self.camera, optics.thermal)
+        """As it is: what the sky is drawn through."""
+        margin_rad = _EDGE_MARGIN_PX * self.true_camera.pixel_rad
+        self.half_field_rad = min(self.true_camera.half_diagonal_rad + margin_rad, self.true_camera.limit_rad)
         response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
             detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
         )
-        self.photometer = Photometer(response, math.pi / 4 * (optics.aperture_mm / 10.0) ** 2)
-        self.psf = build_psf(optics.psf, optics.focal_length_mm / optics.aperture_mm, detector.pitch_um)
+        area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
+        self.photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
+        self.psfs = build_psf_set(
+            optics.psf,
+            optics.focal_length_mm / optics.aperture_mm,
+            detector.pitch_um,
+            (detector.width, detector.height),
+            obscuration=optics.obscuration,
+            diffusion_um=detector.charge_diffusion_um,
+            weights_of=self.photometer.bin_weights,
+        )
+        self.baffle = build_baffle(optics.baffle, scenario.base_dir)
+        self.illumination = None if is_off(optics.vignetting) else illumination_map(self.true_camera, optics.vignetting)
 
     def expose(self, scene: Scene) -> Exposure:
         """Mean photo-electrons of a scene in every pixel."""
-        sources, radius_rad = self._sources(scene)
-        camera, detector = self.camera, self.scenario.detector
+        detector = self.scenario.detector
+        light = self._sources(scene)
         mean_e = np.zeros((detector.height, detector.width))
-        xy, weights = star_paths(
-            camera,
-            scene.pointing.camera.apply(sources.direction),
-            scene.pointing.rate_camera_rad_s,
-            detector.exposure_s,
-            self.psf.feature_px,
-            margin_px=_EDGE_MARGIN_PX + float(radius_rad.max(initial=0.0)) / camera.pixel_rad,
-        )
-        disk = radius_rad / camera.pixel_rad > _DISK_PX
-        points = np.flatnonzero(~disk)
-        add_stars(mean_e, np.ascontiguousarray(xy[points]), weights, sources.electrons[points], self.psf)
-        for i in np.flatnonzero(disk):
-            size = (radius_rad[i] * camera.fx, radius_rad[i] * camera.fy)
-            for place, weight in zip(xy[i], weights, strict=True):
-                add_disk(mean_e, place, size, float(sources.electrons[i] * weight))
-        return Exposure(sources, mean_e, self._background_e())
+        self._draw(mean_e, light, scene)
+        self._draw_ghosts(mean_e, light.sources)
+        stray_e, excluded = self._stray_light(scene)
+        background_e = self._diffuse_e(scene) + stray_e
+        if detector.shutter == "frame_transfer":
+            smear_e = frame_transfer_smear(
+                mean_e + background_e,
+                detector.exposure_s,
+                detector.line_time_us * 1e-6,
+                "up" if detector.readout_corner.startswith("top") else "down",
+                detector.transfer_smear,
+            )
+            background_e = smear_e + background_e
+        return Exposure(light.sources, mean_e, background_e, excluded)
 
-    def _background_e(self) -> float:
-        sky = self.scenario.sky
-        if not sky.background:
-            return 0.0
-        solid_angle_sr = 1.0 / (self.camera.fx * self.camera.fy)
-        rate = self.photometer.background_e_s_pixel(sky.background_s10, solid_angle_sr)
-        return rate * self.scenario.detector.exposure_s
-
-    def _sources(self, scene: Scene) -> tuple[TrueSources, FloatArray]:
-        """Every source whose light reaches the detector, at mid-exposure, and the angular radius of each."""
-        camera, exposure_s = self.camera, self.scenario.detector.exposure_s
+    # ------------------------------------------------------------------ sources
+    def _sources(self, scene: Scene) -> _Light:
+        """Every source whose light reaches the detector, at mid-exposure."""
+        camera, scenario = self.true_camera, self.scenario
+        exposure_s = scenario.detector.exposure_s
         stars, bodies, pointing = scene.stars, scene.bodies, scene.pointing
         streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * exposure_s
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
-        reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, math.pi / 2 - 1e-3)
+        reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
         direction = np.concatenate([scene.star_directions, bodies.direction[near]])
         v_mag = np.concatenate([stars.v_mag, bodies.v_mag[near]])
-        b_v = np.concatenate([stars.b_v, bodies.b_v[near]])
+        b_v = np.concatenate([scene.star_b_v, bodies.b_v[near]])
+        giant = np.concatenate([scene.star_giant, np.zeros(len(near))])  # bodies shine by sunlight
         kinds = [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name[near]]
+        in_camera = pointing.camera.apply(direction)
+        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * exposure_s
+        if self.illumination is not None:
+            electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         sources = TrueSources(
             id=np.concatenate([stars.id, np.zeros(len(near), np.int64)]),
             name=np.concatenate([stars.star_name, bodies.name[near]]),
             kind=np.array(["star"] * len(stars) + kinds, dtype="U8"),
-            xy=camera.project(pointing.camera.apply(direction)),
+            xy=camera.project(in_camera),
             direction=direction,
             v_mag=v_mag,
             b_v=b_v,
-            electrons=self.photometer.electrons_per_s(v_mag, b_v) * exposure_s,
+            electrons=electrons,
         )
-        radius_rad = np.concatenate([np.zeros(len(stars)), bodies.angular_radius_rad[near]])
-        extent_px = self.psf.radius_px(sources.electrons) + (radius_rad + streak_rad) / camera.pixel_rad
+        none = np.zeros(len(stars))
+        radius_rad = np.concatenate([none, bodies.angular_radius_rad[near]])
+        phase = bodies.illuminated_fraction[near] if self.sky.phases else np.ones(len(near))
+        angles = [sun_angle_rad(camera, pointing.camera, u, scene.sun_direction) for u in bodies.direction[near]]
+        reaching = self._reaching(sources, radius_rad + streak_rad)
+        if self.sky.earth:
+            reaching = reaching[~occulted(direction[reaching], scene.r_km)]
+        return _Light(
+            sources.select(reaching),
+            radius_rad[reaching],
+            np.concatenate([none + 1.0, phase])[reaching],
+            np.concatenate([none, angles])[reaching],
+        )
+
+    def _reaching(self, sources: TrueSources, extent_rad: FloatArray) -> NDArray[np.int64]:
+        """Rows of the sources whose image, drawn out by disk and streak, reaches the detector."""
+        camera = self.true_camera
+        extent_px = self.psfs.radius_px(sources.electrons) + extent_rad / camera.pixel_rad
         outside = np.maximum(
             np.maximum(-sources.xy[:, 0], sources.xy[:, 0] - camera.width),
             np.maximum(-sources.xy[:, 1], sources.xy[:, 1] - camera.height),
         )
-        reaching = np.flatnonzero(outside <= extent_px)
-        return sources.select(reaching), radius_rad[reaching]
+        return np.flatnonzero(outside <= extent_px)
+
+    def _paths(self, light: _Light, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions (N, K, 2) over the exposure, weights (K,), and electrons (N,) gathered in it."""
+        camera, detector, sources = self.true_camera, self.scenario.detector, light.sources
+        directions = scene.pointing.camera.apply(sources.direction)
+        rate = scene.pointing.rate_camera_rad_s
+        margin_px = _EDGE_MARGIN_PX + float(np.max(light.radius_rad, initial=0.0)) / camera.pixel_rad
+        feature_px = self.psfs.feature_px
+        if detector.shutter == "rolling":
+            xy, weights, exposed = rolling_paths(
+                camera,
+                directions,
+                rate,
+                detector.exposure_s,
+                detector.line_time_us * 1e-6,
+                feature_px,
+                margin_px,
+                scene.jitter,
+            )
+            return xy, weights, sources.electrons * exposed
+        xy, weights = star_paths(camera, directions, rate, detector.exposure_s, feature_px, margin_px, scene.jitter)
+        return xy, weights, sources.electrons
+
+    def _draw(self, mean_e: FloatArray, light: _Light, scene: Scene) -> None:
+        """Stars and small bodies through their PSFs, large bodies as disks."""
+        camera, sources = self.true_camera, light.sources
+        xy, weights, electrons = self._paths(light, scene)
+        disk = light.radius_rad / camera.pixel_rad > _DISK_PX
+        points = np.flatnonzero(~disk)
+        for members, psf in self.psfs.groups(sources.b_v[points], sources.xy[points]):
+            chosen = points[members]
+            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen], psf)
+        for i in np.flatnonzero(disk):
+            place = (float(sources.xy[i, 0]), float(sources.xy[i, 1]))
+            size = (float(light.radius_rad[i] * camera.fx), float(light.radius_rad[i] * camera.fy))
+            draw_body(
+                mean_e,
+                xy[i],
+                weights,
+                size,
+                float(electrons[i]),
+                float(light.lit[i]),
+                float(light.sun_angle_rad[i]),
+                self.psfs.psf(float(sources.b_v[i]), place),
+                LAW_OF_BODY.get(str(sources.name[i]), "lambert"),
+            )
+
+    def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
+        ghosts = self.scenario.optics.ghosts
+        if ghosts:
+            for xy, electrons, radius_px in zip(
+                *ghost_sources(self.true_camera, sources.xy, sources.electrons, ghosts), strict=True
+            ):
+                add_disk(mean_e, xy, float(radius_px), float(electrons))
+
+    # ------------------------------------------------------------------ background
+    def _diffuse_e(self, scene: Scene) -> float | FloatArray:
+        """Diffuse sky, Earth and its limb."""
+        camera, scenario = self.true_camera, self.scenario
+        s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
+        solid_angle_sr = 1.0 / (camera.fx * camera.fy)
+        each = self.photometer.background_e_s_pixel(1.0, solid_angle_sr) * scenario.detector.exposure_s
+        return s10 * each if self.illumination is None else s10 * each * self.illumination
+
+    def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:
+        """Sun, Moon and Earth through the baffle, electrons a pixel, and whose exclusion angle is broken."""
+        if self.baffle is None:
+            return 0.0, ()
+        detector, boresight = self.scenario.detector, scene.pointing.camera.boresight
+        names, directions, v_mag, b_v = stray_sources(scene.bodies, scene.r_km, self.sky)
+        pitch_x, pitch_y = detector.pitch_um
+        rate = stray_light_e_s_pixel(
+            self.baffle,
+            boresight,
+            directions,
+            self.photometer.electrons_per_s(v_mag, b_v, np.zeros(len(v_mag))),  # sunlight, all of it
+            self.photometer.aperture_area_cm2,
+            pitch_x * pitch_y * 1e-8,
+        )
+        excluded = self.baffle.within_exclusion(names, boresight, directions)
+        return rate * detector.exposure_s, tuple(excluded)

@@ -117,7 +117,9 @@ class FrameTruth:
     sources : TrueSources
         Everything drawn that falls on the detector.
     mean_electrons : array, shape (height, width), optional
-        Photo-electrons without any noise, on request.
+        Photo-electrons of the sources without any noise, on request.
+    excluded : tuple of str
+        Bodies within the baffle's exclusion angle.
     """
 
     attitude: Attitude
@@ -126,3 +128,4 @@ class FrameTruth:
     t_s: float
     sources: TrueSources
     mean_electrons: FloatArray | None = None
+    excluded: tuple[str, ...] = ()

@@ -103,6 +103,7 @@ class Renderer:
             t_s=scene.t_s,
             sources=light.sources,
             mean_electrons=light.mean_e,
+            excluded=light.excluded,
         )
         return frame, truth
 

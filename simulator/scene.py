@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,10 @@ from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import Pointing, hold, point, point_at_random, turned_to
 from simulator.mission.sampling import trial_time_s
+from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
 from simulator.scenario import Scenario
-from simulator.sky.apparent import SkyIndex
+from simulator.sky.apparent import SkyIndex, apparent_directions
+from simulator.sky.colours import spectral_coordinates
 from simulator.sky.observer import observe
 from simulator.sky.solar_system import Bodies, solar_system, sun_position_au
 from simulator.sky.target import attitude_towards, body_direction, find_target
@@ -42,14 +44,18 @@ class Scene:
         Position of the spacecraft, GCRS.
     observer : Observer
         Epoch, barycentric position and velocity.
-    sun_au : array, shape (3,)
-        Barycentric position of the Sun.
+    sun_direction : array, shape (3,)
+        Unit vector from the spacecraft to the Sun, without aberration.
     pointing : Pointing
-        Attitudes and rate.
+        Attitudes and rate; the true attitude is the mean over the exposure where there is jitter.
+    jitter : JitterPath, optional
+        Turning of the camera about that attitude during the exposure.
     stars : StarCatalog
         Stars in and around the field.
     star_directions : array, shape (N, 3)
         Where each appears, ICRS axes.
+    star_b_v, star_giant : array, shape (N,)
+        Colour and class of their spectra (`simulator.sky.colours`).
     bodies : Bodies
         Sun, Moon and planets, wherever they are.
     """
@@ -57,10 +63,13 @@ class Scene:
     t_s: float
     r_km: FloatArray
     observer: Observer
-    sun_au: FloatArray
+    sun_direction: FloatArray
     pointing: Pointing
+    jitter: JitterPath | None
     stars: StarCatalog
     star_directions: FloatArray
+    star_b_v: FloatArray
+    star_giant: FloatArray
     bodies: Bodies
 
 
@@ -84,6 +93,8 @@ class SceneBuilder:
         self.orbit = build_orbit(scenario.orbit, scenario.epoch)
         catalog = load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit)
         self.sky = SkyIndex(catalog)
+        self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
+        self._jitter = load_spectrum(scenario.pointing.jitter, scenario.base_dir)
         target = scenario.pointing.target
         self._target = find_target(target, catalog) if isinstance(target, str) else None
 
@@ -124,10 +135,42 @@ class SceneBuilder:
             pointing = point(scenario.pointing, r_km, v_km_s, rng)
         if attitude is not None:
             pointing = turned_to(pointing, attitude)
+        pointing, jitter = self._shaken(pointing, streams)
         streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * scenario.detector.exposure_s
-        reach_rad = min(half_field_rad + streak_rad, math.pi / 2)
-        stars, directions = self.sky.view(pointing.camera.boresight, reach_rad, observer, sun_au, scenario.sky)
-        return Scene(t_s, r_km, observer, sun_au, pointing, stars, directions, bodies)
+        reach_rad = min(half_field_rad + streak_rad, math.pi)
+        rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
+        stars = self.sky.catalog.select(rows)
+        directions = apparent_directions(stars, observer, sun_au, scenario.sky)
+        assert observer.position_au is not None
+        to_sun = sun_au - observer.position_au
+        sun_direction = to_sun / np.linalg.norm(to_sun)
+        return Scene(
+            t_s=t_s,
+            r_km=r_km,
+            observer=observer,
+            sun_direction=sun_direction,
+            pointing=pointing,
+            jitter=jitter,
+            stars=stars,
+            star_directions=directions,
+            star_b_v=self._b_v[rows],
+            star_giant=self._giant[rows],
+            bodies=bodies,
+        )
+
+    def _shaken(self, pointing: Pointing, streams: Streams) -> tuple[Pointing, JitterPath | None]:
+        """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
+        section = self.scenario.pointing.jitter
+        if not any(section.rms_arcsec):
+            return pointing, None
+        exposure_s = self.scenario.detector.exposure_s
+        jitter = draw_jitter(section, self._jitter, streams("jitter"), pointing.mounting.as_matrix())
+        if jitter is None:
+            return pointing, None
+        mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")
+        camera = mean @ pointing.camera
+        shaken = replace(pointing, camera=camera, body=pointing.mounting.inverse @ camera)
+        return shaken, jitter.centred(exposure_s)
 
     def _towards_target(self, observer: Observer, sun_au: FloatArray, bodies: Bodies) -> Attitude:
         """Nominal camera attitude on the target."""

@@ -5,7 +5,11 @@ A pixel's centre has integer coordinates, (0, 0) is the centre of the first pixe
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import os
+import tempfile
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -15,13 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.distortion import Distortion, distort, undistort
 from startracker.errors import InputError
+from startracker.fisheye import PROJECTIONS, fisheye_project, fisheye_unproject, limit_rad
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole with Brown–Conrady distortion.
+    """Pinhole with Brown–Conrady distortion, or a fisheye.
 
     Parameters
     ----------
@@ -32,10 +37,13 @@ class Camera:
     width, height : int
         Size in pixels; where left out, the principal point is taken for the centre.
     distortion : Distortion or mapping
-        Coefficients on normalised coordinates, OpenCV's names.
+        Coefficients, OpenCV's names: Brown–Conrady's on normalised coordinates for a pinhole, k1 to k4 of the powers
+        of the angle for a fisheye (`startracker.fisheye`).
     parity : int
         +1 for an image seen as the sky is (east to the left of north), −1 for one that a mirror or the reading of the
         detector has turned over: its columns are reversed before anything else.
+    projection : str
+        ``pinhole``, ``fisheye`` (Kannala–Brandt as OpenCV has it), or ideal: ``equidistant``, ``equisolid``.
     """
 
     fx: float
@@ -46,6 +54,7 @@ class Camera:
     height: int = 0
     distortion: Distortion = field(default_factory=Distortion)
     parity: int = 1
+    projection: str = "pinhole"
 
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
@@ -56,6 +65,7 @@ class Camera:
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
         if not math.isfinite(self.cx + self.cy):
             raise InputError(f"the principal point must be finite; got cx = {self.cx}, cy = {self.cy} pixels")
+        self._check_projection()
         if self.parity not in (1, -1):
             raise InputError(f"parity must be 1 or -1; got {self.parity}")
         if self.width != int(self.width) or self.height != int(self.height):
@@ -66,14 +76,50 @@ class Camera:
         if self.width < 1 or self.height < 1:
             raise InputError(f"an image needs at least one pixel; got {self.width}×{self.height}")
 
+    def _check_projection(self) -> None:
+        if self.projection not in PROJECTIONS:
+            raise InputError(
+                f"projection must be {', '.join(PROJECTIONS[:-1])} or {PROJECTIONS[-1]}; got {self.projection!r}"
+            )
+        if self.projection == "pinhole":
+            return
+        lens = self.distortion
+        known = ("k1", "k2", "k3", "k4") if self.projection == "fisheye" else ()
+        for key in (f.name for f in fields(Distortion)):
+            if getattr(lens, key) and key not in known:
+                hint = "it has k1, k2, k3, k4" if known else "it has none; projection: fisheye takes k1 to k4"
+                raise InputError(f"a lens of the projection {self.projection} has no coefficient {key}; {hint}")
+
     # ------------------------------------------------------------------ made from
     @classmethod
-    def from_fov(cls, fov_deg: float, width: int, height: int, distortion: Distortion | None = None) -> Camera:
+    def from_fov(
+        cls,
+        fov_deg: float,
+        width: int,
+        height: int,
+        distortion: Distortion | None = None,
+        projection: str = "pinhole",
+    ) -> Camera:
         """Square pixels, centred; `fov_deg` spans the full width, edge to edge, of the undistorted camera."""
-        if not 0 < fov_deg < 180:
-            raise InputError(f"a field of view must be between 0° and 180°; got {fov_deg}°")
-        focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
-        return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height, distortion or Distortion())
+        most = 180 if projection == "pinhole" else 360
+        if not 0 < fov_deg < most:
+            raise InputError(f"a field of view must be between 0° and {most}°; got {fov_deg}°")
+        half = math.radians(fov_deg) / 2
+        if projection == "pinhole":
+            reach = math.tan(half)
+        else:
+            reach = 2 * math.sin(half / 2) if projection == "equisolid" else half
+        focal = width / 2 / reach
+        return cls(
+            focal,
+            focal,
+            (width - 1) / 2,
+            (height - 1) / 2,
+            width,
+            height,
+            distortion or Distortion(),
+            projection=projection,
+        )
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Camera:
@@ -104,7 +150,7 @@ class Camera:
         else:
             faults.append("'distortion' must hold k1, k2, p1, p2, k3 …")
             distortion = {}
-        numbers = {k: v for k, v in data.items() if k != "distortion"} | {
+        numbers = {k: v for k, v in data.items() if k not in ("distortion", "projection")} | {
             f"distortion.{k}": v for k, v in distortion.items()
         }
         faults += [
@@ -126,34 +172,70 @@ class Camera:
         return data
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write a file that `from_yaml` reads."""
+        """Write a file that `from_yaml` reads: beside its place first and then moved there, so that it is whole.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written.
+        """
         from ruamel.yaml import YAML
 
-        with Path(path).open("w", encoding="utf-8") as stream:
-            YAML().dump(self.to_dict(), stream)
+        text, place, temporary = io.StringIO(), Path(path), ""
+        YAML().dump(self.to_dict(), text)
+        try:
+            with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as file:
+                temporary = file.name
+                file.write(text.getvalue().encode())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, place)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
 
     # ------------------------------------------------------------------ facts
     @property
     def fov_deg(self) -> float:
-        """Field of view across the full width, edge to edge, at the principal point's row; distortion left out."""
-        left, right = (self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx
-        return math.degrees(math.atan(left) + math.atan(right))
+        """Field of view across the full width, edge to edge, at the principal point's row.
+
+        The distortion of a pinhole is left out; a fisheye's polynomial is its projection and is in.
+        """
+        return self._span_deg((self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx)
 
     @property
     def fov_y_deg(self) -> float:
-        """Field of view down the full height; distortion left out."""
-        top, bottom = (self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy
-        return math.degrees(math.atan(top) + math.atan(bottom))
+        """Field of view down the full height, as `fov_deg`."""
+        return self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
+
+    def _span_deg(self, low: float, high: float) -> float:
+        """Angle between two edges at these distances, in focal lengths, on either side of the principal point."""
+        if self.projection == "pinhole":
+            return math.degrees(math.atan(low) + math.atan(high))
+        angles = [math.copysign(self._angle_rad(abs(edge)), edge) for edge in (low, high)]
+        return math.degrees(angles[0] + angles[1])
+
+    def _angle_rad(self, radius: float) -> float:
+        """Angle off the axis of a radius on a fisheye's image; outside the image circle that of its edge."""
+        vector = fisheye_unproject(np.array([[radius, 0.0]]), *self._fisheye)[0]
+        return math.atan2(vector[0], vector[2]) if math.isfinite(vector[2]) else self.limit_rad
+
+    @property
+    def limit_rad(self) -> float:
+        """Largest angle from the boresight at which the camera sees: 89.9° for a pinhole, the edge of a fisheye."""
+        return math.radians(89.9) if self.projection == "pinhole" else self._fisheye[2]
 
     @property
     def half_diagonal_rad(self) -> float:
         """Largest angle between the boresight and a corner of the image, distortion included."""
         x, y = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
         corners = np.array([[a, b] for a in x for b in y])
+        radius = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
+        if self.projection != "pinhole":
+            return max(self._angle_rad(float(r)) for r in radius)
         # a corner past the fold of the lens model has no direction: the pinhole's stands in
-        pinhole = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
         cosine = self.unproject(corners)[:, 2]
-        angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(pinhole))
+        angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(radius))
         return float(angle.max())
 
     @property
@@ -161,24 +243,38 @@ class Camera:
         """Angle of one pixel at the centre of the field, radians."""
         return 1.0 / math.sqrt(self.fx * self.fy)
 
+    @property
+    def _fisheye(self) -> tuple[FloatArray, bool, float]:
+        """Coefficients, whether equisolid, and the largest angle, as the kernels take them."""
+        lens = self.distortion
+        k = (lens.k1, lens.k2, lens.k3, lens.k4)
+        return np.array(k), self.projection == "equisolid", limit_rad(k)
+
     # ------------------------------------------------------------------ the two maps
     def project(self, vectors: ArrayLike) -> FloatArray:
-        """Pixels (N, 2) of camera-frame vectors (N, 3); NaN for what lies 90° or more from the boresight.
+        """Pixels (N, 2) of camera-frame vectors (N, 3); NaN for what the camera cannot see.
 
-        The distortion polynomial is valid near the field alone; far outside it can fold back into the image, so
-        select by angle first (`half_diagonal_rad`).
+        A pinhole sees less than 90° from the boresight, a fisheye up to the edge of its image circle (`limit_rad`).
+        The pinhole's distortion polynomial is valid near the field alone; far outside it can fold back into the
+        image, so select by angle first (`half_diagonal_rad`).
         """
         v = np.atleast_2d(np.asarray(vectors, dtype=float))
-        z = np.where(v[:, 2] > 1e-9, v[:, 2], np.nan)
-        xy = np.stack([v[:, 0] / z, v[:, 1] / z], axis=1)
-        if not self.distortion.is_zero:
-            xy = distort(xy, self.distortion.as_array())
+        if self.projection != "pinhole":
+            xy = fisheye_project(v, *self._fisheye)
+        else:
+            z = np.where(v[:, 2] > 1e-9, v[:, 2], np.nan)
+            xy = np.stack([v[:, 0] / z, v[:, 1] / z], axis=1)
+            if not self.distortion.is_zero:
+                xy = distort(xy, self.distortion.as_array())
         return np.stack([self.parity * self.fx * xy[:, 0] + self.cx, self.fy * xy[:, 1] + self.cy], axis=1)
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
-        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone."""
+        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone, and
+        outside a fisheye's image circle."""
         p = np.atleast_2d(np.asarray(xy, dtype=float))
         normalised = np.stack([self.parity * (p[:, 0] - self.cx) / self.fx, (p[:, 1] - self.cy) / self.fy], axis=1)
+        if self.projection != "pinhole":
+            return np.asarray(fisheye_unproject(normalised, *self._fisheye))
         if not self.distortion.is_zero:
             normalised = undistort(normalised, self.distortion.as_array())
         vectors = np.concatenate([normalised, np.ones((len(p), 1))], axis=1)

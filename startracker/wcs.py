@@ -1,5 +1,8 @@
 """World coordinate system of a solved image: a TAN header, with SIP polynomials where the lens distorts.
 
+A fisheye has FITS' zenithal equidistant projection (ARC) in place of the gnomonic one, or, where it is equisolid, the
+equal-area one (ZEA): with r = θ and r = 2 sin(θ/2) these are the ideal lenses themselves, and reach 90° and beyond.
+
 The tangent point is the boresight at the principal point (FITS counts pixels from 1 and our first pixel's centre is
 (0, 0)). The header maps pixels to the directions the solution's stars were given in: ICRS when the solution took the
 aberration off, apparent directions otherwise.
@@ -25,6 +28,7 @@ FloatArray = NDArray[np.float64]
 _GRID = 41
 _WANTED_PX = 0.002
 _ORDERS = (3, 5, 7, 9)
+_CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
 def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
@@ -56,11 +60,11 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
     scale = np.diag([camera.parity / camera.fx, 1.0 / camera.fy])
     cd = np.degrees(axes @ scale)
     distorted = not camera.distortion.is_zero
-    suffix = "-SIP" if distorted else ""
+    code = _CODES[camera.projection] + ("-SIP" if distorted else "")
     header: dict[str, Any] = {
         "WCSAXES": 2,
-        "CTYPE1": f"RA---TAN{suffix}",
-        "CTYPE2": f"DEC--TAN{suffix}",
+        "CTYPE1": f"RA---{code}",
+        "CTYPE2": f"DEC--{code}",
         "CUNIT1": "deg",
         "CUNIT2": "deg",
         "CRPIX1": camera.cx + 1.0,
@@ -87,7 +91,7 @@ def _sip(camera: Camera) -> dict[str, Any]:
     vectors = camera.unproject(seen)
     seen, vectors = seen[np.isfinite(vectors).all(axis=1)], vectors[np.isfinite(vectors).all(axis=1)]
     centre = np.array([camera.cx, camera.cy])
-    ideal = vectors[:, :2] / vectors[:, 2:] * np.array([camera.parity * camera.fx, camera.fy])
+    ideal = _plane(camera, vectors) * np.array([camera.parity * camera.fx, camera.fy])
     away = seen - centre
     # A(0,1) and the like stay zero: the linear part is the CD matrix's. Lens polynomials have no second order unless
     # decentred, but SIP orders are complete.
@@ -99,6 +103,14 @@ def _sip(camera: Camera) -> dict[str, Any]:
             for (p, q), value in zip(powers, coefficients[:, axis], strict=True):
                 header[f"{name}_{p}_{q}"] = float(value)
     return header
+
+
+def _plane(camera: Camera, vectors: FloatArray) -> FloatArray:
+    """Points (N, 2) of the ideal projection, in focal lengths."""
+    if camera.projection == "pinhole":
+        return np.asarray(vectors[:, :2] / vectors[:, 2:])
+    side = np.hypot(vectors[:, 0], vectors[:, 1])
+    return np.asarray(vectors[:, :2] * (np.arctan2(side, vectors[:, 2]) / np.maximum(side, 1e-300))[:, None])
 
 
 def _fit(points: FloatArray, shift: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector import exposure, readout
+from simulator.detector import blooming, cosmic_rays, exposure, readout, transfer
 from simulator.detector.fixed_pattern import FixedPattern
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
@@ -25,7 +25,7 @@ Streams = Callable[[str], np.random.Generator]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its name, whether a detector has it, and what it makes of the signal (a new array)."""
+    """One effect: its name, whether a detector has it, and what it makes of the signal, in place or anew."""
 
     name: str
     on: Callable[[DetectorSection, FixedPattern], bool]
@@ -50,12 +50,22 @@ CHARGE: tuple[Effect, ...] = (
         lambda s, d, p, rng: exposure.shot_noise(s, rng("shot_noise")),
     ),
     Effect(
-        "full_well",
+        "cosmic_rays",  # + charge along the tracks of particles
+        lambda d, p: d.cosmic_rays.rate_cm2_s > 0,
+        lambda s, d, p, rng: cosmic_rays.add_cosmic_rays(s, d, rng("cosmic_rays")),
+    ),
+    Effect(
+        "full_well",  # the rest drains or blooms
         lambda d, p: True,
-        lambda s, d, p, rng: exposure.full_well(s, d.full_well_e),
+        lambda s, d, p, rng: blooming.full_well(s, d.full_well_e, d.antiblooming),
     ),
 )
 READOUT: tuple[Effect, ...] = (
+    Effect(
+        "charge_transfer",  # trails of what the transfers leave behind
+        lambda d, p: d.cti_parallel > 0 or d.cti_serial > 0,
+        lambda s, d, p, rng: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
+    ),
     Effect(
         "reset_noise",
         lambda d, p: d.reset_capacitance_ff > 0,
@@ -65,6 +75,11 @@ READOUT: tuple[Effect, ...] = (
         "read_noise",
         lambda d, p: d.read_noise_e > 0,
         lambda s, d, p, rng: readout.gaussian_noise(s, d.read_noise_e, rng("read_noise")),
+    ),
+    Effect(
+        "nonlinearity",
+        lambda d, p: any(d.nonlinearity),
+        lambda s, d, p, rng: readout.bend(s, d.full_well_e, d.nonlinearity),
     ),
     Effect(
         "gain_offset",  # electrons → DN
@@ -119,8 +134,8 @@ def detect(
     pattern : FixedPattern
         From `build_fixed_pattern` with the same section.
     streams : callable
-        Gives the generator of a stream by name: ``shot_noise``, ``reset_noise``, ``read_noise``. Asked only for those
-        that are on.
+        Gives the generator of a stream by name: ``shot_noise``, ``cosmic_rays``, ``reset_noise``, ``read_noise``. Asked
+        only for those that are on.
 
     Raises
     ------
@@ -136,11 +151,11 @@ def detect(
     if not (np.min(mean_photo_e) >= 0.0 and np.max(mean_photo_e) < np.inf):
         raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
 
-    electrons = np.asarray(mean_photo_e, dtype=np.float64)
+    electrons = np.array(mean_photo_e, dtype=np.float64, order="C")
     for effect in CHARGE:
         if effect.on(section, pattern):
             electrons = effect.apply(electrons, section, pattern, streams)
-    image: Array = electrons
+    image: Array = electrons.copy()
     for effect in READOUT:
         if effect.on(section, pattern):
             image = effect.apply(image, section, pattern, streams)

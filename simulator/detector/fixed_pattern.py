@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.defects import dead_defects, hot_defects
 from simulator.detector.poisson import LARGEST_MEAN
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
@@ -24,10 +25,24 @@ class FixedPattern:
         Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
     dark_e : (H, W) float64 or float
         Mean dark electrons of each pixel over the exposure; a scalar where all pixels are alike.
+    dead : (H, W) bool, optional
+        Dead pixels and columns; None where there are none.
+    hot : (H, W) bool, optional
+        Hot pixels and columns, however little they glow; None where there are none.
     """
 
     prnu: NDArray[np.float64] | float
     dark_e: NDArray[np.float64] | float
+    dead: NDArray[np.bool_] | None = None
+    hot: NDArray[np.bool_] | None = None
+
+    def bad_pixels(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Map of all defects, (H, W) bool: what a calibrated tracker may leave out."""
+        bad = np.zeros(shape, dtype=bool)
+        for defects in (self.dead, self.hot):
+            if defects is not None:
+                bad |= defects
+        return bad
 
 
 def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
@@ -40,20 +55,22 @@ def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
     scales as a whole with temperature and exposure, as the thesis has it (Greyling 1995, section 3.4.2).
 
     Hot pixels: a binomial number of different pixels, anywhere; each has an exponentially distributed dark current on
-    top of the ordinary one.
+    top of the ordinary one. Hot columns: a given number of different columns, each with one such current in all of its
+    pixels. Dead pixels (a binomial number) and dead columns (a given one) collect neither light nor dark current: they
+    read the offset.
 
     Parameters
     ----------
     section : DetectorSection
         Its size, exposure, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
     seed : int
-        Seed of the run; the streams are ``prnu``, ``dsnu`` and ``hot_pixels`` of the device, so that none of the three
-        changes another's draws.
+        Seed of the run; the streams are ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``dead_pixels`` and
+        ``dead_columns`` of the device, so that none of them changes another's draws.
 
     Raises
     ------
     InputError
-        When the dark signal is beyond anything that can be counted.
+        When the dark signal is beyond anything that can be counted, or more columns are hot or dead than there are.
     """
     shape = (section.height, section.width)
     prnu: NDArray[np.float64] | float = 1.0
@@ -66,15 +83,15 @@ def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
     dark: NDArray[np.float64] | float = section.dark_current_e_s * factor if section.dark_current_e_s > 0 else 0.0
     if section.dsnu > 0 and dark > 0:
         dark = dark * _unit_mean_lognormal(section.dsnu, shape, stream(seed, "dsnu"))
-    if section.hot_pixel_fraction > 0 and section.hot_pixel_dark_e_s > 0:
-        rng = stream(seed, "hot_pixels")
-        count = rng.binomial(shape[0] * shape[1], section.hot_pixel_fraction)
-        places = rng.choice(shape[0] * shape[1], size=count, replace=False)
-        hot = np.zeros(shape)
-        hot.flat[places] = rng.exponential(section.hot_pixel_dark_e_s * factor, size=count)
-        dark = dark + hot
+    hot = hot_defects(section, factor, seed)
+    if hot is not None:
+        dark = dark + hot[0]
     _check_countable(float(np.max(dark)), section)
-    return FixedPattern(prnu, dark)
+    dead = dead_defects(section, seed)
+    if dead is not None:
+        prnu = np.where(dead, 0.0, prnu)
+        dark = np.where(dead, 0.0, dark) if np.any(np.asarray(dark) > 0) else dark
+    return FixedPattern(prnu, dark, dead, None if hot is None else hot[1])
 
 
 def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: float) -> float:

@@ -1,13 +1,15 @@
-"""From charge to numbers: output node, amplifier, converter."""
+"""From charge to numbers: output node, amplifier, converter. Each step but the last works in place."""
 
 from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
+from simulator.detector.normal import add_normal
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
@@ -40,17 +42,30 @@ def gaussian_noise(electrons: NDArray[np.float64], sigma_e: float, rng: np.rando
 
     Reset noise and read noise are sums of very many thermal motions, not counts: normal is what they are.
     """
-    noisy = rng.standard_normal(electrons.shape)
-    noisy *= sigma_e
-    noisy += electrons
-    return noisy
+    add_normal(electrons, sigma_e, rng)
+    return electrons
+
+
+def bend(electrons: NDArray[np.float64], full_well_e: float, nonlinearity: tuple[float, float]) -> NDArray[np.float64]:
+    """Signal of an output stage that is not quite linear, (H, W) electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
+
+    c₂ and c₃ are the relative departures from a straight line at the full well that the terms of second and third order
+    bring; small signals keep the gain (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the few percent
+    of a source follower, not the knee of a saturating amplifier.
+    """
+    second, third = nonlinearity
+    relative = electrons / full_well_e
+    relative *= second + third * relative
+    relative += 1.0
+    electrons *= relative
+    return electrons
 
 
 def amplify(electrons: NDArray[np.float64], gain_e_per_dn: float, offset_dn: float) -> NDArray[np.float64]:
     """Signal at the converter: electrons / gain + offset, (H, W) fractional DN."""
-    signal = electrons / gain_e_per_dn
-    signal += offset_dn
-    return signal
+    electrons /= gain_e_per_dn
+    electrons += offset_dn
+    return electrons
 
 
 def convert(signal_dn: NDArray[np.float64], highest_dn: int) -> NDArray[np.uint16]:
@@ -58,9 +73,15 @@ def convert(signal_dn: NDArray[np.float64], highest_dn: int) -> NDArray[np.uint1
 
     Always uint16, whatever the number of bits up to 16, so that no arithmetic on an 8-bit frame wraps by surprise.
     """
-    rounded = np.rint(signal_dn)
-    np.clip(rounded, 0.0, highest_dn, out=rounded)
-    return rounded.astype(np.uint16)
+    numbers = np.empty(signal_dn.shape, dtype=np.uint16)
+    _convert(np.ascontiguousarray(signal_dn).reshape(-1), float(highest_dn), numbers.reshape(-1))
+    return numbers
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _convert(signal_dn: NDArray[np.float64], highest: float, numbers: NDArray[np.uint16]) -> None:
+    for i in range(signal_dn.size):
+        numbers[i] = np.uint16(min(max(np.rint(signal_dn[i]), 0.0), highest))
 
 
 def highest_dn(section: DetectorSection) -> int | None:
@@ -98,6 +119,7 @@ def saturation_dn(section: DetectorSection) -> float:
     """
     gain = gain_e_per_dn(section)
     noise_e = math.hypot(section.read_noise_e, section_reset_noise_e(section))
-    well = (section.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) / gain + section.offset_dn
+    well_e = (section.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) * (1.0 + sum(section.nonlinearity))
+    well = well_e / gain + section.offset_dn
     top = highest_dn(section)
     return well if top is None else float(np.rint(min(well, top)))

@@ -1,11 +1,13 @@
-"""The Airy pattern integrated over pixels: tables for `simulator.optics.psf`."""
+"""The Airy pattern of a clear or annular aperture, integrated over pixels: tables for `simulator.optics.psf`."""
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 from scipy.special import j0, j1
 
 FloatArray = NDArray[np.float64]
@@ -14,19 +16,87 @@ FIRST_RING = 1.2196698912665045
 """Radius of the first dark ring in units of λN: the first zero of J₁, 3.8317, over π."""
 
 
-def encircled_energy(x: FloatArray | float) -> FloatArray:
-    """Share of the light within x = r/(λN) of the centre: 1 − J₀²(πx) − J₁²(πx); Born & Wolf, § 8.5.2."""
+@functools.lru_cache(maxsize=64)
+def first_ring(obscuration: float = 0.0) -> float:
+    """Radius of the first dark ring in units of λN, for a central obscuration ε of the diameter.
+
+    The first zero of J₁(v) − ε J₁(εv), over π: 1.2197 for a clear aperture, 1.0005 for ε = ½ (Born & Wolf, § 8.6.2).
+    """
+    if obscuration == 0.0:
+        return FIRST_RING
+    zero = brentq(lambda v: j1(v) - obscuration * j1(obscuration * v), 2.2, 3.9, xtol=1e-14)
+    return float(zero) / math.pi
+
+
+def intensity(x: ArrayLike, obscuration: float = 0.0) -> FloatArray:
+    """Airy pattern at x = r/(λN), normalised to 1 over the plane of x.
+
+    I = π/(4(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πx; Born & Wolf, § 8.6.2 (there relative to its middle, where
+    it is π(1−ε²)/4).
+    """
+    v = np.maximum(np.pi * np.abs(np.asarray(x, dtype=float)), 1e-9)
+    amplitude = 2.0 * j1(v) / v
+    if obscuration > 0.0:
+        amplitude = amplitude - 2.0 * obscuration * j1(obscuration * v) / v
+    return np.asarray(math.pi / (4.0 * (1.0 - obscuration**2)) * amplitude**2)
+
+
+def encircled_energy(x: FloatArray | float, obscuration: float = 0.0) -> FloatArray:
+    """Share of the light within x = r/(λN) of the centre.
+
+    1 − J₀²(v) − J₁²(v), v = πx, for a clear aperture (Born & Wolf, § 8.5.2); with a central obscuration ε
+    [1 − J₀²(v) − J₁²(v) + ε²(1 − J₀²(εv) − J₁²(εv)) − 4ε ∫₀ᵛ J₁(t) J₁(εt)/t dt]/(1 − ε²), the integral of the
+    pattern's three terms (Mahajan 1986).
+    """
     v = np.pi * np.asarray(x, dtype=float)
-    return np.asarray(1.0 - j0(v) ** 2 - j1(v) ** 2)
+    clear = 1.0 - j0(v) ** 2 - j1(v) ** 2
+    if obscuration == 0.0:
+        return np.asarray(clear)
+    hole = obscuration**2 * (1.0 - j0(obscuration * v) ** 2 - j1(obscuration * v) ** 2)
+    return np.asarray((clear + hole - 4.0 * obscuration * _cross_term(v, obscuration)) / (1.0 - obscuration**2))
 
 
-def transfer_function(s: FloatArray) -> FloatArray:
-    """Optical transfer function of a clear circular pupil at s = λN × spatial frequency; zero from s = 1 on."""
-    s = np.minimum(np.abs(s), 1.0)
-    return np.asarray(2.0 / np.pi * (np.arccos(s) - s * np.sqrt(1.0 - s * s)))
+def _cross_term(v: FloatArray, obscuration: float) -> FloatArray:
+    """∫₀ᵛ J₁(t) J₁(εt)/t dt by Gauss–Legendre quadrature in panels no wider than 2."""
+    last = float(np.max(v, initial=1.0))
+    edges = np.union1d(np.arange(0.0, last, 2.0), np.ravel(v))
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    width = np.diff(edges)
+    t = edges[:-1, None] + width[:, None] * (nodes + 1.0) / 2.0
+    panels = (j1(t) * j1(obscuration * t) / np.maximum(t, 1e-300)) @ weights * width / 2.0
+    return np.asarray(np.interp(v, edges, np.concatenate([[0.0], np.cumsum(panels)])))
 
 
-def pixel_integrals(u: FloatArray, v: FloatArray, lambda_n_px: float, aspect: float) -> FloatArray:
+def transfer_function(s: FloatArray, obscuration: float = 0.0) -> FloatArray:
+    """Optical transfer function of a circular pupil at s = λN × spatial frequency; zero from s = 1 on.
+
+    The area that the pupil and its shifted copy share, over the pupil's own: disk on disk, less twice disk on
+    obscuration, plus obscuration on obscuration (O'Neill 1956, JOSA 46, 285).
+    """
+    s = np.abs(s)
+    clipped = np.minimum(s, 1.0)
+    clear = np.asarray(2.0 / np.pi * (np.arccos(clipped) - clipped * np.sqrt(1.0 - clipped * clipped)))
+    if obscuration == 0.0:
+        return clear
+    e = obscuration
+    scaled = np.minimum(s / e, 1.0)
+    hole = e * e * 2.0 / np.pi * (np.arccos(scaled) - scaled * np.sqrt(1.0 - scaled * scaled))
+    d = np.clip(2.0 * s, 1.0 - e, 1.0 + e)  # distance of the centres; nearer the obscuration lies all inside
+    big = np.arccos(np.clip((d * d + 1.0 - e * e) / (2.0 * d), -1.0, 1.0))
+    small = np.arccos(np.clip((d * d + e * e - 1.0) / (2.0 * d * e), -1.0, 1.0))
+    product = (1.0 + e - d) * (d + e - 1.0) * (d + 1.0 - e) * (d + 1.0 + e)
+    lens = big + e * e * small - 0.5 * np.sqrt(np.maximum(product, 0.0))
+    return np.asarray((clear - 2.0 * lens / np.pi + hole) / (1.0 - e * e))
+
+
+def pixel_integrals(
+    u: FloatArray,
+    v: FloatArray,
+    lambda_n_px: float,
+    aspect: float,
+    obscuration: float = 0.0,
+    diffusion_px: float = 0.0,
+) -> FloatArray:
     """Share of the light in a pixel whose centre lies (u, v) pixels from the star.
 
     The Fourier series of the Airy pattern convolved with the pixel, whose spectrum ends at 1/(λN): an exact sum over a
@@ -41,6 +111,10 @@ def pixel_integrals(u: FloatArray, v: FloatArray, lambda_n_px: float, aspect: fl
         λN in pixels along columns.
     aspect : float
         Pitch along columns over pitch along rows: λN along rows is `lambda_n_px` × `aspect` pixels.
+    obscuration : float
+        Central obscuration, share of the diameter.
+    diffusion_px : float
+        Standard deviation of a Gaussian blur, pixels along columns.
 
     Returns
     -------
@@ -51,20 +125,26 @@ def pixel_integrals(u: FloatArray, v: FloatArray, lambda_n_px: float, aspect: fl
     period_x, period_y = 4.0 * reach_x + 40.0 * lambda_x + 32.0, 4.0 * reach_y + 40.0 * lambda_y + 32.0
     fx, fy = _frequencies(period_x, lambda_x), _frequencies(period_y, lambda_y)
     s = np.hypot(fx[None, :] * lambda_x, fy[:, None] * lambda_y)
-    spectrum = transfer_function(s) * np.sinc(fx)[None, :] * np.sinc(fy)[:, None] / (period_x * period_y)
+    spectrum = transfer_function(s, obscuration) * np.sinc(fx)[None, :] * np.sinc(fy)[:, None] / (period_x * period_y)
+    if diffusion_px > 0.0:
+        across = (fx[None, :] * diffusion_px) ** 2 + (fy[:, None] * diffusion_px * aspect) ** 2
+        spectrum = spectrum * np.exp(-2.0 * np.pi**2 * across)
     return np.asarray(_cosines(v, fy) @ spectrum @ _cosines(u, fx).T)
 
 
-def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float) -> FloatArray:
+def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float, obscuration: float = 0.0) -> FloatArray:
     """Share of the light in a pixel at distance r (pixels along columns) far out in the wings.
 
     The mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the pixels
-    beyond any radius add up to the light beyond it. It is within λN/(31 r³) of the truth (the pattern itself is about
-    that): for r ≥ 4 λN + 3 less than 8e-5 of the light.
+    beyond any radius add up to the light beyond it. Dark rings closer than two pixels are averaged out: the ring is
+    then a whole number of λN wide, since sums over pixels of rings about as far apart as they would hang on where the
+    star stands. It is within λN/(31 (1−ε) r³) of the truth (the pattern itself is about that): for a clear aperture
+    and r ≥ 4 λN + 3 less than 8e-5 of the light.
     """
     side = 1.0 / math.sqrt(aspect)  # the pixel's area in units of columns squared is 1/aspect
-    outer, inner = r_px + side / 2.0, np.maximum(r_px - side / 2.0, 0.0)
-    ring = encircled_energy(outer / lambda_n_px) - encircled_energy(inner / lambda_n_px)
+    width = lambda_n_px * math.ceil(side / lambda_n_px) if lambda_n_px < 2.0 * side else side
+    outer, inner = r_px + width / 2.0, np.maximum(r_px - width / 2.0, 0.0)
+    ring = encircled_energy(outer / lambda_n_px, obscuration) - encircled_energy(inner / lambda_n_px, obscuration)
     return np.asarray(ring * side * side / (np.pi * (outer**2 - inner**2)))
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
-from simulator.optics import airy
+from simulator.optics import airy, diffraction
+from simulator.optics.psf_table import TAPER_PX, coarsest, join, least_radius, offsets, polyphase
 from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
 from startracker.registry import lookup
@@ -40,11 +41,45 @@ LEAST_SHARE = 1.5e-4
 """A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can
 get."""
 
-TAPS = 4
-"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is written out for
-four."""
+MAX_HALF_PX = 64
+"""Largest half width of the stamp of a table."""
 
 _WING_STEP_PX = 0.125
+
+_INTERPOLATION = 2e-4
+"""Error of the interpolation between the phases of an aberrated image, relative to its peak."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What of lens and detector makes the image of a star, besides the section of the PSF.
+
+    Parameters
+    ----------
+    f_number : float
+        Focal length over aperture.
+    pitch_um : (float, float)
+        Pixel pitch along columns and rows, µm.
+    obscuration : float
+        Diameter of the central obscuration over that of the aperture.
+    diffusion_um : float
+        Standard deviation of the spreading of charge, µm.
+    """
+
+    f_number: float
+    pitch_um: tuple[float, float]
+    obscuration: float = 0.0
+    diffusion_um: float = 0.0
+
+    @property
+    def aspect(self) -> float:
+        """Pitch along columns over pitch along rows."""
+        return self.pitch_um[0] / self.pitch_um[1]
+
+    @property
+    def diffusion_px(self) -> float:
+        """Standard deviation of the spreading of charge, pixels along columns."""
+        return self.diffusion_um / self.pitch_um[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +100,8 @@ class Psf:
     phases : int
         Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
         margins for the interpolation.
+    seam : (P, P) array
+        Factor to the core, by phase, of a star that is drawn with wings (`simulator.optics.psf_table.join`).
     wing : (W,) array
         Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart (pixels
         along columns).
@@ -78,14 +115,15 @@ class Psf:
     sigma_px: float
     sigma_y_px: float
     feature_px: float
-    core: NDArray[np.float64] | None = None
+    core: NDArray[np.float64] | NDArray[np.float32] | None = None
     phases: int = 1
+    seam: FloatArray | None = None
     wing: FloatArray | None = None
     wing_step_px: float = _WING_STEP_PX
     aspect: float = 1.0
 
     def __post_init__(self) -> None:
-        for table in (self.core, self.wing):
+        for table in (self.core, self.seam, self.wing):
             if table is not None:
                 table.flags.writeable = False
 
@@ -99,7 +137,9 @@ class Psf:
         within.
 
         Until a pixel gets fewer than `WING_LIMIT_E` electrons; a Gaussian at least until `FLUX_LOSS` of it is left out,
-        a table at least until `LEAST_SHARE` and at most to `WING_RADIUS_PX`.
+        a table at least until `LEAST_SHARE` and at most to `WING_RADIUS_PX`. Faint stars are the square stamp of the
+        table and nothing else (the radius is then that of the stamp); the wings of others end in a soft rim,
+        `TAPER_PX` wide, outside this radius.
 
         Parameters
         ----------
@@ -113,15 +153,37 @@ class Psf:
             peak = e / (2.0 * math.pi * self.sigma_px * self.sigma_y_px)
             faint = np.sqrt(2.0 * np.log(np.maximum(peak / WING_LIMIT_E, 1.0)))
             return np.asarray(self.sigma_px * np.maximum(least, faint))
-        envelope = np.maximum.accumulate(self.wing[::-1])  # falling outwards, whatever the rings do
+        wanted = _reach(self.wing, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
+        half = self.core_half_px
+        winged = np.clip(wanted, least_radius(half, self.aspect), WING_RADIUS_PX - TAPER_PX - 1.0)
+        return np.where(wanted <= (half + 1) * min(1.0, 1.0 / self.aspect), half * min(1.0, 1.0 / self.aspect), winged)
+
+    @property
+    def peak(self) -> float:
+        """Share of the light in the pixel that a star stands in the middle of."""
+        if self.core is None:
+            scale = math.sqrt(8.0)
+            return math.erf(1.0 / (scale * self.sigma_px)) * math.erf(1.0 / (scale * self.sigma_y_px))
         middle = self.core.shape[0] // 2
-        peak = self.core[middle, middle, self.core_half_px, self.core_half_px]
-        beyond = np.searchsorted(envelope, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * peak), side="left")
-        return np.asarray((len(self.wing) - beyond) * self.wing_step_px)
+        return float(self.core[middle, middle].max())
 
 
-def build_psf(section: PsfSection, f_number: float, pitch_um: tuple[float, float]) -> Psf:
-    """Point-spread function of a scenario.
+def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:
+    """Distance beyond which the wings stay below a share of the light in a pixel."""
+    envelope = np.maximum.accumulate(wing[::-1])  # falling outwards, whatever the rings do
+    return np.asarray((len(wing) - np.searchsorted(envelope, share, side="left")) * step_px)
+
+
+def build_psf(
+    section: PsfSection,
+    f_number: float,
+    pitch_um: tuple[float, float],
+    obscuration: float = 0.0,
+    diffusion_um: float = 0.0,
+) -> Psf:
+    """Point-spread function of a scenario in the middle of the field, at `wavelength_nm`.
+
+    `simulator.optics.psf_set.build_psf_set` goes on to colours and to the rest of the field.
 
     Parameters
     ----------
@@ -131,71 +193,173 @@ def build_psf(section: PsfSection, f_number: float, pitch_um: tuple[float, float
         Focal length over aperture.
     pitch_um : (float, float)
         Pixel pitch along columns and rows, µm.
+    obscuration : float
+        Diameter of the central obscuration over that of the aperture.
+    diffusion_um : float
+        Standard deviation of the spreading of charge, µm.
 
     Raises
     ------
     InputError
-        For an unknown model, or widths that contradict each other.
+        For an unknown model, or keys that contradict each other.
     """
-    return lookup("psfs", PSFS, section.model)(section, f_number, pitch_um)
+    return lookup("psfs", PSFS, section.model)(section, Lens(f_number, pitch_um, obscuration, diffusion_um))
 
 
-def gaussian(section: PsfSection, f_number: float, pitch_um: tuple[float, float]) -> Psf:
+def gaussian(section: PsfSection, lens: Lens) -> Psf:
     """Gaussian integrated exactly over pixels (products of differences of the error function).
 
     σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring of `first_dark_ring_px`, or else of
-    the diffraction: σ = 0.3523 r_ring (`SIGMA_PER_RING`). It is round on the detector: with pixels that are not
-    square σ along rows is σ × pitch_x / pitch_y pixels.
+    the diffraction by a clear aperture: σ = 0.3523 r_ring (`SIGMA_PER_RING`); charge diffusion adds in square. It is
+    round on the detector: with pixels that are not square σ along rows is σ × pitch_x / pitch_y pixels.
     """
     if section.sigma_px is not None and section.first_dark_ring_px is not None:
         raise InputError("a PSF takes sigma_px or first_dark_ring_px, not both")
-    sigma = section.sigma_px or SIGMA_PER_RING * first_dark_ring_px(section, f_number, pitch_um)
-    aspect = pitch_um[0] / pitch_um[1]
+    _no_aberrations(section)
+    sigma = section.sigma_px or SIGMA_PER_RING * first_dark_ring_px(section, lens)
+    if lens.diffusion_um > 0.0:
+        sigma = math.hypot(sigma, lens.diffusion_px)
+    aspect = lens.aspect
     return Psf("gaussian", sigma, sigma * aspect, min(sigma, sigma * aspect), aspect=aspect)
 
 
-def airy_disk(section: PsfSection, f_number: float, pitch_um: tuple[float, float]) -> Psf:
-    """Airy pattern of a clear circular aperture, I(r) = π/(4λ²N²) [2J₁(v)/v]², v = πr/(λN), integrated over pixels.
+def airy_disk(section: PsfSection, lens: Lens) -> Psf:
+    """Airy pattern of a circular aperture, I(r) = π/(4λ²N²(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πr/(λN),
+    integrated over pixels (Born & Wolf, § 8.6.2); ε is the central obscuration.
 
-    The first dark ring lies at 1.21967 λN, or where `first_dark_ring_px` puts it: defocus as the thesis models it, a
-    pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact at `phases` offsets a pixel and
-    interpolated between them (error below 5e-5 of the peak); further out the mean over a ring as wide as a pixel
-    stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
+    The first dark ring lies at 1.21967 λN for a clear aperture (`airy.first_ring`), or where `first_dark_ring_px` puts
+    it: defocus as the thesis models it, a pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact
+    at `phases` offsets a pixel and interpolated between them (error below 5e-5 of the peak); further out the mean over
+    a ring as wide as a pixel stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
     """
     if section.sigma_px is not None:
         raise InputError("an Airy PSF takes first_dark_ring_px, not sigma_px; or set model: gaussian")
-    ring = first_dark_ring_px(section, f_number, pitch_um)
-    aspect = pitch_um[0] / pitch_um[1]
-    lambda_n = max(ring / airy.FIRST_RING, MIN_LAMBDA_N_PX, MIN_LAMBDA_N_PX / aspect)
+    _no_aberrations(section)
+    ring, aspect, hole = first_dark_ring_px(section, lens), lens.aspect, lens.obscuration
+    lambda_n = max(ring / airy.first_ring(hole), least_lambda_n_px(aspect))
     finest, widest = lambda_n * min(1.0, aspect), lambda_n * max(1.0, aspect)
     phases = 2 * max(2, math.ceil(6.0 / finest))  # twelve a period of the highest frequency the optics pass
-    half = min(max(4, math.ceil(4.0 * widest) + 3), 64)
-    core = _polyphase(half, phases, lambda_n, aspect)
-    wing = airy.annulus_share(np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX), lambda_n, aspect)
-    sigma = SIGMA_PER_RING * ring
-    return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, wing, aspect=aspect)
+    wing = airy.annulus_share(np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX), lambda_n, aspect, hole)
+    peak = airy.pixel_integrals(np.zeros(1), np.zeros(1), lambda_n, aspect, hole, lens.diffusion_px)[0, 0]
+    half = stamp_half_px(math.ceil(4.0 * widest) + 3, wing, float(peak), aspect)
+    offset = offsets(half, phases)
+    positive = offset[offset >= 0] / phases
+    quarter = airy.pixel_integrals(positive, positive, lambda_n, aspect, hole, lens.diffusion_px)
+    core = polyphase(quarter[np.abs(offset)[:, None], np.abs(offset)], half, phases)
+    wing, seam = join(core, phases, wing, _WING_STEP_PX, aspect)
+    sigma = math.hypot(SIGMA_PER_RING * ring, lens.diffusion_px)
+    return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, seam, wing, aspect=aspect)
 
 
-def first_dark_ring_px(section: PsfSection, f_number: float, pitch_um: tuple[float, float]) -> float:
-    """Radius of the first dark ring in pixels along columns: the chosen one, or 1.21967 λN of the diffraction."""
+def diffracted(section: PsfSection, lens: Lens) -> Psf:
+    """Image by a lens with aberrations in the middle of the field, at one wavelength, by diffraction; see
+    `simulator.optics.pupil`."""
+    coefficients = diffraction.axial_coefficients(section, lens.f_number)
+    return aberrated(section, lens, coefficients, np.array([section.wavelength_nm]), np.ones((1, 1)))[0]
+
+
+def aberrated(
+    section: PsfSection, lens: Lens, coefficients: FloatArray, wavelengths_nm: FloatArray, weights: FloatArray
+) -> list[Psf]:
+    """PSFs of one wavefront for several spectra.
+
+    The core is exact at the phases of the table (1e-6 of the peak) and interpolated between them (2e-4 of the
+    peak); it is kept in single precision.
+    The wings are those of the aperture without aberrations, scaled by 1 + α/r² so that no light is lost.
+
+    Parameters
+    ----------
+    section : PsfSection
+        The section.
+    lens : Lens
+        Lens and detector.
+    coefficients : (T,) array
+        Zernike coefficients (Noll 1 … T), waves rms at `section.wavelength_nm`: the same path at all wavelengths.
+    wavelengths_nm : (K,) array
+        Wavelengths.
+    weights : (C, K) array
+        Share of the electrons at each, for each spectrum; rows sum to 1.
+    """
+    if section.sigma_px is not None or section.first_dark_ring_px is not None:
+        raise InputError(
+            "a PSF of model diffraction, or a polychromatic one, has the width of its optics: leave sigma_px and "
+            "first_dark_ring_px out; defocus_um and zernike_waves put a lens out of focus"
+        )
+    aspect, hole = lens.aspect, lens.obscuration
+    true_px = wavelengths_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
+    lambda_n = np.maximum(true_px, least_lambda_n_px(aspect))
+    # the same path at all wavelengths; where λN is drawn too wide the geometric image keeps its size
+    waves = np.outer(section.wavelength_nm / wavelengths_nm * true_px / lambda_n, coefficients)
+    finest, widest = float(lambda_n.min()) * min(1.0, aspect), float(lambda_n.max()) * max(1.0, aspect)
+    spread = (diffraction.spread_px(waves, lambda_n, hole) + 3.0 * lens.diffusion_px) * max(1.0, aspect)
+    margin = 4.0 * widest + 3.0
+    if spread + margin > MAX_HALF_PX:
+        raise InputError(
+            f"the aberrations spread a star over {spread:.0f} pixels to each side; at most "
+            f"{MAX_HALF_PX - margin:.0f} can be drawn: lower zernike_waves, defocus_um or field"
+        )
+    r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
+    wings = weights @ np.array([airy.annulus_share(r, scale, aspect, hole) for scale in lambda_n])
+    totals = weights @ np.array([float(airy.encircled_energy(r[-1] / scale, hole)) for scale in lambda_n])
+    half = math.ceil(spread + margin)
+    for _ in range(2):  # the second time round the stamp holds what the first has told of the peak
+        images = diffraction.Images(waves, lambda_n, hole, aspect, lens.diffusion_px, half)
+        coarse = images.matrices(np.arange(-half, half + 1.0))
+        peaks = [float(images.shares(spectrum, *coarse).max()) for spectrum in weights]
+        wanted = max(stamp_half_px(half, wing, peak, aspect) for wing, peak in zip(wings, peaks, strict=True))
+        if wanted == half:
+            break
+        half = wanted
+    phases = 8 * max(1, math.ceil(1.5 / finest))
+    most = offsets(half, phases, 4)
+    matrices = images.matrices(most / phases)
+    psfs = []
+    for spectrum, wing, total in zip(weights, wings, totals, strict=True):
+        fine = images.shares(spectrum, *matrices)
+        stride = coarsest(fine, phases, _INTERPOLATION)
+        cut = (len(most) - len(offsets(half, phases, stride))) // 2
+        core = polyphase(fine[cut : len(most) - cut, cut : len(most) - cut], half, phases, stride)
+        joined, seam = join(core, phases // stride, wing, _WING_STEP_PX, aspect, float(total))
+        core = core.astype(np.float32)
+        scale = float(spectrum @ lambda_n)
+        sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
+        feature = scale * min(1.0, aspect) / 2.0
+        psfs.append(
+            Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, seam, joined, aspect=aspect)
+        )
+    return psfs
+
+
+def first_dark_ring_px(section: PsfSection, lens: Lens) -> float:
+    """Radius of the first dark ring in pixels along columns: the chosen one, or that of the diffraction (1.21967 λN
+    for a clear aperture)."""
     if section.first_dark_ring_px is not None:
         return section.first_dark_ring_px
-    return airy.FIRST_RING * section.wavelength_nm * 1e-3 * f_number / pitch_um[0]
+    hole = lens.obscuration if section.model != "gaussian" else 0.0
+    return airy.first_ring(hole) * section.wavelength_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
 
 
-def _polyphase(half: int, phases: int, lambda_n: float, aspect: float) -> FloatArray:
-    """The core table [b, a, j, i] from pixel integrals on one fine grid."""
-    margin = phases // 2 + TAPS // 2
-    offsets = np.arange(-half * phases - margin, half * phases + margin + 1)
-    quarter = airy.pixel_integrals(
-        np.arange(offsets[-1] + 1) / phases, np.arange(offsets[-1] + 1) / phases, lambda_n, aspect
-    )
-    fine = np.abs(offsets)
-    # a star a phases to the right leaves pixel i at i·phases − a from it
-    index = np.arange(-half, half + 1)[None, :] * phases - np.arange(-margin, margin + 1)[:, None]
-    where = fine[index + half * phases + margin]
-    return np.ascontiguousarray(quarter[where[:, None, :, None], where[None, :, None, :]])
+def least_lambda_n_px(aspect: float) -> float:
+    """λN (pixels along columns) below which tables are not made."""
+    return max(MIN_LAMBDA_N_PX, MIN_LAMBDA_N_PX / aspect)
 
 
-PSFS: dict[str, Callable[[PsfSection, float, tuple[float, float]], Psf]] = {"gaussian": gaussian, "airy": airy_disk}
-"""Models by name: (section, f-number, (pitch_x, pitch_y) in µm) → Psf."""
+def stamp_half_px(least: int, wing: FloatArray, peak: float, aspect: float) -> int:
+    """Half width of a stamp that holds the faintest stars without wings, `MAX_HALF_PX` at most."""
+    reach = float(_reach(wing, LEAST_SHARE * peak, _WING_STEP_PX)) * max(1.0, aspect)
+    return min(max(4, least, math.ceil(reach) - 1), MAX_HALF_PX)
+
+
+def _no_aberrations(section: PsfSection) -> None:
+    nothing = PsfSection()
+    for key in ("zernike_waves", "defocus_um", "field"):
+        if getattr(section, key) != getattr(nothing, key):
+            raise InputError(f"a PSF of model {section.model} takes no {key}; set model: diffraction")
+
+
+PSFS: dict[str, Callable[[PsfSection, Lens], Psf]] = {
+    "gaussian": gaussian,
+    "airy": airy_disk,
+    "diffraction": diffracted,
+}
+"""Models by name: (section, lens) → Psf."""

@@ -34,6 +34,10 @@ _UNITS = {
     "nm": "nm",
     "px": "pixels",
     "h": "hours",
+    "hz": "Hz",
+    "us": "µs",
+    "arcsec": "arcseconds",
+    "ppm_k": "ppm/K",
     "s": "s",
     "c": "°C",
     "ff": "fF",
@@ -168,6 +172,8 @@ def describe(annotation: Any) -> str:
     if get_origin(base) in (Union, types.UnionType):
         parts = [describe(part) for part in get_args(base)]
         return _join(["a name" if part == "text" else part for part in parts])
+    if section := item_section(annotation):
+        return f"a list of {{{', '.join(keys_of(section))}}}"
     if get_origin(base) is tuple:
         items = get_args(base)
         return f"a list of {len(items)} numbers{_bounds(_strip(items[0])[1])}"
@@ -182,6 +188,14 @@ def describe(annotation: Any) -> str:
         datetime: "a date and time in UTC such as 2026-03-21T12:00:00Z",
     }
     return words[base] + _bounds(limits)
+
+
+def item_section(annotation: Any) -> type | None:
+    """The section of which a key holds a list of any length; None where it holds something else."""
+    base = _strip(annotation)[0]
+    items = get_args(base) if get_origin(base) is tuple else ()
+    whole = len(items) == 2 and items[1] is Ellipsis and isinstance(items[0], type) and issubclass(items[0], BaseModel)
+    return items[0] if whole else None
 
 
 def _bounds(limits: dict[str, Any]) -> str:

@@ -7,7 +7,9 @@ import textwrap
 from datetime import UTC, datetime
 from typing import Any
 
-from simulator.scenario.fields import MISSING, Key, keys_of
+from pydantic import BaseModel
+
+from simulator.scenario.fields import MISSING, Key, item_section, keys_of
 from simulator.scenario.schema import ScenarioModel
 
 SCHEMA_ID = "https://json-schema.org/draft/2020-12/schema"
@@ -56,6 +58,8 @@ def yaml_value(value: Any) -> str:
         return value.astimezone(UTC).isoformat().replace("+00:00", "Z")
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(yaml_value, value)) + "]"
+    if isinstance(value, BaseModel):
+        return "{" + ", ".join(f"{name}: {yaml_value(getattr(value, name))}" for name in type(value).model_fields) + "}"
     text = str(value)
     if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
         return text
@@ -108,7 +112,7 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
                 needed["required"].append(name)
                 needed["properties"][name] = {"required": inner["required"]}
         else:
-            body = TypeAdapter(key.annotation).json_schema()
+            body = _list_schema(key) or TypeAdapter(key.annotation).json_schema()
             if key.default is MISSING:
                 needed["required"].append(name)
             else:
@@ -119,3 +123,13 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
         if words := key.description.replace("``", "").replace("`", ""):
             properties[name]["description"] = words
     return {"type": "object", "additionalProperties": False, "properties": properties}
+
+
+def _list_schema(key: Key) -> dict[str, Any] | None:
+    """Schema of a list of sections, written out in place; None for any other key."""
+    section = item_section(key.annotation)
+    if section is None:
+        return None
+    needed: dict[str, Any] = {"required": [], "properties": {}}
+    items = _object_schema(section, f"{key.path}[]", needed)
+    return {"type": "array", "items": {**items, "required": needed["required"]}}

@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
+from simulator.scenario.detector_rules import contradictions
 
 ALLOW = "; or set allow_unphysical: true"
 
@@ -147,12 +148,39 @@ def _field(v: Values) -> Iterator[Violation]:
     diagonal_mm = math.hypot(v["detector.width"] * pitch_x, v["detector.height"] * pitch_y) * 1e-3
     focal_mm = v["optics.focal_length_mm"]
     field_deg = 2.0 * math.degrees(math.atan2(diagonal_mm / 2.0, focal_mm))
-    if field_deg > MAX_FIELD_DEG:
+    if field_deg > MAX_FIELD_DEG and v["optics.projection"] == "pinhole":
         message = (
             f"{focal_mm:g} mm before a detector of {diagonal_mm:.3g} mm diagonal sees {field_deg:.4g}°, "
             f"more than the {MAX_FIELD_DEG:g}° a flat image holds; use a longer one"
         )
         yield _unphysical("optics.focal_length_mm", message)
+
+
+def _lens_coefficients(v: Values) -> Iterator[Violation]:
+    projection = v["optics.projection"]
+    if projection == "pinhole":
+        return
+    known = ("k1", "k2", "k3", "k4") if projection == "fisheye" else ()
+    for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"):
+        if v[f"optics.distortion.{name}"] and name not in known:
+            hint = "use k1 to k4" if known else "use projection: fisheye"
+            yield _impossible(
+                f"optics.distortion.{name}", f"the projection {projection} has no such coefficient; {hint}"
+            )
+
+
+def _vignetting(v: Values) -> Iterator[Violation]:
+    start, end = v["optics.vignetting.mechanical_start_deg"], v["optics.vignetting.mechanical_end_deg"]
+    if end is not None and end <= start:
+        message = f"{end:g}° is not beyond mechanical_start_deg ({start:g}°)"
+        yield _impossible("optics.vignetting.mechanical_end_deg", message)
+    elif end is not None and end >= 90 and v["optics.projection"] == "pinhole":
+        yield _impossible("optics.vignetting.mechanical_end_deg", f"a pinhole sees less than 90°, not {end:g}°")
+
+
+def _jitter(v: Values) -> Iterator[Violation]:
+    if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
+        yield _impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
 
 
 def _pitch_um(v: Values) -> tuple[float, float]:
@@ -216,7 +244,7 @@ def _dark_signal(v: Values) -> Iterator[Violation]:
 
 def _exposure(v: Values) -> Iterator[Violation]:
     a_km = EARTH_RADIUS_KM + v["orbit.altitude_km"]
-    if a_km > 0:
+    if 0 < a_km < 1e100:  # the cube of more is no number
         period_s = 2.0 * math.pi * math.sqrt(a_km**3 / EARTH_GM_KM3_S2)
         if v["detector.exposure_s"] > period_s:
             message = f"{v['detector.exposure_s']:g} s is longer than the orbit of {period_s:.0f} s; shorten it"
@@ -263,6 +291,11 @@ def _window(v: Values) -> Iterator[Violation]:
         yield _impossible("tracker.centroid.window_px", message)
 
 
+def _detector(v: Values) -> Iterator[Violation]:
+    for found in contradictions(v):
+        yield Violation(*found)
+
+
 RULES: tuple[Rule, ...] = (
     _node,
     _altitude,
@@ -271,6 +304,9 @@ RULES: tuple[Rule, ...] = (
     _mounting,
     _f_number,
     _field,
+    _lens_coefficients,
+    _vignetting,
+    _jitter,
     _pixel,
     _psf_keys,
     _diffraction,
@@ -279,6 +315,7 @@ RULES: tuple[Rule, ...] = (
     _dark_signal,
     _exposure,
     _converter,
+    _detector,
     _guide_stars,
     _window,
     _least_and_most("tracker.detection.min_pixels", "tracker.detection.max_pixels"),

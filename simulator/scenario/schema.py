@@ -5,25 +5,49 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, Field, FiniteFloat
 
-from startracker.distortion import Distortion
+from simulator.scenario.schema_base import Fraction, NonNegative, Positive, Section, Vector3
+from simulator.scenario.schema_camera import (
+    BaffleSection,
+    CosmicRaySection,
+    DetectorSection,
+    FieldAberrationsSection,
+    GhostSection,
+    OpticsSection,
+    PsfSection,
+    ThermalSection,
+    VignettingSection,
+    ZernikeSection,
+)
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 
-Positive = Annotated[FiniteFloat, Field(gt=0)]
-NonNegative = Annotated[FiniteFloat, Field(ge=0)]
-Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+__all__ = [
+    "KNOB_LIMITS",
+    "BaffleSection",
+    "CosmicRaySection",
+    "DetectorSection",
+    "FieldAberrationsSection",
+    "GhostSection",
+    "JitterSection",
+    "OpticsSection",
+    "OrbitSection",
+    "PointingSection",
+    "PsfSection",
+    "ScenarioModel",
+    "Section",
+    "SkySection",
+    "SpecificationSection",
+    "StudySection",
+    "ThermalSection",
+    "TrackerSection",
+    "VignettingSection",
+    "ZernikeSection",
+]
 
 
 def _utc(value: datetime) -> datetime:
     return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class Section(BaseModel):
-    """Base of every section: unknown keys are errors, values never change, numbers are numbers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, use_attribute_docstrings=True)
 
 
 class OrbitSection(Section):
@@ -41,6 +65,21 @@ class OrbitSection(Section):
     """Angle from the ascending node at the epoch."""
     propagator: Literal["j2", "sgp4"] = "j2"
     """``j2``: analytic circular orbit with secular J2; ``sgp4``: the same mean elements through SGP4."""
+
+
+class JitterSection(Section):
+    """Random turning of the camera during the exposure."""
+
+    rms_arcsec: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    """Root mean square of the angle about x, y, z; 0: none."""
+    psd: Literal["white", "lorentz", "table"] = "lorentz"
+    """Power spectrum: ``white`` up to the corner; ``lorentz``, 1/(1 + (f/corner)²) up to 8 corners; ``table``."""
+    corner_hz: Positive = 10.0
+    """Corner frequency."""
+    table: str | None = None
+    """CSV file (frequency_hz, psd) whose shape is taken for ``table``."""
+    axes: Literal["camera", "body"] = "camera"
+    """Axes of `rms_arcsec`."""
 
 
 class PointingSection(Section):
@@ -61,6 +100,8 @@ class PointingSection(Section):
     """Half width of the random attitude offset a trial and axis: what the other sensors leave unknown."""
     rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
     """Body rate about X, Y, Z on top of the turning of the local-level frame itself."""
+    jitter: JitterSection = JitterSection()
+    """Jitter."""
 
 
 class SkySection(Section):
@@ -70,6 +111,8 @@ class SkySection(Section):
     """``hipparcos`` or ``bsc5``."""
     magnitude_limit: FiniteFloat = 9.0
     """Faintest V that is drawn."""
+    spectrum: str = "colour_sequence"
+    """Spectra of the stars: ``colour_sequence`` (library spectra with the colours of real stars) or ``blackbody``."""
     proper_motion: bool = True
     """Move the stars to the date."""
     parallax: bool = True
@@ -84,122 +127,14 @@ class SkySection(Section):
     """Diffuse background."""
     background_s10: NonNegative = 75.0
     """Its brightness in tenth-magnitude stars a square degree: zodiacal light 60 and scattered starlight 15."""
-
-
-class PsfSection(Section):
-    """Shape of a star's image, before smear."""
-
-    model: str = "gaussian"
-    """``gaussian`` or ``airy``."""
-    sigma_px: Positive | None = None
-    """Standard deviation of the Gaussian, pixels along columns."""
-    first_dark_ring_px: Positive | None = None
-    """Radius of the first dark ring, pixels: defocus as the thesis chooses it (2.0). Left out, an Airy image is
-    diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits that Airy."""
-    wavelength_nm: Positive = 600.0
-    """Effective wavelength of the diffraction."""
-
-
-class OpticsSection(Section):
-    """The lens."""
-
-    focal_length_mm: Positive
-    """Focal length."""
-    aperture_mm: Positive
-    """Diameter of the entrance pupil."""
-    transmission: str | Fraction = 0.9
-    """One number, the name of a curve that ships with boresight, or a CSV file (wavelength_nm, transmission)."""
-    psf: PsfSection = PsfSection()
-    """Image of a star."""
-    distortion: Distortion = Distortion()
-    """Brown–Conrady coefficients, OpenCV's names."""
-    principal_point_offset_px: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    """Principal point minus the centre of the detector."""
-
-
-class CosmicRaySection(Section):
-    """Charged particles that cross the detector."""
-
-    rate_cm2_s: NonNegative = 0.0
-    """Particles through a square centimetre of the surface a second; 0: none. About 1 to 1.7 in a low orbit, up to
-    1100 in the South Atlantic Anomaly."""
-    depth_um: Positive = 10.0
-    """Depth of the silicon from which charge is collected."""
-    charge_e_um: Positive = 80.0
-    """Most probable charge along a micrometre of track; 80 e⁻/µm: fast singly charged particles."""
-
-
-class DetectorSection(Section):
-    """The detector and its readout."""
-
-    kind: Literal["cmos", "ccd_full_frame", "ccd_frame_transfer"] = "cmos"
-    """Which effects make sense: charge blooms and is transferred in CCDs alone."""
-    width: Annotated[int, Field(ge=16, le=16384)]
-    """Columns."""
-    height: Annotated[int, Field(ge=16, le=16384)]
-    """Rows."""
-    pixel_pitch_um: Positive | tuple[Positive, Positive]
-    """Pitch; two values for pixels that are not square (along columns, along rows)."""
-    exposure_s: Positive
-    """Exposure time."""
-    quantum_efficiency: str | Fraction = 0.5
-    """One number, the name of a detector that ships with boresight, or a CSV file (wavelength_nm, qe)."""
-    temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
-    """Temperature of the detector."""
-    shot_noise: bool = True
-    """Poisson statistics of the light and of the dark current; off: their means."""
-    dark_current_e_s: NonNegative = 0.0
-    """Mean dark current a pixel at `dark_reference_c`."""
-    dark_reference_c: FiniteFloat = 25.0
-    """Temperature at which the dark current is given."""
-    dark_doubling_c: Positive = 8.0
-    """Temperature rise that doubles the dark current."""
-    dsnu: NonNegative = 0.0
-    """Dark signal non-uniformity: standard deviation of the dark current over the pixels, relative to its mean."""
-    prnu: NonNegative = 0.0
-    """Photo response non-uniformity: relative standard deviation."""
-    hot_pixel_fraction: Fraction = 0.0
-    """Share of hot pixels."""
-    hot_pixel_dark_e_s: NonNegative = 0.0
-    """Mean dark current of a hot pixel at `dark_reference_c`, exponentially distributed, on top of the ordinary one."""
-    hot_columns: Annotated[int, Field(ge=0)] = 0
-    """Number of hot columns."""
-    hot_column_dark_e_s: NonNegative = 0.0
-    """Mean dark current of a pixel of a hot column at `dark_reference_c`, exponentially distributed over the columns."""
-    dead_pixel_fraction: Fraction = 0.0
-    """Share of dead pixels, which collect neither light nor dark current."""
-    dead_columns: Annotated[int, Field(ge=0)] = 0
-    """Number of dead columns."""
-    cosmic_rays: CosmicRaySection = CosmicRaySection()
-    """Charged particles."""
-    full_well_e: Positive = 30000.0
-    """Full well; charge above it drains or blooms (`antiblooming`)."""
-    antiblooming: Fraction = 1.0
-    """Share of the charge above the full well that is drained; the rest spills along the column (CCD). 1: no blooming."""
-    cti_parallel: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
-    """Share of the charge left behind in each transfer along a column (CCD)."""
-    cti_serial: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
-    """Share of the charge left behind in each transfer along the serial register (CCD)."""
-    readout_corner: Literal["top_left", "top_right", "bottom_left", "bottom_right"] = "top_left"
-    """Corner of the output node, to which charge is transferred; ``top_left`` is pixel (0, 0)."""
-    read_noise_e: NonNegative = 0.0
-    """Read noise, standard deviation."""
-    reset_capacitance_ff: NonNegative = 0.0
-    """Capacitance of the output node, whose reset (kTC) noise stays in the frame; 0: correlated double sampling."""
-    nonlinearity: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    """Relative departure from a straight line at the full well, of second and of third order: (c2, c3)."""
-    gain_e_per_dn: Positive | Literal["auto"] = "auto"
-    """Electrons a digital number; ``auto`` puts the full well at the top of the converter."""
-    offset_dn: NonNegative = 0.0
-    """Digital offset, so that noise is not cut off at zero."""
-    adc_bits: Annotated[int, Field(ge=1, le=16)] | None = 12
-    """Resolution of the converter; null: none, the frame stays in fractions of a DN."""
-
-    @property
-    def pitch_um(self) -> tuple[float, float]:
-        """Pixel pitch along columns and along rows."""
-        pitch = self.pixel_pitch_um
-        return pitch if isinstance(pitch, tuple) else (pitch, pitch)
+    background_model: Literal["constant", "leinert1998"] = "constant"
+    """``constant``: `background_s10` everywhere; ``leinert1998``: zodiacal light and undrawn starlight by direction."""
+    earth: bool = True
+    """The Earth: it hides what is behind it, and its lit side and limb shine where they are in the field."""
+    earth_albedo: Fraction = 0.3
+    """Albedo of the Earth's surface and clouds, which scatter alike in all directions (Lambert)."""
+    phases: bool = True
+    """Draw the lit part of the Moon's and the planets' disks; false: uniform full disks."""
 
 
 class TrackerSection(Section):
@@ -233,7 +168,8 @@ class StudySection(Section):
     trials: Annotated[int, Field(ge=1)] = 500
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
-    """``mission_year``: times spread over a year; ``orbit``: over one orbit; ``sky``: random attitudes at the epoch."""
+    """``mission_year``: times spread over a year; ``orbit``: over one orbit; ``sky``: random attitudes at the
+    epoch, with no Earth in the way."""
 
 
 class SpecificationSection(Section):

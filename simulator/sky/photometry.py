@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.curves import Curve
-from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, SOLAR_B_V, SPECTRA
+from simulator.sky.colours import population_giant_share
+from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA
 from startracker.errors import InputError
 from startracker.registry import lookup
 
 FloatArray = NDArray[np.float64]
 
-_B_V_STEP = 0.01
+_Tables = tuple[FloatArray, FloatArray, FloatArray]
+
+_B_V_GRID = np.linspace(*B_V_RANGE, round((B_V_RANGE[1] - B_V_RANGE[0]) / 0.0025) + 1)
+_LATE_GRID = np.linspace(*LATE_GIANT, round((LATE_GIANT[1] - LATE_GIANT[0]) / 0.02) + 1)
+_LATE_B_V = 1.6  # for families of spectra that know B−V only
 _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
 
@@ -43,9 +48,15 @@ def integrate(photons: Curve, response: Curve) -> float:
 class Photometer:
     """What an aperture and a response make of starlight.
 
-    N = A ∫ n_λ(B−V) η_λ dλ × 10^(−0.4 V) electrons a second, with n_λ the photon flux density of a V = 0 star of that
-    colour (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture. The integral
-    is done once for colours 0.01 apart; between them the table is interpolated (relative error below 2 × 10⁻⁵).
+    N = A ∫ n_λ(star) η_λ dλ × 10^(−0.4 V) electrons a second, with n_λ the photon flux density of a V = 0 star of that
+    colour and class (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture. The
+    integrals are done once for colours 0.0025 apart; between them the tables are interpolated (relative error below
+    1 × 10⁻⁴).
+
+    Wherever a method takes `giant`, it is 0 for a dwarf, 1 for a giant, a share between, or 10 + the subtype (0 to 6)
+    of an M giant; left out or NaN (not known), the share of giants among bright stars of that B−V counts
+    (`simulator.sky.colours`, whose `spectral_coordinates` makes B−V and `giant` from a catalogue's columns). B−V that
+    is NaN counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
 
     Parameters
     ----------
@@ -64,23 +75,30 @@ class Photometer:
 
     response: Curve
     aperture_area_cm2: float
-    spectrum: str = "blackbody"
-    _b_v: FloatArray = field(init=False, repr=False)
-    _rate: FloatArray = field(init=False, repr=False)
+    spectrum: str = "colour_sequence"
+    _wavelength_nm: FloatArray = field(init=False, repr=False)
+    _efficiency: FloatArray = field(init=False, repr=False)
+    _rate: _Tables = field(init=False, repr=False)
+    _first_moment: _Tables = field(init=False, repr=False)
+    _bins: dict[tuple[float, ...], _Tables] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.aperture_area_cm2) and self.aperture_area_cm2 > 0):
             raise InputError(f"the area of an aperture must be positive; got {self.aperture_area_cm2} cm²")
-        wavelength_nm, value = _sampled(self.response)
-        b_v = np.linspace(*B_V_RANGE, round((B_V_RANGE[1] - B_V_RANGE[0]) / _B_V_STEP) + 1)
-        photons = lookup("spectra", SPECTRA, self.spectrum)(wavelength_nm, b_v)
-        rate = self.aperture_area_cm2 * np.trapezoid(photons * value, wavelength_nm, axis=1)
-        for array in (b_v, rate):
-            array.flags.writeable = False
-        object.__setattr__(self, "_b_v", b_v)
-        object.__setattr__(self, "_rate", rate)
+        lookup("spectra", SPECTRA, self.spectrum)
+        wavelength_nm, efficiency = _sampled(self.response)
+        moments = np.stack([efficiency, efficiency * wavelength_nm], axis=1)
+        both = self._integrals(wavelength_nm, moments)
+        for name, value in (
+            ("_wavelength_nm", wavelength_nm),
+            ("_efficiency", efficiency),
+            ("_rate", tuple(self.aperture_area_cm2 * table[:, 0] for table in both)),
+            ("_first_moment", tuple(self.aperture_area_cm2 * table[:, 1] for table in both)),
+            ("_bins", {}),
+        ):
+            object.__setattr__(self, name, value)
 
-    def electrons_per_s(self, v_mag: ArrayLike, b_v: ArrayLike) -> FloatArray:
+    def electrons_per_s(self, v_mag: ArrayLike, b_v: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
         """Photo-electrons a second of stars, over all their pixels.
 
         Parameters
@@ -88,12 +106,58 @@ class Photometer:
         v_mag : (N,) array
             Magnitudes V.
         b_v : (N,) array
-            Colours B−V; NaN (unknown) counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
+            Colours B−V.
+        giant : (N,) array, optional
+            Luminosity class, see above.
         """
-        colour = np.asarray(b_v, dtype=float)
-        colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
         scale = 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
-        return np.asarray(np.interp(colour, self._b_v, self._rate) * scale)
+        return np.asarray(_looked_up(self._rate, b_v, giant) * scale)
+
+    def effective_wavelength_nm(self, b_v: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
+        """Mean wavelength of a star's photo-electrons, ∫ λ n η dλ / ∫ n η dλ, nm; (N,)."""
+        return np.asarray(_looked_up(self._first_moment, b_v, giant) / _looked_up(self._rate, b_v, giant))
+
+    def bin_weights(self, b_v: ArrayLike, edges_nm: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
+        """Share of a star's photo-electrons in wavelength bins.
+
+        Parameters
+        ----------
+        b_v : (N,) array
+            Colours B−V.
+        edges_nm : (K + 1,) array
+            Edges of the bins, rising, nm. What lies outside counts to the first and the last bin.
+        giant : (N,) array, optional
+            Luminosity class, see above.
+
+        Returns
+        -------
+        (N, K) array
+            Shares; the sum of each row is 1.
+
+        Raises
+        ------
+        InputError
+            For fewer than two edges or edges that do not rise.
+        """
+        edges = np.asarray(edges_nm, dtype=float)
+        if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0).all():
+            raise InputError(f"the edges of wavelength bins must be two or more and rise; got {edges.tolist()} nm")
+        key = tuple(edges.tolist())
+        if key not in self._bins:
+            inner = edges[1:-1]
+            wavelength_nm = np.unique(np.concatenate([self._wavelength_nm, inner]))
+            steps = np.diff(wavelength_nm)
+            middle = (wavelength_nm[1:] + wavelength_nm[:-1]) / 2
+            member = np.searchsorted(inner, middle)[:, None] == np.arange(len(edges) - 1)  # (W−1, K)
+            # trapezoids: each interval gives half its width to either end
+            weight = np.zeros((len(wavelength_nm), len(edges) - 1))
+            weight[:-1] += member * steps[:, None] / 2
+            weight[1:] += member * steps[:, None] / 2
+            self._bins[key] = self._integrals(
+                wavelength_nm, weight * self.response(wavelength_nm)[:, None], weighted=True
+            )
+        binned = np.atleast_2d(_looked_up(self._bins[key], b_v, giant))
+        return np.asarray(binned / binned.sum(axis=1, keepdims=True))
 
     def background_e_s_pixel(self, s10: float, solid_angle_sr: float) -> float:
         """Electrons a second and pixel of diffuse light of the Sun's colour.
@@ -106,7 +170,47 @@ class Photometer:
             Solid angle of a pixel.
         """
         stars = s10 * solid_angle_sr / _SQUARE_DEGREE_SR
-        return float(stars * self.electrons_per_s(10.0, SOLAR_B_V))
+        return float(stars * self.electrons_per_s(10.0, SOLAR_B_V, 0.0))
+
+    def _integrals(self, wavelength_nm: FloatArray, kernels: FloatArray, *, weighted: bool = False) -> _Tables:
+        """∫ n_λ k dλ of dwarfs and giants along B−V and of late giants along their subtype; kernels (W, K)."""
+        if not weighted:
+            half = np.diff(wavelength_nm) / 2
+            weight = np.zeros(len(wavelength_nm))
+            weight[:-1] += half
+            weight[1:] += half
+            kernels = kernels * weight[:, None]
+        spectrum = lookup("spectra", SPECTRA, self.spectrum)
+        zero = np.zeros(len(_LATE_GRID))
+        return (
+            spectrum(wavelength_nm, _B_V_GRID, np.zeros(len(_B_V_GRID))) @ kernels,
+            spectrum(wavelength_nm, _B_V_GRID, np.ones(len(_B_V_GRID))) @ kernels,
+            spectrum(wavelength_nm, zero + _LATE_B_V, _LATE_GRID) @ kernels,
+        )
+
+
+def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> FloatArray:
+    """Tables (dwarfs, giants, late giants; each (M,) or (M, K)) at stars (N,): (N,) or (N, K)."""
+    colour = np.asarray(b_v, dtype=float)
+    colour = np.clip(np.where(np.isnan(colour), DEFAULT_B_V, colour), *B_V_RANGE)
+    share = np.asarray(math.nan if giant is None else giant, dtype=float)
+    share = np.where(np.isnan(share), population_giant_share(colour), share)
+    colour, share = np.broadcast_arrays(colour, share)
+    late = share >= LATE_GIANT[0]
+    tail = (1,) * (tables[0].ndim - 1)
+    part = np.clip(share, 0.0, 1.0).reshape(share.shape + tail)
+    value = _linear(tables[0], colour, _B_V_GRID) * (1.0 - part) + _linear(tables[1], colour, _B_V_GRID) * part
+    if late.any():
+        value = np.where(late.reshape(late.shape + tail), _linear(tables[2], share, _LATE_GRID), value)
+    return np.asarray(value)
+
+
+def _linear(table: FloatArray, at: FloatArray, grid: FloatArray) -> FloatArray:
+    """Straight lines between the rows of a table on an even grid; the ends are kept beyond it."""
+    place = np.clip((at - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
+    left = np.minimum(place.astype(np.int64), len(grid) - 2)
+    part = (place - left).reshape(at.shape + (1,) * (table.ndim - 1))
+    return np.asarray(table[left] * (1.0 - part) + table[left + 1] * part)
 
 
 def _sampled(response: Curve) -> tuple[FloatArray, FloatArray]:

@@ -13,8 +13,8 @@ import shutil
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -35,6 +35,7 @@ from startracker.errors import BoresightError, InputError
 BLOCK_TRIALS = 20
 PARTS_FOLDER = ".trials-parts"
 MAX_POOL_RESTARTS = 3
+STOP_CHECK_S = 0.2
 
 Progress = Callable[[int, int], None]
 """Called with (trials finished, trials in all)."""
@@ -98,21 +99,17 @@ def run_trials(
     blocks = [range(start, min(start + BLOCK_TRIALS, trials)) for start in range(0, trials, BLOCK_TRIALS)]
     todo = [block for block in blocks if not store.has(block)]
     done = sum(len(block) for block in blocks) - sum(len(block) for block in todo)
-    interrupted = False
     if progress:
         progress(done, trials)
-    crew: _Here | _Pool = _Here(scenario, todo) if workers == 1 else _Pool(scenario, todo, workers)
-    with _sigterm_as_interrupt(), contextlib.closing(crew):
-        try:
-            for block, table in crew.results():
+    with _stop_on_signal() as stop:
+        results = _run_here(scenario, todo, stop) if workers == 1 else _run_in_pool(scenario, todo, workers, stop)
+        with contextlib.closing(results):
+            for block, table in results:
                 store.put(block, table)
                 done += table.num_rows
                 if progress:
                     progress(done, trials)
-        except KeyboardInterrupt:
-            interrupted = True
-            for block, table in crew.unfinished_business():
-                store.put(block, table)
+        interrupted = stop.is_set() and done < trials
     return Trials(store.collect(trials), trials, interrupted)
 
 
@@ -124,29 +121,19 @@ def discard_parts(folder: Path) -> None:
 Result = tuple[range, pa.Table]
 
 
-class _Here:
-    """Trials in this process."""
-
-    def __init__(self, scenario: Scenario, blocks: list[range]) -> None:
-        self.scenario, self.blocks = scenario, blocks
-        self.block = range(0)
-        self.rows: list[dict[str, Any]] = []
-
-    def results(self) -> Iterator[Result]:
-        runner = TrialRunner(self.scenario)
-        for block in self.blocks:
-            self.block, self.rows = block, []
-            for index in block:
-                self.rows.append(runner.run(index))
-            yield block, pa.Table.from_pylist(self.rows)
-
-    def unfinished_business(self) -> Iterator[Result]:
-        """After an interrupt: the trials of the block under way."""
-        if self.rows:
-            yield range(self.block.start, self.block.start + len(self.rows)), pa.Table.from_pylist(self.rows)
-
-    def close(self) -> None:
-        """Nothing to give back."""
+def _run_here(scenario: Scenario, blocks: list[range], stop: threading.Event) -> Generator[Result, None, None]:
+    """Trials in this process; a stop ends after the trial under way, and keeps what its block has."""
+    runner = TrialRunner(scenario)
+    for block in blocks:
+        rows: list[dict[str, Any]] = []
+        for index in block:
+            if stop.is_set():
+                break
+            rows.append(runner.run(index))
+        if rows:
+            yield range(block.start, block.start + len(rows)), pa.Table.from_pylist(rows)
+        if stop.is_set():
+            return
 
 
 _runner: TrialRunner | None = None
@@ -164,66 +151,79 @@ def _run_block(block: range) -> pa.Table:
     return pa.Table.from_pylist([_runner.run(index) for index in block])
 
 
-class _Pool:
-    """Trials in processes of their own, only a few blocks under way at a time, so that memory stays flat."""
+def _run_in_pool(
+    scenario: Scenario, blocks: list[range], workers: int, stop: threading.Event
+) -> Generator[Result, None, None]:
+    """Trials in processes of their own, only a few blocks under way at a time, so that memory stays flat.
 
-    def __init__(self, scenario: Scenario, blocks: list[range], workers: int) -> None:
-        self.scenario, self.blocks, self.workers = scenario, deque(blocks), workers
-        self.pending: dict[Future[pa.Table], range] = {}
-        self.pool: ProcessPoolExecutor | None = None
-
-    def results(self) -> Iterator[Result]:
-        restarts = 0
-        while self.blocks or self.pending:
-            try:
-                if self.pool is None:
-                    self.pool = ProcessPoolExecutor(
-                        self.workers, get_context("spawn"), initializer=_start_worker, initargs=(self.scenario,)
-                    )
-                while self.blocks and len(self.pending) < 2 * self.workers:
-                    self.pending[self.pool.submit(_run_block, self.blocks[0])] = self.blocks[0]
-                    self.blocks.popleft()
-                ready, _ = wait(self.pending, return_when=FIRST_COMPLETED)
+    A stop drops the blocks that no worker has begun and waits, a moment, for the others. When a worker dies its blocks
+    are run again by a new pool.
+    """
+    waiting = deque(blocks)
+    restarts = 0
+    while waiting and not stop.is_set():
+        pending: dict[Future[pa.Table], range] = {}
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(scenario,))
+        try:
+            while waiting or pending:
+                if stop.is_set():
+                    waiting.clear()
+                    pending = {future: block for future, block in pending.items() if not future.cancel()}
+                with _no_interrupt_for_children():
+                    while waiting and len(pending) < 2 * workers:
+                        pending[pool.submit(_run_block, waiting[0])] = waiting[0]
+                        waiting.popleft()
+                ready, _ = wait(pending, timeout=STOP_CHECK_S, return_when=FIRST_COMPLETED)
                 for future in ready:
                     table = future.result()
-                    yield self.pending.pop(future), table
-            except BrokenProcessPool:
-                restarts += 1
-                if restarts > MAX_POOL_RESTARTS:
-                    raise BoresightError(
-                        f"the worker processes died {restarts} times (out of memory?); the finished trials are kept: "
-                        "run again with --resume and fewer --workers"
-                    ) from None
-                self.blocks.extendleft(sorted(self.pending.values(), key=lambda block: -block.start))
-                self.pending, self.pool = {}, None
-
-    def unfinished_business(self) -> Iterator[Result]:
-        """After an interrupt: the blocks that workers have begun, which takes them a moment; the others are dropped."""
-        begun = {future: block for future, block in self.pending.items() if not future.cancel()}
-        for future in as_completed(begun):
-            with contextlib.suppress(BrokenProcessPool):
-                yield begun[future], future.result()
-
-    def close(self) -> None:
-        if self.pool is not None:
-            self.pool.shutdown(wait=True, cancel_futures=True)
+                    yield pending.pop(future), table
+        except BrokenProcessPool:
+            restarts += 1
+            if restarts > MAX_POOL_RESTARTS:
+                raise BoresightError(
+                    f"the worker processes died {restarts} times (out of memory?); the finished trials are kept: "
+                    "run again with --resume and fewer --workers"
+                ) from None
+            waiting.extendleft(sorted(pending.values(), key=lambda block: -block.start))
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextlib.contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """A polite kill ends a run as Ctrl-C does: with its finished trials kept."""
+def _no_interrupt_for_children() -> Iterator[None]:
+    """Processes started within ignore Ctrl-C from their first instruction on."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _stop_on_signal() -> Iterator[threading.Event]:
+    """Event that Ctrl-C, or a polite kill, sets; a second Ctrl-C interrupts at once.
+
+    An exception raised wherever the signal happens to arrive could come out of compiled code as something else.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Store:

@@ -19,6 +19,7 @@ LIMIT_ARCSEC = 1.0
 def chain():
     overrides = [
         "study.sampling=sky",
+        "sky.planets=false",  # without a full well the Moon is a thousand million times a star
         "epoch=2026-06-10T00:00:00Z",  # the Sun far from the places below
         "optics.distortion={k1: -0.08, k2: 0.02, p1: 0.001, p2: -0.0005}",
         "optics.principal_point_offset_px=[13.3, -21.8]",

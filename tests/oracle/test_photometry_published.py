@@ -70,7 +70,7 @@ def test_surface_brightness_of_one_s10():
     """A pixel of one square arcsecond under 1 S10 gets what a star of V = 27.78 gives (rounded: 0.0015 mag)."""
     photometer = Photometer(Curve.flat(0.5), 100.0)
     got = photometer.background_e_s_pixel(1.0, (math.pi / 648000) ** 2)
-    magnitude = -2.5 * math.log10(got / photometer.electrons_per_s(0.0, 0.653))
+    magnitude = -2.5 * math.log10(got / photometer.electrons_per_s(0.0, 0.653, 0.0))
     assert magnitude == pytest.approx(27.78, abs=0.005)
 
 
@@ -92,9 +92,10 @@ def millivolts(electrons_cm2_s, v_mag=6.5):
 def test_voltage_of_the_thesis_camera():
     """V = 6.5, 0.5 s, 12 cm, 25 pixels: 8.75 mV with the right physics, 5.405 mV with one λ (µm) too many.
 
-    How wide its five bands are is not in the extract; of the readings tried (trapezoids, splines, Johnson's and
-    Bessell's widths) bands of equal relative width alone give both figures: one number, 0.1493, for two. So the sum
-    is checked here through `integrate`, with each band a box in the photons and the efficiency a constant in it.
+    Five irradiances and five efficiencies alone give neither: how wide the bands are, or what runs between them, is not
+    in the text. What is reproducible: bands of equal relative width give both figures with one number, 0.1493, for two
+    (`docs/photometry.md` lists what other readings give). So the sum is checked here through `integrate`, with each
+    band a box in the photons and the efficiency a constant in it.
     """
     total = with_extra_lambda = 0.0
     for um, photons, qe in zip(BANDS_UM, PHOTONS_NM, QE, strict=True):
@@ -118,8 +119,27 @@ def test_integral_of_two_straight_lines_is_exact():
 
 
 def test_our_spectrum_gives_the_thesis_camera_the_same_order():
-    """A black body of A0's colour and the shipped TC211 curve, no losses in the lens: within a factor 1.6 of 8.75
-    mV."""
+    """An A0 star and the shipped TC211 curve, no losses in the lens: within a factor 1.6 of 8.75 mV."""
     response = Curve.flat(1.0) * load_curve("tc211", "quantum_efficiency")
     got = millivolts(float(Photometer(response, 1.0).electrons_per_s(0.0, 0.0)))
     assert 8.75 / 1.6 < got < 8.75 * 1.6
+
+
+@pytest.mark.parametrize(
+    ("reading", "right", "with_extra"),
+    [("straight lines", 12.51, 8.60), ("boxes of 0.1 um", 9.92, 5.86), ("boxes to the midpoints", 12.55, 8.27)],
+)
+def test_other_readings_of_the_five_bands(reading, right, with_extra):
+    """What `docs/photometry.md` says of them: none gives 8.75 and 5.405 mV."""
+    if reading == "straight lines":
+        um = np.linspace(0.44, 1.25, 4001)
+        electrons = np.interp(um, BANDS_UM, IRRADIANCE_W_CM2_UM) * um * 1e-6 / (h * c) * np.interp(um, BANDS_UM, QE)
+        total, extra = np.trapezoid(electrons, um), np.trapezoid(electrons * um, um)
+    else:
+        middle = (BANDS_UM[1:] + BANDS_UM[:-1]) / 2
+        ends = np.concatenate([BANDS_UM[:1], middle, BANDS_UM[-1:]])
+        widths = np.full(5, 0.1) if reading == "boxes of 0.1 um" else np.diff(ends)
+        electrons = PHOTONS_NM * 1e3 * QE * widths
+        total, extra = electrons.sum(), (electrons * BANDS_UM).sum()
+    assert millivolts(total) == pytest.approx(right, abs=0.01)
+    assert millivolts(extra) == pytest.approx(with_extra, abs=0.01)

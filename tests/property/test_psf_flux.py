@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulator.optics import airy
-from simulator.optics.psf import FLUX_LOSS, WING_LIMIT_E, build_psf
+from simulator.optics.psf import FLUX_LOSS, LEAST_SHARE, WING_LIMIT_E, build_psf
+from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import add_disk, render_stars
 from simulator.scenario.schema import PsfSection
 
@@ -23,22 +24,25 @@ def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
 @settings(max_examples=60, deadline=None)
 @given(phase, phase, st.sampled_from([0.2, 0.5, 2.0]), st.sampled_from([1.0, 13.75 / 16]))
 def test_airy_leaves_out_what_lies_beyond_its_edge(dx, dy, ring, aspect):
-    """What is drawn is the encircled energy of the radius drawn to, within 1e-4: its edge of pixels is ragged."""
+    """What is drawn is the encircled energy of the radius drawn to, within 3e-4: where core meets wings, means over
+    rings stand in for pixels."""
     psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
     electrons = 1e5
-    radius = float(psf.radius_px([electrons])[0])
+    radius = float(psf.radius_px([electrons])[0]) + TAPER_PX / 2
     image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [electrons], psf) / electrons
-    assert abs(image.sum() - airy.encircled_energy(radius * airy.FIRST_RING / ring)) < 1e-4
+    assert abs(image.sum() - airy.encircled_energy(radius * airy.FIRST_RING / ring)) < 3e-4
 
 
 @settings(max_examples=60, deadline=None)
-@given(phase, phase)
-def test_airy_flux_does_not_hang_on_the_phase(dx, dy):
-    """The sum varies by less than 2e-5: where core meets wings, means over rings stand in for pixels."""
-    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=1.0), 2.0, (10.0, 10.0))
-    image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [1e6], psf) / 1e6
-    middle = render_stars((401, 401), np.array([[200.0, 200.0]]), np.ones(1), [1e6], psf) / 1e6
-    assert abs(image.sum() - middle.sum()) < 2e-5
+@given(phase, phase, st.sampled_from([("airy", 600.0), ("diffraction", 600.0), ("diffraction", 2500.0)]))
+def test_flux_of_a_table_does_not_hang_on_the_phase(dx, dy, made):
+    """A stamp alone: 1e-6, as asked; with wings 3e-5: sums over pixels of what stands in for the rings."""
+    section = PsfSection(model=made[0], wavelength_nm=made[1], zernike_waves={"coma_x": 0.1 * (made[0] != "airy")})
+    psf = build_psf(section, 4.0, (5.0, 5.0))
+    for electrons, tolerance in ((100.0, 1e-6), (1e6, 3e-5)):
+        image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [electrons], psf) / electrons
+        middle = render_stars((401, 401), np.array([[200.0, 200.0]]), np.ones(1), [electrons], psf) / electrons
+        assert abs(image.sum() - middle.sum()) < tolerance
 
 
 @settings(max_examples=60, deadline=None)
@@ -51,10 +55,7 @@ def test_smear_keeps_the_flux(dx, dy, model, angle, length):
     path = np.array([80 + dx, 80 + dy]) + nodes[:, None] * length / 2 * np.array([np.cos(angle), np.sin(angle)])
     smeared = render_stars((161, 161), path[None], weights, [1e4], psf).sum() / 1e4
     still = render_stars((161, 161), path[:1, None].mean(axis=1), np.ones(1), [1e4], psf).sum() / 1e4
-    # An Airy stamp is a circle of pixels that ends at WING_LIMIT_E each. As its centre moves, the number of pixels in
-    # it varies about πR² (Gauss's circle problem; for R < 100 by less than 4 √R, which is what the sum may differ by).
-    radius = float(psf.radius_px([1e4])[0])
-    assert abs(smeared - still) < (1e-6 if model == "gaussian" else 4 * np.sqrt(radius) * WING_LIMIT_E / 1e4)
+    assert abs(smeared - still) < (1e-6 if model == "gaussian" else 3e-5)
 
 
 def _exact(low, high):
@@ -80,7 +81,9 @@ def test_no_edge_shows(model, log_electrons):
     radius = float(psf.radius_px([electrons])[0])
     if psf.wing is not None and radius < 511:
         beyond = psf.wing[int(np.ceil(radius / psf.wing_step_px)) :]
-        assert (beyond * electrons <= WING_LIMIT_E * (1 + 1e-9)).all()
+        limit = max(WING_LIMIT_E, LEAST_SHARE * psf.peak * electrons)
+        # the corner of the table's square, to which faint stars are drawn, lies a pixel inside the limit
+        assert (beyond[16:] * electrons <= limit * (1 + 1e-9)).all()
     if psf.wing is None:
         edge = np.exp(-0.5 * (radius / psf.sigma_px) ** 2) / (2 * np.pi * psf.sigma_px**2)
         assert edge * electrons <= WING_LIMIT_E * (1 + 1e-9)

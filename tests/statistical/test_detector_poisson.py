@@ -25,7 +25,7 @@ def chi_square_p(numbers, mean):
 
 
 @pytest.mark.parametrize(
-    "mean", [0.01, 0.1, 1.0, 3.0 + 0.999 / STEPS, 20.0, 20.06, 63.99, TABLE_LIMIT, 300.0, 5000.0, 1e5]
+    "mean", [0.01, 0.1, 1.0, 3.0 + 0.999 / STEPS, 20.0, 20.06, 63.99, 127.99, TABLE_LIMIT, 300.0, 5000.0, 1e5]
 )
 def test_distribution_at_a_rate(mean):
     numbers = draw_poisson(np.full(1_000_000, mean), stream(7, f"chi-square {mean}"))

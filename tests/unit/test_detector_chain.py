@@ -5,6 +5,7 @@ import pytest
 
 from simulator.detector import CHARGE, READOUT, FixedPattern, build_fixed_pattern, detect
 from simulator.detector.fixed_pattern import dark_current_factor
+from simulator.detector.normal import draw_normal
 from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
@@ -16,6 +17,15 @@ ALL_ON = {
     "dsnu": 0.3,
     "hot_pixel_fraction": 0.01,
     "hot_pixel_dark_e_s": 5000.0,
+    "hot_columns": 2,
+    "hot_column_dark_e_s": 300.0,
+    "dead_pixel_fraction": 0.01,
+    "dead_columns": 1,
+    "cosmic_rays": {"rate_cm2_s": 40_000.0},
+    "antiblooming": 0.3,
+    "cti_parallel": 1e-4,
+    "cti_serial": 2e-4,
+    "nonlinearity": (0.02, -0.01),
     "read_noise_e": 8.0,
     "reset_capacitance_ff": 5.0,
     "offset_dn": 100.0,
@@ -84,7 +94,7 @@ def test_repeatable_and_different_each_trial(mean):
 
 def test_each_noise_is_its_own_stream(mean):
     """Read and reset noise are the same numbers whatever else is on: image − electrons shows them alone."""
-    normal = stream(1, "read_noise", 0).standard_normal(mean.shape)
+    normal = draw_normal(mean.shape, stream(1, "read_noise", 0))
     for extra in ({}, {"shot_noise": True}, {"shot_noise": True, "prnu": 0.1, "dark_current_e_s": 100.0, "dsnu": 0.5}):
         frame = expose(noiseless(read_noise_e=8.0, **extra), mean)
         np.testing.assert_allclose(frame.image - frame.electrons, 8.0 * normal, rtol=0, atol=1e-11)
@@ -94,12 +104,17 @@ def test_each_noise_is_its_own_stream(mean):
 
 
 def test_the_fixed_patterns_are_their_own_streams():
-    full = build_fixed_pattern(section(**ALL_ON), 3)
-    assert np.array_equal(build_fixed_pattern(section(**(ALL_ON | {"dsnu": 0.0})), 3).prnu, full.prnu)
-    no_hot = build_fixed_pattern(section(**(ALL_ON | {"hot_pixel_fraction": 0.0, "prnu": 0.0})), 3)
-    no_dsnu = build_fixed_pattern(section(**(ALL_ON | {"dsnu": 0.0})), 3)
+    keys = ALL_ON | {"dead_pixel_fraction": 0.0, "dead_columns": 0}
+    full = build_fixed_pattern(section(**keys), 3)
+    assert np.array_equal(build_fixed_pattern(section(**(keys | {"dsnu": 0.0})), 3).prnu, full.prnu)
+    no_hot = build_fixed_pattern(section(**(keys | {"hot_pixel_fraction": 0.0, "hot_columns": 0, "prnu": 0.0})), 3)
+    no_dsnu = build_fixed_pattern(section(**(keys | {"dsnu": 0.0})), 3)
     ordinary = 40.0 * 0.5 * dark_current_factor(20.0, 25.0, 8.0)
     np.testing.assert_allclose(full.dark_e, no_hot.dark_e + (no_dsnu.dark_e - ordinary), rtol=1e-12)
+    dead = build_fixed_pattern(section(**ALL_ON), 3)
+    assert np.array_equal(dead.hot, full.hot)
+    assert np.array_equal(dead.prnu[~dead.dead], full.prnu[~dead.dead])
+    assert np.array_equal(dead.dark_e[~dead.dead], full.dark_e[~dead.dead])
 
 
 @pytest.mark.parametrize(
@@ -110,6 +125,15 @@ def test_the_fixed_patterns_are_their_own_streams():
         {"dsnu": 0.0},
         {"hot_pixel_fraction": 0.0},
         {"hot_pixel_dark_e_s": 0.0},
+        {"hot_columns": 0},
+        {"hot_column_dark_e_s": 0.0},
+        {"dead_pixel_fraction": 0.0},
+        {"dead_columns": 0},
+        {"cosmic_rays": {"rate_cm2_s": 0.0}},
+        {"antiblooming": 1.0},
+        {"cti_parallel": 0.0},
+        {"cti_serial": 0.0},
+        {"nonlinearity": (0.0, 0.0)},
         {"shot_noise": False},
         {"read_noise_e": 0.0},
         {"reset_capacitance_ff": 0.0},
@@ -118,8 +142,11 @@ def test_the_fixed_patterns_are_their_own_streams():
 )
 def test_an_effect_that_is_off_asks_for_no_stream_and_leaves_the_other_noise(off, mean):
     asked = []
+    mean[20:23, 30] = 60_000.0  # so that there is something to bloom
     frame = expose(section(**(ALL_ON | off)), mean, asked=asked)
-    names = {"shot_noise", "reset_noise", "read_noise"} - {next(iter(off)).replace("read_noise_e", "read_noise")}
+    names = {"shot_noise", "cosmic_rays", "reset_noise", "read_noise"} - {
+        next(iter(off)).replace("read_noise_e", "read_noise")
+    }
     assert set(asked) == names - ({"reset_noise"} if "reset_capacitance_ff" in off else set())
     assert len(asked) == len(set(asked))
     assert not np.array_equal(frame.image, expose(section(**ALL_ON), mean).image)
@@ -131,9 +158,12 @@ def test_order_of_the_effects():
         "photo_response",
         "dark_signal",
         "shot_noise",
+        "cosmic_rays",
         "full_well",
+        "charge_transfer",
         "reset_noise",
         "read_noise",
+        "nonlinearity",
         "gain_offset",
         "adc",
     ]

@@ -11,14 +11,24 @@ from simulator.detector.poisson import (
     TABLE_LIMIT,
     alias_tables,
     draw_poisson,
-    poisson_from_uniform,
+    poisson_from_words,
 )
 from simulator.randomness import stream
 from startracker.errors import InputError
 
 
+def words(uniform):
+    """Random words whose upper 53 bits are the given uniform numbers."""
+    return (np.asarray(uniform) * 2.0**53).astype(np.uint64) << np.uint64(11)
+
+
+def unpacked():
+    table = alias_tables()
+    return (table >> np.uint64(8)) / 2.0**53, (table & np.uint64(255)).astype(int)
+
+
 def test_tables_hold_the_distribution():
-    keep, alias = alias_tables()
+    keep, alias = unpacked()
     rows = np.arange(TABLE_LIMIT * STEPS)
     probability = keep / SUPPORT
     np.add.at(probability, (np.repeat(rows, SUPPORT), alias.ravel()), ((1.0 - keep) / SUPPORT).ravel())
@@ -33,33 +43,44 @@ def test_the_rest_is_inverted_exactly():
     # Below 1/STEPS the table gives zero, and the number is the quantile of the second uniform number.
     rng = stream(1, "rest")
     mean = rng.uniform(0.0, 1.0 / STEPS, 20_000)
-    uniform = rng.random((mean.size, 2))
-    uniform[::4, 1] = 1.0 - rng.uniform(0, 1e-6, mean[::4].size)
-    uniform[::400, 1] = 1.0 - 1e-12
+    uniform = rng.random((2, mean.size))
+    uniform[1, ::4] = 1.0 - rng.uniform(0, 1e-6, mean[::4].size)
+    uniform[1, ::400] = 1.0 - 1e-12
     out = np.empty(mean.size)
-    poisson_from_uniform(mean, uniform, *alias_tables(), out)
-    np.testing.assert_array_equal(out, stats.poisson.ppf(uniform[:, 1], mean))
+    poisson_from_words(mean, *words(uniform), alias_tables(), out)
+    np.testing.assert_array_equal(out, stats.poisson.ppf(uniform[1], mean))
     assert out.max() >= 4
 
 
 def test_kernel_against_its_twin():
     rng = stream(2, "twin")
     mean = rng.uniform(0.0, TABLE_LIMIT, 50_000)
-    uniform = rng.random((mean.size, 2))
-    keep, alias = alias_tables()
+    uniform = rng.random((2, mean.size))
+    keep, alias = unpacked()
     row = np.floor(mean * STEPS).astype(int)
-    column = np.floor(uniform[:, 0] * SUPPORT).astype(int)
-    base = np.where(uniform[:, 0] * SUPPORT - column < keep[row, column], column, alias[row, column])
+    first, second = words(uniform)
+    column = (first >> np.uint64(56)).astype(int)
+    place = ((first << np.uint64(8)) >> np.uint64(11)) / 2.0**53
+    base = np.where(place < keep[row, column], column, alias[row, column])
     out = np.empty(mean.size)
-    poisson_from_uniform(mean, uniform, keep, alias, out)
-    np.testing.assert_array_equal(out, base + stats.poisson.ppf(uniform[:, 1], mean - row / STEPS))
+    poisson_from_words(mean, first, second, alias_tables(), out)
+    np.testing.assert_array_equal(out, base + stats.poisson.ppf(uniform[1], mean - row / STEPS))
 
 
-def test_largest_uniform_number_ends():
-    uniform = np.full((3, 2), np.nextafter(1.0, 0.0))
-    out = np.empty(3)
-    poisson_from_uniform(np.array([0.124999, 20.1249, 63.9999]), uniform, *alias_tables(), out)
+def test_largest_words_end():
+    largest = np.full(4, 2**64 - 1, dtype=np.uint64)
+    out = np.empty(4)
+    poisson_from_words(np.array([0.0624999, 20.0624, 63.9999, 127.9999]), largest, largest, alias_tables(), out)
     assert np.all((out >= 0) & (out < SUPPORT + 20))
+
+
+def test_in_place_gives_the_same_numbers():
+    mean = stream(4, "in place").uniform(0, 100, (300, 200))
+    expected = draw_poisson(mean, stream(4, "draws"))
+    assert draw_poisson(mean, stream(4, "draws"), in_place=True) is not expected
+    np.testing.assert_array_equal(mean, expected)
+    with pytest.raises(ValueError, match="in place"):
+        draw_poisson(np.asfortranarray(mean), stream(4, "draws"), in_place=True)
 
 
 def test_zero_stays_zero_and_shapes_stay():

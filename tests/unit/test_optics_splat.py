@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from simulator.optics.psf import TAPS, build_psf
+from simulator.optics.psf import build_psf
+from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.splat import add_disk, add_stars, render_stars
 from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
@@ -36,7 +37,7 @@ def tabulated_twin(psf):
     for star, electrons, radius in zip(XY, ELECTRONS, psf.radius_px(ELECTRONS), strict=True):
         for (x, y), weight in zip(star, WEIGHTS, strict=True):
             cx, cy = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
-            stamp = np.zeros((2 * half + 1, 2 * half + 1))
+            stamp, seam = np.zeros((2 * half + 1, 2 * half + 1)), 0.0
             lag = []
             for at, centre in ((x, cx), (y, cy)):
                 position = (at - centre) * psf.phases
@@ -46,14 +47,14 @@ def tabulated_twin(psf):
             for b, wb in zip(*lag[1], strict=True):
                 for a, wa in zip(*lag[0], strict=True):
                     stamp += wa * wb * psf.core[b, a]
+                    seam += wa * wb * psf.seam[b, a]
             distance = np.hypot(columns - x, (rows - y) / psf.aspect)
-            wing = np.interp(distance, np.arange(len(psf.wing)) * psf.wing_step_px, psf.wing) * (distance <= radius)
+            t = np.clip((radius + TAPER_PX - distance) / TAPER_PX, 0, 1)
+            wing = np.interp(distance, np.arange(len(psf.wing)) * psf.wing_step_px, psf.wing) * t * t * (3 - 2 * t)
             near = (np.abs(columns - cx) <= half) & (np.abs(rows - cy) <= half)
-            if max(radius, radius * psf.aspect) <= half:
-                wing[:] = 0
-            wing[near] = stamp[rows[near] - cy + half, columns[near] - cx + half]
-            reach = (np.abs(columns - cx) > np.ceil(radius)) | (np.abs(rows - cy) > np.ceil(radius * psf.aspect))
-            wing[near & reach] = 0
+            if radius <= half:
+                wing[:], seam = 0, 1.0
+            wing[near] = seam * stamp[rows[near] - cy + half, columns[near] - cx + half]
             image += electrons * weight * wing
     return image
 
@@ -106,7 +107,10 @@ def test_stamp_grows_with_flux():
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        (PsfSection(model="gausian"), "'gausian' is not one of the psfs: airy, gaussian; did you mean 'gaussian'"),
+        (
+            PsfSection(model="gausian"),
+            "'gausian' is not one of the psfs: airy, diffraction, gaussian; did you mean 'gaussian'",
+        ),
         (PsfSection(model="airy", sigma_px=1.0), "first_dark_ring_px, not sigma_px"),
         (PsfSection(sigma_px=1.0, first_dark_ring_px=2.0), "not both"),
     ],

@@ -31,7 +31,12 @@ def test_offset_is_the_angle_in_the_image(place, offset):
 
 @pytest.mark.parametrize("name", ["Alp CMa", "Jupiter"])
 def test_named_target_is_drawn_where_it_was_asked_for(name):
-    overrides = [f"pointing.target={name}", "pointing.error_deg=0", "pointing.target_offset_deg=[3, 2]"]
+    overrides = [
+        f"pointing.target={name}",
+        "pointing.error_deg=0",
+        "pointing.target_offset_deg=[3, 2]",
+        "sky.earth=false",
+    ]
     renderer = Renderer(Scenario.load("cubesat", overrides))
     _, truth = renderer.frame(0)
     brightest = truth.sources.xy[np.argmax(truth.sources.electrons)]

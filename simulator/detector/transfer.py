@@ -1,0 +1,93 @@
+"""Charge transfer of a CCD: what each transfer leaves behind trails the star.
+
+To first order a transfer moves every electron on with the probability 1 − c, whatever the size of the packet, and
+leaves it to the next packet otherwise (Janesick 2001, chapter 5). An electron that needs n transfers is therefore read
+k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, the negative binomial distribution; (1 − c)ⁿ arrives in
+time. The expected values are taken: the deferred charge's own noise, √(n c S), is far below the shot noise. Traps with
+release times of many transfers make longer tails than this.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_TAIL = 1e-17
+"""Charge that trails as far as less than this share of a packet is left out."""
+
+
+def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corner: str = "top_left") -> FloatArray:
+    """Charge as it arrives at the output node, put where the pixel number says, (H, W) electrons, a new array.
+
+    Columns move in parallel into the serial register at the corner's edge (row r at distance r takes r + 1 transfers),
+    then along the register to the corner (column x takes x + 1). What trails beyond the last row or column would be
+    read in the overscan and is lost to the frame.
+
+    Parameters
+    ----------
+    electrons : (H, W) float64
+        Charge at the end of the exposure.
+    cti_parallel, cti_serial : float
+        Charge transfer inefficiency: share left behind in each transfer, 0 to below 1.
+    corner : str
+        ``top_left`` (pixel (0, 0)), ``top_right``, ``bottom_left`` or ``bottom_right``: where the output node is.
+    """
+    flip_rows, flip_columns = corner.startswith("bottom"), corner.endswith("right")
+    seen = electrons[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
+    charge = np.ascontiguousarray(seen)
+    if cti_parallel > 0:
+        charge = trail_rows(charge, late_shares(electrons.shape[0], cti_parallel))
+    if cti_serial > 0:
+        charge = trail_columns(charge, late_shares(electrons.shape[1], cti_serial))
+    if charge is electrons or charge.base is electrons:
+        return electrons.copy()
+    return np.ascontiguousarray(charge[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
+
+
+@lru_cache(maxsize=8)
+def late_shares(pixels: int, cti: float) -> FloatArray:
+    """Share of a packet that is read k pixels late, (K, pixels) float64: [k, p] where it takes p + 1 transfers.
+
+    K is where the share of the last pixel falls below 1e-17.
+    """
+    n = np.arange(1, pixels + 1, dtype=np.float64)
+    share = np.exp(n * np.log1p(-cti))
+    rows = [share]
+    most_likely = pixels * cti / (1.0 - cti)
+    while len(rows) < pixels and (share[-1] > _TAIL or len(rows) < most_likely):
+        k = len(rows)
+        share = share * cti * (n + k - 1) / k
+        rows.append(share)
+    table = np.array(rows)
+    table.setflags(write=False)
+    return table
+
+
+@numba.njit(cache=True, error_model="numpy")
+def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
+    """Parallel transfer towards row 0: out[r] = Σₖ shares[k, r − k] electrons[r − k], a new array."""
+    rows, columns = electrons.shape
+    out = np.zeros_like(electrons)
+    for row in range(rows):
+        for k in range(min(shares.shape[0], row + 1)):
+            share = shares[k, row - k]
+            for column in range(columns):
+                out[row, column] += share * electrons[row - k, column]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def trail_columns(electrons: FloatArray, shares: FloatArray) -> FloatArray:
+    """Serial transfer towards column 0: out[:, x] = Σₖ shares[k, x − k] electrons[:, x − k], a new array."""
+    rows, columns = electrons.shape
+    out = np.zeros_like(electrons)
+    for row in range(rows):
+        for k in range(min(shares.shape[0], columns)):
+            for column in range(columns - k):
+                out[row, column + k] += shares[k, column] * electrons[row, column]
+    return out

@@ -1,0 +1,272 @@
+"""Moon and planets with a disk: lit side, terminator, blur by the optics, smear.
+
+A disk is drawn on a grid finer than the pixels, at every moment of the exposure, and then convolved with the PSF,
+whose own tables hold the integration over pixels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import fftconvolve
+
+from simulator.optics.psf import Psf
+from simulator.optics.psf_table import TAPER_PX
+from simulator.optics.splat import render_stars
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+
+__all__ = ["LAWS", "LAW_OF_BODY", "draw_body", "sun_angle_rad"]
+
+FloatArray = NDArray[np.float64]
+
+CONVOLVED_PX = 256.0
+"""Disks of a larger radius are drawn without blur: their rim is a hundred times wider than a PSF."""
+
+_CORE_HALF_PX = 16
+"""The PSF within this many pixels is convolved at every position inside a pixel, beyond it at one."""
+
+LOMMEL_SEELIGER, LAMBERT = 0, 1
+LAWS = {"lommel_seeliger": LOMMEL_SEELIGER, "lambert": LAMBERT}
+"""Scattering laws: Lommel–Seeliger, I ∝ μ₀/(μ₀ + μ), for dark airless ground (Moon, Mercury), whose full disk is
+evenly bright; Lambert, I ∝ μ₀, for clouds. μ₀ and μ are the cosines of the angles of the Sun and of the observer to the
+vertical (Hapke 2012, *Theory of Reflectance and Emittance Spectroscopy*, chapters 8 and 10)."""
+
+
+LAW_OF_BODY = {"Moon": "lommel_seeliger", "Mercury": "lommel_seeliger", "Sun": "lommel_seeliger"}
+"""Scattering law by name of body; all others have clouds or dust: ``lambert``. The Sun is drawn as an even disk, which
+the law makes of a full one."""
+
+
+def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: ArrayLike) -> float:
+    """Where on a body's disk the light comes from: angle from +x (columns) towards +y (rows), radians.
+
+    Sun, body and observer lie in one plane, so the lit limb faces the Sun along the great circle through both. The
+    angle is that of angles on the sky, not of pixels that are not square; 0 for a body out of sight.
+
+    Parameters
+    ----------
+    camera, attitude : Camera, Attitude
+        Projection (for its parity); ICRS → camera.
+    body, sun : array_like, shape (3,)
+        Apparent directions, ICRS.
+    """
+    u, s = np.asarray(body, dtype=float), np.asarray(sun, dtype=float)
+    towards = s - (s @ u) * u
+    length = float(np.linalg.norm(towards))
+    if length < 1e-12:
+        return 0.0
+    step = 1e-4
+    pair = camera.project(attitude.apply(np.stack([u, u * math.cos(step) + towards / length * math.sin(step)])))
+    dx, dy = (pair[1] - pair[0]) / (camera.fx, camera.fy)
+    return math.atan2(float(dy), float(dx)) if math.isfinite(dx + dy) else 0.0
+
+
+def draw_body(
+    mean_e: FloatArray,
+    xy_path: ArrayLike,
+    weights: ArrayLike,
+    radius_px: tuple[float, float],
+    electrons: float,
+    illuminated_fraction: float,
+    sun_angle_rad: float,
+    psf: Psf,
+    law: str = "lommel_seeliger",
+) -> None:
+    """Add the lit disk of a body to `mean_e` in place.
+
+    Brightness over the disk by the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated fraction;
+    electrons are the whole body's, whatever its phase (its magnitude has the phase in it), and all of them are
+    drawn, less what the PSF throws beyond where it ends.
+
+    Parameters
+    ----------
+    mean_e : (rows, columns) float64 array
+        Mean photo-electrons.
+    xy_path : (K, 2) array
+        Centre at K moments of the exposure, pixels, on or off the image; a moment with a NaN leaves no light.
+    weights : (K,) array
+        Share of the exposure of each moment.
+    radius_px : (float, float)
+        Radius along columns and rows.
+    electrons : float
+        Electrons of the body over the exposure.
+    illuminated_fraction : float
+        Lit share of the disk's area, 0 to 1.
+    sun_angle_rad : float
+        Direction of the Sun from the disk's middle (`sun_angle_rad`).
+    psf : Psf
+        Image of a point, which blurs disks of up to 256 pixels radius.
+    law : str
+        Key of `LAWS`.
+
+    Notes
+    -----
+    The fine grid has 4 to 8 cells a pixel; the image is within 1e-3 of its peak of the sum over all points of the
+    disk (2e-3 for an Airy pattern narrower than a pixel). The Moon's maria, its opposition surge and the planets'
+    belts, limb darkening other than the law's, rings and flattening are left out.
+    """
+    path = np.atleast_2d(np.asarray(xy_path, dtype=float))
+    share = np.asarray(weights, dtype=float)
+    height, width = mean_e.shape
+    rx, ry = (float(r) for r in radius_px)
+    blurred = max(rx, ry) <= CONVOLVED_PX
+    reach = _reach_px(psf, electrons) if blurred else 0
+    reach_y = math.ceil(reach * psf.sigma_y_px / psf.sigma_px)
+    # moments from which light may reach the image
+    near = (
+        np.isfinite(path).all(axis=1)
+        & (path[:, 0] > -1.0 - rx - reach)
+        & (path[:, 0] < width + rx + reach)
+        & (path[:, 1] > -1.0 - ry - reach_y)
+        & (path[:, 1] < height + ry + reach_y)
+    )
+    if not near.any() or electrons <= 0.0 or illuminated_fraction <= 0.0:
+        return
+    path, share = path[near], share[near]
+    low, high = path.min(axis=0), path.max(axis=0)
+    left, top = math.floor(low[0] - rx - 1.0), math.floor(low[1] - ry - 1.0)
+    right, bottom = math.ceil(high[0] + rx + 1.0), math.ceil(high[1] + ry + 1.0)
+    left, right = max(left, -reach - 1), min(right, width + reach)
+    top, bottom = max(top, -reach_y - 1), min(bottom, height + reach_y)
+    fine = _oversampling(min(rx, ry)) if blurred else 1
+    disk = np.zeros(((bottom - top + 1) * fine, (right - left + 1) * fine))
+    cosine = min(max(2.0 * illuminated_fraction - 1.0, -1.0), 1.0)
+    centres = np.ascontiguousarray((path - (left, top) + 0.5) * fine - 0.5)
+    add_lit_disk(
+        disk,
+        centres,
+        share * electrons,
+        rx * fine,
+        ry * fine,
+        cosine,
+        sun_angle_rad,
+        LAWS[law],
+        _samples(min(rx, ry) * fine),
+    )
+    if not blurred:
+        _add(mean_e, disk, left, top)
+        return
+    _convolve(mean_e, disk, fine, left, top, reach, reach_y, electrons, psf)
+
+
+def _reach_px(psf: Psf, electrons: float) -> int:
+    """How far the light of a point of this many electrons reaches, pixels along columns."""
+    radius = math.ceil(float(psf.radius_px(np.array([electrons]))[0])) + 1
+    return radius if psf.core is None else max(radius + math.ceil(TAPER_PX), psf.core_half_px)
+
+
+def _oversampling(radius_px: float) -> int:
+    return 8 if radius_px < 16.0 else 4
+
+
+def _samples(radius_cells: float) -> int:
+    """Samples along the side of a cell."""
+    return min(max(math.ceil(256.0 / radius_cells), 2), 32)
+
+
+@njit(cache=True, error_model="numpy")
+def add_lit_disk(
+    image: FloatArray,
+    centres: FloatArray,
+    amounts: FloatArray,
+    radius_x: float,
+    radius_y: float,
+    cosine: float,
+    sun_angle: float,
+    law: int,
+    samples: int,
+) -> None:
+    """Kernel: light of a lit sphere, sampled at `samples`² points a cell; `amounts` (K,) of it at each of the centres
+    (K, 2), of which the image gets what falls on it."""
+    height, width = image.shape
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    sun_x, sun_y = sine * math.cos(sun_angle), sine * math.sin(sun_angle)
+    step = 1.0 / samples
+    box = np.empty((math.ceil(2.0 * radius_y) + 3, math.ceil(2.0 * radius_x) + 3))
+    for k in range(len(centres)):
+        left, top = math.floor(centres[k, 0] - radius_x), math.floor(centres[k, 1] - radius_y)
+        x, y = centres[k, 0] - left, centres[k, 1] - top
+        total = 0.0
+        for j in range(box.shape[0]):
+            for i in range(box.shape[1]):
+                light = 0.0
+                nearest_u = max(abs(i - x) - 0.5, 0.0) / radius_x
+                nearest_v = max(abs(j - y) - 0.5, 0.0) / radius_y
+                if nearest_u * nearest_u + nearest_v * nearest_v < 1.0:
+                    for b in range(samples):
+                        v = (j - 0.5 + (b + 0.5) * step - y) / radius_y
+                        for a in range(samples):
+                            u = (i - 0.5 + (a + 0.5) * step - x) / radius_x
+                            square = 1.0 - u * u - v * v
+                            if square <= 0.0:
+                                continue
+                            mu = math.sqrt(square)
+                            mu_0 = u * sun_x + v * sun_y + mu * cosine
+                            if mu_0 > 0.0:
+                                light += mu_0 if law == LAMBERT else mu_0 / (mu_0 + mu)
+                box[j, i] = light
+                total += light
+        if total <= 0.0:  # a crescent thinner than the samples' distance: all of it at the limb
+            i = min(max(math.floor(x + radius_x * math.cos(sun_angle) + 0.5), 0), box.shape[1] - 1)
+            j = min(max(math.floor(y + radius_y * math.sin(sun_angle) + 0.5), 0), box.shape[0] - 1)
+            box[j, i] = total = 1.0
+        scale = amounts[k] / total
+        for j in range(max(-top, 0), min(box.shape[0], height - top)):
+            for i in range(max(-left, 0), min(box.shape[1], width - left)):
+                image[top + j, left + i] += scale * box[j, i]
+
+
+def _convolve(
+    mean_e: FloatArray,
+    disk: FloatArray,
+    fine: int,
+    left: int,
+    top: int,
+    reach_x: int,
+    reach_y: int,
+    electrons: float,
+    psf: Psf,
+) -> None:
+    """Add a disk on a grid of `fine`² cells a pixel, blurred: the PSF's core at each cell, its wings at each pixel.
+
+    Cells stand as points at their middles, which blurs by a variance of 1/12 cell²; (−1, 26, −1)/24 along both axes
+    takes that out again.
+    """
+    disk = np.pad(disk, fine)
+    left, top = left - 1, top - 1
+    for axis in (0, 1):
+        disk = disk * (13.0 / 12.0) - (np.roll(disk, 1, axis) + np.roll(disk, -1, axis)) / 24.0
+    half_x, half_y = min(reach_x, _CORE_HALF_PX), min(reach_y, _CORE_HALF_PX)
+    rows, columns = (cells // fine for cells in disk.shape)
+    image = np.zeros((rows + 2 * half_y, columns + 2 * half_x))
+    for b in range(fine):
+        for a in range(fine):
+            offset = ((a + 0.5) / fine - 0.5, (b + 0.5) / fine - 0.5)
+            core = _stamp(psf, electrons, half_x, half_y, offset)
+            image += fftconvolve(disk[b::fine, a::fine], core, mode="full")
+    _add(mean_e, np.maximum(image, 0.0), left - half_x, top - half_y)
+    if reach_x > half_x or reach_y > half_y:
+        wings = _stamp(psf, electrons, reach_x, reach_y, (0.0, 0.0))
+        wings[reach_y - half_y : reach_y + half_y + 1, reach_x - half_x : reach_x + half_x + 1] = 0.0
+        whole = disk.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
+        _add(mean_e, np.maximum(fftconvolve(whole, wings, mode="full"), 0.0), left - reach_x, top - reach_y)
+
+
+def _stamp(psf: Psf, electrons: float, half_x: int, half_y: int, offset: tuple[float, float]) -> FloatArray:
+    """Share of a star's light in each pixel of a stamp, drawn as far out as one of this many electrons."""
+    shape = (2 * half_y + 1, 2 * half_x + 1)
+    place = np.array([[half_x + offset[0], half_y + offset[1]]])
+    return render_stars(shape, place, np.ones(1), np.array([electrons]), psf) / electrons
+
+
+def _add(image: FloatArray, patch: FloatArray, left: int, top: int) -> None:
+    """Add a patch whose first pixel lies at (left, top) to the part of the image that it covers."""
+    height, width = image.shape
+    x0, x1 = max(left, 0), min(left + patch.shape[1], width)
+    y0, y1 = max(top, 0), min(top + patch.shape[0], height)
+    if x0 < x1 and y0 < y1:
+        image[y0:y1, x0:x1] += patch[y0 - top : y1 - top, x0 - left : x1 - left]

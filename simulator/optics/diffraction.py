@@ -1,0 +1,120 @@
+"""Wavefronts of a lens, by wavelength and place in the field, and their images integrated over pixels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.optics import pupil
+from simulator.optics.psf_table import pixel_matrix, sample_grid
+from simulator.optics.zernike import NOLL
+from simulator.scenario.schema import FieldAberrationsSection, PsfSection
+
+FloatArray = NDArray[np.float64]
+
+
+def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> float:
+    """Zernike defocus (waves rms) of a detector δ away from the focus.
+
+    The wavefront at the edge of the pupil is W₀₂₀ = δ/(8N²) (Born & Wolf, § 8.8; paraxial, error about 1/(16N²) of
+    it), and W₀₂₀ρ² is W₀₂₀/(2√3) of Noll's Z4 = √3(2ρ² − 1), and a piston. Positive δ: the detector behind the focus.
+    """
+    return shift_um / (8.0 * f_number**2) / (wavelength_nm * 1e-3) / (2.0 * math.sqrt(3.0))
+
+
+def axial_coefficients(section: PsfSection, f_number: float) -> FloatArray:
+    """Zernike coefficients (Noll 1 … 11), waves rms at `wavelength_nm`, in the middle of the field."""
+    coefficients = np.zeros(pupil.TERMS)
+    for name, index in NOLL.items():
+        coefficients[index - 1] = getattr(section.zernike_waves, name)
+    coefficients[NOLL["defocus"] - 1] += defocus_waves(section.defocus_um, f_number, section.wavelength_nm)
+    return coefficients
+
+
+def field_coefficients(field: FieldAberrationsSection, h: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
+    """Zernike coefficients of the aberrations that grow with the field, waves rms.
+
+    Third order (Welford 1986, Aberrations of Optical Systems, § 7): coma ∝ h with its axis along the radius, c h √8
+    (3ρ³ − 2ρ) cos(θ − φ); astigmatism ∝ h² about it, a h² √6 ρ² cos 2(θ − φ); curvature of the field, a defocus ∝ h².
+
+    Parameters
+    ----------
+    field : FieldAberrationsSection
+        Values at the corners, h = 1.
+    h, azimuth_rad : (...) arrays
+        Distance from the centre of the image relative to the corners', and azimuth from +x (columns) to +y (rows).
+
+    Returns
+    -------
+    (..., 11) array
+    """
+    h, azimuth_rad = np.asarray(h, dtype=float), np.asarray(azimuth_rad, dtype=float)
+    coefficients = np.zeros((*h.shape, pupil.TERMS))
+    coefficients[..., NOLL["coma_x"] - 1] = field.coma_waves * h * np.cos(azimuth_rad)
+    coefficients[..., NOLL["coma_y"] - 1] = field.coma_waves * h * np.sin(azimuth_rad)
+    coefficients[..., NOLL["astigmatism"] - 1] = field.astigmatism_waves * h**2 * np.cos(2.0 * azimuth_rad)
+    coefficients[..., NOLL["astigmatism_oblique"] - 1] = field.astigmatism_waves * h**2 * np.sin(2.0 * azimuth_rad)
+    coefficients[..., NOLL["defocus"] - 1] = field.curvature_waves * h**2
+    return coefficients
+
+
+def spread_px(waves: FloatArray, lambda_n_px: FloatArray, obscuration: float) -> float:
+    """Radius of the geometric image about its centroid, pixels along columns; `waves` (K, T), `lambda_n_px` (K,)."""
+    radius = 0.0
+    for coefficients, scale in zip(waves, lambda_n_px, strict=True):
+        shift = 2.0 * float(np.hypot(*pupil.mean_slope(coefficients[None], obscuration)[0]))
+        radius = max(radius, float(scale) * (pupil.geometric_radius(coefficients) + shift))
+    return radius
+
+
+class Images:
+    """Monochromatic images of a point on a common grid, and what pixels make of their sums.
+
+    Parameters
+    ----------
+    waves : (K, T) array
+        Zernike coefficients of each wavelength, in its own waves rms.
+    lambda_n_px : (K,) array
+        λN of each, pixels along columns.
+    obscuration : float
+        Central obscuration, share of the diameter.
+    aspect : float
+        Pitch along columns over pitch along rows.
+    diffusion_px : float
+        Standard deviation of the spreading of charge, pixels along columns.
+    half_px : int
+        Half width of the stamp, pixels (columns and rows).
+    """
+
+    def __init__(
+        self,
+        waves: FloatArray,
+        lambda_n_px: FloatArray,
+        obscuration: float,
+        aspect: float,
+        diffusion_px: float,
+        half_px: int,
+    ) -> None:
+        self.aspect, self.diffusion_px = aspect, diffusion_px
+        self.finest = float(lambda_n_px.min())
+        self.samples = sample_grid((half_px + 1.0) * max(1.0, 1.0 / aspect) + 4.0 * diffusion_px, self.finest)
+        self.light = np.array(
+            [
+                pupil.intensity(coefficients, self.samples / scale, self.samples / scale, obscuration)[0] / scale**2
+                for coefficients, scale in zip(waves, lambda_n_px, strict=True)
+            ]
+        )
+
+    def matrices(self, offsets_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Matrices that integrate over pixels at these offsets along columns and along rows."""
+        along_x = pixel_matrix(offsets_px, self.samples, self.finest, self.diffusion_px, 1.0)
+        if self.aspect == 1.0:
+            return along_x, along_x
+        size = 1.0 / self.aspect  # of a row, in columns
+        return along_x, pixel_matrix(offsets_px * size, self.samples, self.finest, self.diffusion_px, size)
+
+    def shares(self, weights: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
+        """Share of the light in pixels at the offsets of the matrices, (rows, columns), for a spectrum (K,)."""
+        return np.asarray(along_y @ np.tensordot(weights, self.light, 1) @ along_x.T)

@@ -1,0 +1,200 @@
+"""Jitter: a small random turning of the camera during the exposure, with a given power spectrum.
+
+About each axis the angle is a stationary Gaussian process of variance rms² and one-sided power spectral density
+rms² s(f), ∫ s df = 1, made of M cosines:
+
+    φ(t) = Σ_m  a_m cos 2π f_m t + b_m sin 2π f_m t,      a_m, b_m ~ N(0, rms²/M)
+
+The band is cut into M parts of equal variance and f_m drawn within each by s, so that the expected autocovariance is
+that of the spectrum at every lag, and φ repeats at no period. It can be evaluated at any moment.
+
+Source: spectral representation of Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191, with random frequencies within
+the parts. Spectra of real spacecraft go in as tables.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.scenario.schema import JitterSection
+from startracker.constants import ARCSEC_RAD
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+COMPONENTS = 256
+"""Cosines an axis."""
+
+LORENTZ_BAND = 8.0
+"""A Lorentz spectrum ends at this many corner frequencies; the 8 % of its variance beyond are spread over the rest."""
+
+_TABLE_STEPS = 8193
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Shape of a power spectrum on 0 … `max_hz`.
+
+    Parameters
+    ----------
+    name : str
+        ``white``, ``lorentz`` or ``table``.
+    corner_hz, max_hz : float
+        Corner of the first two; where the band ends.
+    frequency_hz, density, cumulative : (F,) arrays
+        Of a table: density per Hz normalised to 1, linear between its points, and its integral.
+    """
+
+    name: str
+    corner_hz: float
+    max_hz: float
+    frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
+    density: FloatArray = field(default_factory=lambda: np.empty(0))
+    cumulative: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def per_hz(self, frequency_hz: ArrayLike) -> FloatArray:
+        """One-sided density s(f) of a process of variance 1, 1/Hz."""
+        f = np.asarray(frequency_hz, dtype=float)
+        if self.name == "white":
+            inside = np.full_like(f, 1.0 / self.corner_hz)
+        elif self.name == "lorentz":
+            inside = 1.0 / (self.corner_hz * math.atan(LORENTZ_BAND) * (1.0 + (f / self.corner_hz) ** 2))
+        else:
+            inside = np.interp(f, self.frequency_hz, self.density, left=0.0)
+        return np.where((f >= 0.0) & (f <= self.max_hz), inside, 0.0)
+
+    def quantile(self, share: ArrayLike) -> FloatArray:
+        """Frequency below which the given share (0 … 1) of the variance lies."""
+        u = np.asarray(share, dtype=float)
+        if self.name == "white":
+            return np.asarray(self.corner_hz * u)
+        if self.name == "lorentz":
+            return np.asarray(self.corner_hz * np.tan(u * math.atan(LORENTZ_BAND)))
+        return np.asarray(np.interp(u, self.cumulative, self.frequency_hz), dtype=float)
+
+
+def load_spectrum(section: JitterSection, base_dir: str | Path = ".") -> Spectrum:
+    """Spectrum of a section: ``white`` up to the corner, ``lorentz`` 1/(1 + (f/corner)²), or a CSV ``table``.
+
+    A table has the columns frequency (Hz, rising, from 0 or more) and power spectral density (any unit: `rms_arcsec`
+    sets the variance); lines that begin with ``#`` or a letter are passed over.
+
+    Raises
+    ------
+    InputError
+        When the table is missing, cannot be read, or is no spectrum.
+    """
+    if section.psd == "white":
+        return Spectrum("white", section.corner_hz, section.corner_hz)
+    if section.psd == "lorentz":
+        return Spectrum("lorentz", section.corner_hz, LORENTZ_BAND * section.corner_hz)
+    if section.table is None:
+        raise InputError("pointing.jitter.psd: table needs pointing.jitter.table, a CSV file (frequency_hz, psd)")
+    path = Path(base_dir) / section.table
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows = [line.split(",") for line in lines if line.strip() and not line.lstrip()[0].isalpha() and line[0] != "#"]
+        f, density = np.array([[float(cell) for cell in row] for row in rows]).T
+    except OSError as error:
+        raise InputError(f"pointing.jitter.table: {path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"pointing.jitter.table: {path}: needs two columns of numbers (frequency_hz, psd)") from error
+    area = float(np.trapezoid(density, f))
+    if not (np.isfinite(area) and area > 0.0 and (np.diff(f) > 0.0).all() and f[0] >= 0.0 and (density >= 0.0).all()):
+        raise InputError(
+            f"pointing.jitter.table: {path}: frequencies must rise from 0 Hz or more, densities be 0 or more, not all 0"
+        )
+    fine = np.unique(np.concatenate([f, np.linspace(f[0], f[-1], _TABLE_STEPS)]))
+    values = np.interp(fine, f, density / area)
+    steps = np.diff(fine) * (values[1:] + values[:-1]) / 2.0
+    cumulative = np.concatenate([[0.0], np.cumsum(steps)])
+    return Spectrum("table", section.corner_hz, float(f[-1]), fine, values, cumulative / cumulative[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class JitterPath:
+    """One realisation, as a function of time.
+
+    Parameters
+    ----------
+    frequency_hz, cosine_rad, sine_rad : (M, 3) arrays
+        Of the components about each axis.
+    max_hz : float
+        No component is faster.
+    matrix : (3, 3) array
+        From those axes into the camera's.
+    offset_rad : (3,) array
+        Taken off the sum, camera axes.
+    """
+
+    frequency_hz: FloatArray
+    cosine_rad: FloatArray
+    sine_rad: FloatArray
+    max_hz: float
+    matrix: FloatArray = field(default_factory=lambda: np.eye(3))
+    offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def at(self, t_s: ArrayLike) -> FloatArray:
+        """Rotation vectors (..., 3) in camera axes, radians, at seconds from mid-exposure: how the camera has turned
+        from its undisturbed attitude."""
+        t = np.asarray(t_s, dtype=float)
+        own = np.empty((*t.shape, 3))
+        for axis in range(3):
+            phase = 2.0 * np.pi * t[..., None] * self.frequency_hz[:, axis]
+            own[..., axis] = np.cos(phase) @ self.cosine_rad[:, axis] + np.sin(phase) @ self.sine_rad[:, axis]
+        return np.asarray(own @ self.matrix.T - self.offset_rad)
+
+    def mean(self, exposure_s: float) -> FloatArray:
+        """Mean rotation vector (3,) over an exposure about t = 0, exact: each cosine's is a sin(πfT)/(πfT)."""
+        shares = np.sinc(self.frequency_hz * exposure_s)
+        return np.asarray(self.matrix @ (shares * self.cosine_rad).sum(axis=0) - self.offset_rad)
+
+    def centred(self, exposure_s: float) -> JitterPath:
+        """The same path about its own mean over the exposure."""
+        return replace(self, offset_rad=self.offset_rad + self.mean(exposure_s))
+
+    def rms_rate_rad_s(self) -> FloatArray:
+        """Root mean square (3,) of the angular rate, camera axes."""
+        power = (2.0 * np.pi * self.frequency_hz) ** 2 * (self.cosine_rad**2 + self.sine_rad**2) / 2.0
+        return np.asarray(np.sqrt((self.matrix**2) @ power.sum(axis=0)))
+
+
+def draw_jitter(
+    section: JitterSection,
+    spectrum: Spectrum,
+    rng: np.random.Generator,
+    body_to_camera: ArrayLike | None = None,
+) -> JitterPath | None:
+    """One realisation for one exposure; None, and nothing drawn, where the section has no jitter.
+
+    Parameters
+    ----------
+    section : JitterSection
+        Variances and axes.
+    spectrum : Spectrum
+        Of `load_spectrum`.
+    rng : Generator
+        Stream ``jitter`` of the trial.
+    body_to_camera : (3, 3) array, optional
+        Matrix of the mounting, for `axes`: ``body``.
+
+    Notes
+    -----
+    The true attitude of a frame is that of mid-exposure turned by the mean of the jitter over the exposure, which is
+    where the stars' images have their centres; `JitterPath.mean` gives it and `JitterPath.centred` the rest, which
+    blurs.
+    """
+    if not any(section.rms_arcsec):
+        return None
+    parts = (np.arange(COMPONENTS)[:, None] + rng.uniform(size=(COMPONENTS, 3))) / COMPONENTS
+    sigma = np.array(section.rms_arcsec) * ARCSEC_RAD / math.sqrt(COMPONENTS)
+    cosine, sine = rng.standard_normal((2, COMPONENTS, 3)) * sigma
+    matrix = np.asarray(body_to_camera, dtype=float) if section.axes == "body" else np.eye(3)
+    if matrix.shape != (3, 3):
+        raise InputError("jitter in body axes needs the matrix (3, 3) of the mounting, body to camera")
+    return JitterPath(spectrum.quantile(parts), cosine, sine, spectrum.max_hz, matrix)

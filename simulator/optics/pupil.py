@@ -1,0 +1,131 @@
+"""Fraunhofer diffraction: from the wavefront in the pupil to the light in the image."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.optics.zernike import wavefront
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+TERMS = 11
+"""Zernike terms that a wavefront holds: Noll's 1 (piston) to 11 (spherical)."""
+
+
+def disk_nodes(count: int, radius: float = 1.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points and weights that integrate smooth functions over a disk.
+
+    Along y Gauss–Chebyshev points of the second kind, whose weight √(1 − y²) is the chord's half length; along each
+    chord Gauss–Legendre points: exact for polynomials, and exponentially good for what a lens does.
+
+    Returns
+    -------
+    y : (count,) array
+    x, weight : (count, count) arrays
+        Points of each chord; their weights sum to π radius².
+    """
+    angle = np.pi * np.arange(1, count + 1) / (count + 1)
+    y = np.cos(angle)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    weight_y = np.pi / (count + 1) * np.sin(angle) ** 2  # for ∫ √(1−y²) g(y) dy
+    x = np.sin(angle)[:, None] * nodes
+    return radius * y, radius * x, radius**2 * weight_y[:, None] * weights
+
+
+def intensity(
+    coefficients: FloatArray, x: FloatArray, y: FloatArray, obscuration: float = 0.0, *, centred: bool = True
+) -> FloatArray:
+    """Point-spread function of an aberrated lens by Fraunhofer diffraction.
+
+    E(x) = ∫ exp(2πi W(ρ)) exp(−iπ x·ρ) d²ρ over the pupil ε ≤ |ρ| ≤ 1, x in units of λN, and I = |E|²/(4π(1−ε²)),
+    whose integral over the plane is 1 (Born & Wolf, § 9.1). A slope ∂W/∂ρ moves light by 2 ∂W/∂ρ λN. The integral is
+    done as a matrix Fourier transform (Soummer et al. 2007, Opt. Express 15, 15935) on Gaussian instead of equidistant
+    points of the pupil, so that its round edges cost no accuracy: relative errors are below 1e-9 of the peak.
+
+    Parameters
+    ----------
+    coefficients : (Q, T) array
+        Zernike coefficients (Noll 1 … T), waves rms, of Q wavefronts.
+    x, y : (X,), (Y,) arrays
+        Points along columns and rows, units of λN.
+    obscuration : float
+        Central obscuration, share of the diameter.
+    centred : bool
+        Put the centroid of the geometric image at 0, as the calibration of a camera does: coma, as Zernike has it,
+        moves the centroid by 4√2 λN a wave rms. False: as the polynomials are.
+
+    Returns
+    -------
+    (Q, Y, X) array
+    """
+    coefficients = np.atleast_2d(np.asarray(coefficients, dtype=float))
+    shift = mean_slope(coefficients, obscuration) if centred else np.zeros((len(coefficients), 2))
+    furthest = max(float(np.abs(x).max()), float(np.abs(y).max()), 1.0)
+    reach = furthest + geometric_radius(coefficients) + 2.0 * float(np.abs(shift).max())
+    field = _field(coefficients, shift, x, y, 1.0, reach)
+    if obscuration > 0.0:
+        field -= _field(coefficients, shift, x, y, obscuration, reach)
+    return np.asarray((field.real**2 + field.imag**2) / (4.0 * math.pi * (1.0 - obscuration**2)))
+
+
+def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray:
+    """Mean of ∂W/∂ρ over the pupil (waves), (Q, 2): half the place of the centroid in λN."""
+    low, high = _mean_slope(coefficients, obscuration), _mean_slope(coefficients, 1.0)
+    if obscuration == 0.0:
+        return high
+    return np.asarray((high - obscuration**2 * low) / (1.0 - obscuration**2))
+
+
+def geometric_radius(coefficients: FloatArray) -> float:
+    """Radius of the geometric image about its place by the polynomials, λN: the largest 2 |∂W/∂ρ|."""
+    y, x, _ = disk_nodes(24)
+    slopes = _slopes(np.atleast_2d(coefficients), x.ravel(), np.repeat(y, 24))
+    return float(2.0 * np.hypot(*slopes).max(initial=0.0))
+
+
+def _mean_slope(coefficients: FloatArray, radius: float) -> FloatArray:
+    if radius == 0.0:
+        return np.zeros((len(coefficients), 2))
+    y, x, weight = disk_nodes(12, radius)
+    slopes = _slopes(coefficients, x.ravel(), np.repeat(y, 12))
+    return np.stack([slope @ weight.ravel() for slope in slopes], axis=1) / (math.pi * radius**2)
+
+
+def _slopes(coefficients: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """∂W/∂x, ∂W/∂y by central differences, good to 1e-9 of W: the polynomials are of the fourth degree."""
+    step = 1e-4
+    return (
+        (wavefront(coefficients, x + step, y) - wavefront(coefficients, x - step, y)) / (2 * step),
+        (wavefront(coefficients, x, y + step) - wavefront(coefficients, x, y - step)) / (2 * step),
+    )
+
+
+def _field(
+    coefficients: FloatArray, shift: FloatArray, x: FloatArray, y: FloatArray, radius: float, reach: float
+) -> ComplexArray:
+    """Amplitude (Q, Y, X) of a disk of the pupil."""
+    count = math.ceil(math.pi * reach * radius / 2.0) + 24  # Gauss needs half the phase across, and some
+    node_y, node_x, weight = disk_nodes(count, radius)
+    flat_y = np.repeat(node_y, count)
+    waves = wavefront(coefficients, node_x.ravel(), flat_y) - shift @ np.stack([node_x.ravel(), flat_y])
+    pupil = (weight.ravel() * np.exp(2j * math.pi * waves)).reshape(-1, count, count)
+    along_x = _phasors(node_x, x)  # (chord, point, X)
+    chords = np.matmul(np.ascontiguousarray(pupil.transpose(1, 0, 2)), along_x)  # (chord, Q, X)
+    along_y = np.exp(-1j * math.pi * np.outer(y, node_y))
+    return np.asarray(np.einsum("yc,cqx->qyx", along_y, chords, optimize=True))
+
+
+def _phasors(nodes: FloatArray, x: FloatArray) -> ComplexArray:
+    """exp(−iπ nodes x), (..., X); on an even grid as products of two short tables, ten times as fast."""
+    block = 16
+    steps = np.diff(x)
+    if len(x) <= 2 * block or float(np.ptp(steps)) > 1e-12 * float(np.abs(x).max()):
+        return np.asarray(np.exp(-1j * math.pi * nodes[..., None] * x))
+    coarse = np.exp(-1j * math.pi * nodes[..., None] * x[::block])
+    fine = np.exp(-1j * math.pi * nodes[..., None] * (np.arange(block) * steps.mean()))
+    table = coarse[..., :, None] * fine[..., None, :]
+    return np.asarray(table.reshape(*nodes.shape, -1)[..., : len(x)])

@@ -1,0 +1,188 @@
+"""Shutters that do not open everywhere at once: rolling, and frame transfer under light.
+
+Rolling: row y is exposed from t_y − T/2 to t_y + T/2 with t_y = (y − y_c) · line_time, where y_c is the middle row: the
+time, and the true attitude, of a frame are those of the middle of the exposure of its middle row. A star is seen at
+the moments u = t − t_y(t) of its own row's window, −T/2 ≤ u ≤ T/2, so that
+
+    t = u + (y(t) − y_c) · line_time
+
+A star that runs with the shutter is exposed for longer, T / |1 − ẏ · line_time|.
+
+Frame transfer without a mechanical shutter: every line of charge is moved through the image, one line a `line_time`,
+and gathers light in each row it stands in. With flux F(r) electrons a second
+
+    after the exposure    + line_time · Σ F(rows ahead of r, through which it leaves)
+    before it (clearing)  + line_time · Σ F(rows behind r, through which it came)
+
+Source: J. R. Janesick, *Scientific Charge-Coupled Devices* (2001), chapters 1 and 4, for the transfer; M. Meingast,
+C. Geyer & S. Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 2005, for the rolling shutter.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from simulator.optics.jitter import JitterPath
+from simulator.optics.smear import (
+    DEFAULT_FEATURE_PX,
+    DEFAULT_MARGIN_PX,
+    exposure_nodes,
+    longest_path_px,
+    path_limit_rad,
+    rotation_matrices,
+    wander_length_px,
+)
+from startracker.camera import Camera
+from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+_SETTLED_PX = 1e-9
+_MOST_STEPS = 30
+_LONGEST = 10.0
+_TABLE_PER_CYCLE = 24
+"""Samples of the jitter a period of its fastest component, between which a cubic spline is good to 1e-5 of it."""
+
+
+def rolling_paths(
+    camera: Camera,
+    directions: FloatArray,
+    rate_rad_s: ArrayLike,
+    exposure_s: float,
+    line_time_s: float,
+    feature_px: float = DEFAULT_FEATURE_PX,
+    margin_px: float = DEFAULT_MARGIN_PX,
+    jitter: JitterPath | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pixel positions of stars over the exposure of the rows they stand in.
+
+    Parameters
+    ----------
+    camera, directions, rate_rad_s, exposure_s, feature_px, margin_px, jitter
+        As of `simulator.optics.smear.star_paths`; the directions are those at the middle of the exposure of the middle
+        row.
+    line_time_s : float
+        From the start of one row to that of the next.
+
+    Returns
+    -------
+    xy : (N, K, 2) array
+        Positions; NaN outside the followed field, and of a star that keeps within a tenth of the shutter's own speed.
+    weights : (K,) array
+        Share of the exposure of each moment; their sum is 1.
+    exposed : (N,) array
+        Time for which each star is exposed over `exposure_s`: what its electrons are to be multiplied by.
+
+    Notes
+    -----
+    The window of the row of the star's centre serves for its whole image. What that leaves out is a shear of the image
+    by velocity · line_time (2 % at 1,000 px/s and 20 µs), odd about the centre, so that the centroid stays.
+    """
+    directions = np.atleast_2d(np.asarray(directions, dtype=float))
+    rate = np.asarray(rate_rad_s, dtype=float)
+    limit_rad = path_limit_rad(camera, margin_px)
+    middle = (camera.height - 1) / 2.0
+    reach_s = exposure_s / 2.0 + (middle + margin_px + 1.0) * line_time_s
+    shaking = _spline(jitter, reach_s) if jitter is not None else None
+
+    def place(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (N, K, 2) and cosines (N, K) of the angle off the axis at moments (N, K)."""
+        vectors = np.einsum("nkij,nj->nki", rotation_matrices(-rate * t[..., None]), directions)
+        if shaking is not None:
+            vectors = np.einsum("nkij,nkj->nki", rotation_matrices(-shaking(t)), vectors)
+        return camera.project(vectors.reshape(-1, 3)).reshape(*t.shape, 2), vectors[..., 2]
+
+    def late(t: FloatArray, u: FloatArray) -> FloatArray:
+        """By how much moments (N, K) come after those of the rows the stars stand in then."""
+        rows = np.clip(place(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
+        return np.asarray(t - u - rows * line_time_s)
+
+    def moments(u: FloatArray) -> FloatArray:
+        """Moments (N, K) at which stars stand in a row whose window has run for u (K,) from its middle: secants, the
+        first of which is exact for straight paths."""
+        before = np.tile(u, (len(directions), 1))
+        miss = late(before, u)
+        t = before - miss
+        for _ in range(_MOST_STEPS):
+            now = late(t, u)
+            if not (np.abs(now) > _SETTLED_PX * line_time_s).any():
+                return t
+            change = np.where(now == miss, 0.0, now * (t - before) / np.where(now == miss, 1.0, now - miss))
+            before, miss, t = t, now, t - change
+        return np.where(np.abs(late(t, u)) > _SETTLED_PX * line_time_s, np.nan, t)
+
+    ends = moments(np.array([-0.5, 0.5]) * exposure_s)
+    exposed = np.abs(ends[:, 1] - ends[:, 0]) / exposure_s
+    held = exposed < _LONGEST  # false for NaN
+    exposed = np.where(held, exposed, 1.0)
+    longest = float(exposed.max(initial=1.0))
+    length_px = longest_path_px(camera, directions, -rate * exposure_s * longest, limit_rad)
+    cycles = 0.0
+    if jitter is not None:
+        length_px += wander_length_px(camera, jitter, exposure_s * longest, limit_rad)
+        cycles = jitter.max_hz * exposure_s * longest
+    nodes, weights = exposure_nodes(length_px, feature_px, cycles)
+    xy, cosine = place(moments(nodes * exposure_s / 2.0))
+    xy[~(cosine >= np.cos(limit_rad)) | ~held[:, None]] = np.nan
+    return xy, weights, exposed
+
+
+def frame_transfer_smear(
+    mean_e: FloatArray,
+    exposure_s: float,
+    line_time_s: float,
+    direction: Literal["up", "down"],
+    phases: Literal["both", "after"] = "both",
+) -> FloatArray:
+    """Electrons that moving charge gathers from the rows it passes.
+
+    Parameters
+    ----------
+    mean_e : (H, W) array
+        Electrons over the exposure: stars and background.
+    exposure_s : float
+        Exposure time.
+    line_time_s : float
+        Time a line of charge stands in each row of the transfer. A full-frame CCD that is read out under light has the
+        time of reading a whole line here, 1/9.6 kHz for the thesis' TC211 (Greyling 1995, section 6.2).
+    direction : str
+        ``up``: charge leaves past row 0; ``down``: past the last row.
+    phases : str
+        ``both``: the image was cleared by the same transfer before the exposure, or is exposed frame after frame;
+        ``after``: it was emptied at once, by a drain.
+
+    Returns
+    -------
+    (H, W) array
+        Mean electrons to add.
+
+    Raises
+    ------
+    InputError
+        For a direction or phases that are not there.
+
+    Notes
+    -----
+    Exact for a scene that stands still over exposure and transfer; what the stars move meanwhile is left out.
+    """
+    if direction not in ("up", "down"):
+        raise InputError(f"charge moves 'up' or 'down', not {direction!r}")
+    if phases not in ("both", "after"):
+        raise InputError(f"smear comes 'both' before and after or 'after' the exposure, not {phases!r}")
+    ordered = mean_e if direction == "up" else mean_e[::-1]
+    gathered = np.zeros_like(ordered, dtype=float)
+    np.cumsum(ordered[:-1], axis=0, out=gathered[1:])  # rows ahead
+    if phases == "both":
+        gathered[:-1] += np.cumsum(ordered[:0:-1], axis=0)[::-1]  # and behind
+    gathered *= line_time_s / exposure_s
+    return gathered if direction == "up" else np.ascontiguousarray(gathered[::-1])
+
+
+def _spline(jitter: JitterPath, reach_s: float) -> CubicSpline:
+    """The path from −reach to +reach as a spline, cheaper than its cosines where each star has its own moments."""
+    t = np.linspace(-reach_s, reach_s, 8 + int(np.ceil(2.0 * reach_s * jitter.max_hz * _TABLE_PER_CYCLE)))
+    return CubicSpline(t, jitter.at(t))

@@ -1,0 +1,181 @@
+"""Stray light: what a baffle lets through of the Sun, the Moon and the Earth beside the field.
+
+Default: off. Without `optics.baffle.pst` in the scenario no stray light is reckoned, as behind a perfect baffle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.scenario.schema import BaffleSection
+from startracker.errors import InputError
+
+__all__ = ["Baffle", "build_baffle", "stray_light_e_s_pixel"]
+
+FloatArray = NDArray[np.float64]
+
+BEYOND_EXCLUSION_PST = 1e-9
+"""Point-source transmittance of ``vane`` outside its exclusion angle: attenuations "on the order of 10⁹ for angles
+larger than the pre-defined exclusion angle" (Haghshenas & Johari 2014, Proc. SPIE 9264, 92641R); Donati 1990 (Proc.
+SPIE 1165) asks "approximately 10⁻⁹" of a baffle for stars of V = 6."""
+
+IN_FIELD_PST = 1e-3
+"""Point-source transmittance of ``vane`` on the boresight, where its slope starts: assumed, some scatter and ghosts of
+a clean lens. Inside the exclusion angle a tracker is not meant to work."""
+
+
+@dataclass(frozen=True, eq=False)
+class Baffle:
+    """Point-source transmittance over the angle from the boresight, and the exclusion angles.
+
+    Parameters
+    ----------
+    angle_rad, pst : (N,) array
+        Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last.
+    exclusion_rad : dict
+        Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work.
+    """
+
+    angle_rad: FloatArray
+    pst: FloatArray
+    exclusion_rad: dict[str, float]
+
+    def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
+        """Irradiance on the detector over that of the same source on the aperture at normal incidence."""
+        angle = np.asarray(angle_rad, dtype=float)
+        value = np.exp(np.interp(angle, self.angle_rad, np.log(self.pst)))
+        return np.asarray(np.where(angle <= self.angle_rad[-1], value, 0.0))
+
+    def within_exclusion(self, names: Iterable[str], boresight: ArrayLike, directions: ArrayLike) -> list[str]:
+        """Names of the bodies of which any part (of the Earth: any lit piece) is within its exclusion angle.
+
+        Parameters
+        ----------
+        names : (N,) str
+            From `simulator.sky.earth.stray_sources`, as are `directions`.
+        boresight : array_like, shape (3,)
+            Unit vector, in the axes of the directions.
+        directions : array_like, shape (N, 3)
+            Unit vectors.
+        """
+        angle = _off_axis(boresight, directions)
+        found = {
+            str(name) for name, off in zip(names, angle, strict=True) if off < self.exclusion_rad.get(str(name), 0.0)
+        }
+        return sorted(found)
+
+
+def build_baffle(section: BaffleSection, base_dir: str | Path | None = None) -> Baffle | None:
+    """Baffle of a scenario; None, and so no stray light, where `pst` is null.
+
+    ``pst: vane`` is a model: log PST falls linearly with the angle from 10⁻³ on the boresight to 10⁻⁹ at the Sun's
+    exclusion angle, keeps that to 90° and is zero behind. Anything else is a CSV file with the header
+    ``angle_deg,pst``, rising angles from 0 and values above 0 and up to 1; lines that start with ``#`` are comments.
+
+    Parameters
+    ----------
+    section : BaffleSection
+        ``optics.baffle``.
+    base_dir : path, optional
+        Folder that a relative path starts from.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing or wrong (with its line).
+    """
+    if section.pst is None:
+        return None
+    exclusion = {
+        "Sun": math.radians(section.sun_exclusion_deg),
+        "Moon": math.radians(section.moon_exclusion_deg),
+        "Earth": math.radians(section.earth_exclusion_deg),
+    }
+    if section.pst == "vane":
+        points = [(0.0, IN_FIELD_PST), (section.sun_exclusion_deg, BEYOND_EXCLUSION_PST), (90.0, BEYOND_EXCLUSION_PST)]
+    else:
+        points = _read(Path(base_dir or ".") / section.pst)
+    table = np.array(points)
+    return Baffle(np.radians(table[:, 0]), table[:, 1], exclusion)
+
+
+def stray_light_e_s_pixel(
+    baffle: Baffle | None,
+    boresight: ArrayLike,
+    directions: ArrayLike,
+    rate_e_s: ArrayLike,
+    aperture_area_cm2: float,
+    pixel_area_cm2: float,
+) -> float:
+    """Electrons a second in every pixel from sources outside the field.
+
+    Σ PST(θᵢ) · (Nᵢ/A) · a: Nᵢ the electrons a second that source i would leave on the detector if the lens looked at
+    it, A the area of the aperture, so that Nᵢ/A is its irradiance there (in electrons, transmission and quantum
+    efficiency included), a the area of a pixel. PST is the usual ratio of the mean irradiance on the detector to that
+    on the aperture at normal incidence (Breault in the *Handbook of Optics*; ECSS-E-HB-60-10), here without the lens'
+    own transmission, which N already has. The light is spread evenly over the detector; real stray light has slopes
+    and ghosts.
+
+    Parameters
+    ----------
+    baffle : Baffle or None
+        None: no stray light, 0.
+    boresight : array_like, shape (3,)
+        Unit vector, in the axes of the directions.
+    directions : array_like, shape (N, 3)
+        Sources, unit vectors (`simulator.sky.earth.stray_sources`).
+    rate_e_s : array_like, shape (N,)
+        Their electrons a second through the whole aperture (`Photometer.electrons_per_s`).
+    aperture_area_cm2, pixel_area_cm2 : float
+        Areas of the entrance pupil and of a pixel.
+    """
+    if baffle is None:
+        return 0.0
+    share = baffle.transmittance(_off_axis(boresight, directions))
+    return float(share @ np.asarray(rate_e_s, dtype=float)) / aperture_area_cm2 * pixel_area_cm2
+
+
+def _off_axis(boresight: ArrayLike, directions: ArrayLike) -> FloatArray:
+    cosine = np.asarray(directions, dtype=float).reshape(-1, 3) @ np.asarray(boresight, dtype=float)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _read(path: Path) -> list[tuple[float, float]]:
+    """Points of a CSV file; the first fault is told with its line."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); optics.baffle.pst is 'vane' or a CSV file angle_deg,pst"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text; give a CSV file angle_deg,pst") from error
+    points: list[tuple[float, float]] = []
+    header = False
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if not header:
+            if cells != ["angle_deg", "pst"]:
+                raise InputError(f"{path}:{number}: the header must be 'angle_deg,pst'; found '{line.strip()}'")
+            header = True
+            continue
+        try:
+            angle, value = (float(cell) for cell in cells)
+        except ValueError:
+            raise InputError(f"{path}:{number}: '{line.strip()}' is not an angle and a transmittance") from None
+        if not 0.0 <= angle <= 180.0 or (points and angle <= points[-1][0]) or (not points and angle != 0.0):
+            raise InputError(f"{path}:{number}: angles must rise from 0 to at most 180 degrees; found {cells[0]}")
+        if not 0.0 < value <= 1.0:
+            raise InputError(f"{path}:{number}: a transmittance lies above 0 and up to 1; found {cells[1]}")
+        points.append((angle, value))
+    if len(points) < 2:
+        raise InputError(f"{path}: needs a header 'angle_deg,pst' and two or more lines; found {len(points)}")
+    return points

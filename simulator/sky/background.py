@@ -1,0 +1,307 @@
+"""Diffuse light of the sky by direction: zodiacal light, and the starlight that is not drawn star by star.
+
+Directions are ICRS; brightness is in S10, stars of V = 10 and the Sun's colour a square degree (27.78 mag arcsec⁻²).
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+import math
+from dataclasses import replace
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from simulator.sky.earth import earth_radiance_map
+from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
+from startracker.camera import Camera
+from startracker.catalog import load_catalog
+from startracker.distortion import Distortion
+
+if TYPE_CHECKING:
+    from simulator.scenario.schema import SkySection
+
+__all__ = [
+    "ECLIPTIC",
+    "GALACTIC",
+    "background_map",
+    "diffuse_sky_s10",
+    "sky_brightness_s10",
+    "starlight_s10",
+    "zodiacal_s10",
+]
+
+FloatArray = NDArray[np.float64]
+
+_OBLIQUITY_RAD = math.radians(84381.406 / 3600.0)
+ECLIPTIC = np.array(
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, math.cos(_OBLIQUITY_RAD), math.sin(_OBLIQUITY_RAD)],
+        [0.0, -math.sin(_OBLIQUITY_RAD), math.cos(_OBLIQUITY_RAD)],
+    ]
+)
+"""ICRS → mean ecliptic and equinox of J2000: obliquity 84381.406″ (IAU 2006); the frame bias of 0.02″ is left out."""
+
+GALACTIC = np.array(
+    [
+        [-0.0548755604162154, -0.8734370902348850, -0.4838350155487132],
+        [0.4941094278755837, -0.4448296299600112, 0.7469822444972189],
+        [-0.8676661490190047, -0.1980763734312015, 0.4559837761750669],
+    ]
+)
+"""ICRS → galactic; ESA 1997, *The Hipparcos and Tycho Catalogues*, vol. 1, eq. 1.5.11."""
+
+POLE_S10 = 60.0
+"""Zodiacal light at the ecliptic poles, ±3; Leinert et al. 1998, section 8.3."""
+
+PIONEER_LIMIT_V = 6.5
+"""Stars brighter than this were taken out of the Pioneer map (Toller 1981; Leinert et al. 1998, section 10.3)."""
+
+_CAP_DEG = 6.0
+"""Radius within which the catalogue's light is averaged: the map's own nodes are 4° to 10° apart."""
+
+_LEAST_SHARE = 0.25
+"""At least this share of the measured light stays diffuse, however many stars are drawn: the diffuse galactic light
+alone is 10 to 35 % (Leinert et al. 1998, table 39, after Toller 1981)."""
+
+_GRID_PX = 32
+"""Step of the grid on which `background_map` evaluates the sky."""
+
+_LEAST_ELONGATION_DEG = 1.0
+
+
+def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, section: SkySection) -> FloatArray:
+    """Brightness (N,) of the diffuse sky, S10, by the section's `background_model`.
+
+    ``constant``: `background_s10` everywhere. ``leinert1998``: `zodiacal_s10` plus `starlight_s10`.
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors, ICRS.
+    sun_direction : array_like, shape (3,)
+        Apparent direction of the Sun, ICRS.
+    section : SkySection
+        Its `background`, `background_model`, `background_s10`, `catalog`, `magnitude_limit`.
+    """
+    directions = np.atleast_2d(np.asarray(directions, dtype=float))
+    if not section.background:
+        return np.zeros(len(directions))
+    if section.background_model == "constant":
+        return np.full(len(directions), section.background_s10)
+    return zodiacal_s10(directions, sun_direction) + starlight_s10(directions, section.catalog, section.magnitude_limit)
+
+
+def diffuse_sky_s10(
+    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection
+) -> float | FloatArray:
+    """All diffuse light in the field, S10: the sky, the Earth before it and the Earth's limb.
+
+    One number where the sky is `constant` and the Earth out of the field; else an array (height, width).
+
+    Parameters
+    ----------
+    camera, attitude : Camera, Attitude
+        Projection; ICRS → camera at mid-exposure.
+    r_km, sun_direction : array_like, shape (3,)
+        Position of the spacecraft (GCRS); direction of the Sun.
+    section : SkySection
+        The scenario's ``sky``.
+    """
+    earth = earth_radiance_map(camera, attitude, r_km, sun_direction, section)
+    even = section.background_model == "constant" or not section.background
+    sky: float | FloatArray = section.background_s10 if section.background else 0.0
+    if not even:
+        sky = background_map(camera, attitude, sun_direction, section)
+    if earth is None:
+        return sky
+    s10, hidden = earth
+    return np.where(hidden, 0.0, sky) + s10
+
+
+def background_map(
+    camera: Camera, attitude: Attitude, sun_direction: ArrayLike, section: SkySection, grid_px: int = _GRID_PX
+) -> FloatArray:
+    """Brightness (height, width) of the diffuse sky in every pixel, S10.
+
+    The sky is evaluated on a grid of pixels `grid_px` apart that reaches the last row and column, and interpolated
+    bilinearly between; the tables themselves have nodes 4° and more apart. Pixels that the lens model gives no
+    direction take that of the lens without distortion, and none of that either no light.
+
+    Parameters
+    ----------
+    camera : Camera
+        Projection.
+    attitude : Attitude
+        ICRS → camera at mid-exposure.
+    sun_direction, section
+        As in `sky_brightness_s10`.
+    """
+    x = np.unique(np.append(np.arange(0, camera.width, grid_px), camera.width - 1)).astype(float)
+    y = np.unique(np.append(np.arange(0, camera.height, grid_px), camera.height - 1)).astype(float)
+    nodes = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
+    seen = camera.unproject(nodes)
+    lost = ~np.isfinite(seen).all(axis=1)
+    if lost.any():
+        seen[lost] = replace(camera, distortion=Distortion()).unproject(nodes[lost])
+    sky = np.isfinite(seen).all(axis=1)
+    flat = np.zeros(len(nodes))
+    flat[sky] = sky_brightness_s10(attitude.inverse.apply(seen[sky]), sun_direction, section)
+    value = flat.reshape(len(y), len(x))
+    columns = np.arange(camera.width, dtype=float)
+    rows = np.arange(camera.height, dtype=float)
+    along = np.array([np.interp(columns, x, line) for line in value])
+    k = np.clip(np.searchsorted(y, rows, side="right") - 1, 0, max(len(y) - 2, 0))
+    if len(y) == 1:
+        return np.repeat(along, camera.height, axis=0)
+    t = ((rows - y[k]) / (y[k + 1] - y[k]))[:, None]
+    return np.asarray((1.0 - t) * along[k] + t * along[k + 1])
+
+
+# ---------------------------------------------------------------------- zodiacal light
+def zodiacal_s10(directions: ArrayLike, sun_direction: ArrayLike) -> FloatArray:
+    """Zodiacal light (N,), S10 at 500 nm, seen from 1 au.
+
+    Leinert et al. 1998, table 16, by |λ − λ_Sun| and |β|, with 60 S10 at the pole; bilinear in the logarithm, exact
+    at the table's nodes.
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors, ICRS.
+    sun_direction : array_like, shape (3,)
+        Direction of the Sun, ICRS.
+
+    Notes
+    -----
+    The table is good to some 10 % and is an annual mean; left out are the tilt of the dust's plane of symmetry (±10 %
+    at the poles over the year), the Earth's distance (±4 %), and the reddening against the Sun (table 16's S10 at
+    500 nm count as S10 in V: 2 %). Within 15° of the Sun the table has gaps; there the light is continued as
+    ε^−2.2 between 9,000 S10 on the ecliptic and 2,450 S10 above the Sun at ε = 15°, down to ε = 1° (ours).
+    """
+    ecliptic = np.atleast_2d(np.asarray(directions, dtype=float)) @ ECLIPTIC.T
+    sun = ECLIPTIC @ np.asarray(sun_direction, dtype=float)
+    longitude, latitude = direction_to_radec(ecliptic)
+    sun_longitude = math.atan2(sun[1], sun[0])
+    apart = np.degrees(np.abs((longitude - sun_longitude + np.pi) % (2.0 * np.pi) - np.pi))
+    nodes, latitudes, table = _zodiacal_table()
+    value: FloatArray = np.exp(_bilinear(nodes, latitudes, np.log(table), apart, np.degrees(np.abs(latitude))))
+    return value
+
+
+@functools.cache
+def _zodiacal_table() -> tuple[FloatArray, FloatArray, FloatArray]:
+    longitude, latitude, table = _read("zodiacal_light.csv")
+    for i, j in zip(*np.nonzero(np.isnan(table)), strict=True):
+        table[i, j] = _near_sun(longitude[i], latitude[j])
+    return longitude, np.append(latitude, 90.0), np.column_stack([table, np.full(len(longitude), POLE_S10)])
+
+
+def _near_sun(longitude_deg: float, latitude_deg: float) -> float:
+    """Continuation of the table towards the Sun; see `zodiacal_s10`."""
+    lon, lat = math.radians(longitude_deg), math.radians(latitude_deg)
+    elongation = math.degrees(math.acos(math.cos(lon) * math.cos(lat)))
+    above = math.atan2(math.sin(lat), math.sin(lon) * math.cos(lat)) if elongation > 0 else 0.0
+    at_15 = 1.0 / (math.cos(above) ** 2 / 9000.0 + math.sin(above) ** 2 / 2450.0)
+    return float(at_15 * (max(elongation, _LEAST_ELONGATION_DEG) / 15.0) ** -2.2)
+
+
+# ---------------------------------------------------------------------- starlight
+def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -> FloatArray:
+    """Starlight (N,), S10, of all that is not drawn: fainter stars, diffuse galactic light, galaxies.
+
+    The map that Pioneer 10 measured from beyond the zodiacal dust (Toller 1981, in Leinert et al. 1998) holds the
+    stars fainter than V = 6.5. What the catalogue has between 6.5 and `magnitude_limit` is drawn star by star, so it
+    is taken out of the map; with a limit below 6.5 what is left undrawn is added. The catalogue's light is averaged
+    within 6° of each node of the map; a quarter of the measured light always stays.
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors, ICRS.
+    catalog : str
+        Name of the catalogue whose stars are drawn.
+    magnitude_limit : float
+        Faintest V drawn.
+
+    Notes
+    -----
+    The map is at 440 nm and counts as V: S10 are units of solar colour, and starlight is redder than the Sun by some
+    0.1 mag (10 %). Its steps of 10° × 4° to 10° smooth the Milky Way. Where Pioneer did not look (towards RA 140°,
+    Dec +15°) stands the mean of the map at like galactic latitude and distance in longitude from the anticentre.
+    """
+    ra, dec = direction_to_radec(np.atleast_2d(np.asarray(directions, dtype=float)))
+    nodes_ra, nodes_dec, table = _starlight_table(catalog, float(magnitude_limit))
+    return _bilinear(nodes_ra, nodes_dec, table, np.degrees(ra), np.degrees(dec))
+
+
+@functools.lru_cache(maxsize=8)
+def _starlight_table(catalog: str, limit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The map with the drawn stars out of it, its poles and its first meridian again at 360°."""
+    ra, dec, measured = _pioneer()
+    drawn = _catalog_light(catalog, min(limit, PIONEER_LIMIT_V), max(limit, PIONEER_LIMIT_V), ra, dec)
+    table = np.maximum(measured - drawn, _LEAST_SHARE * measured) if limit > PIONEER_LIMIT_V else measured + drawn
+    ends = [np.full(len(ra), table[:, k].mean()) for k in (0, -1)]
+    table = np.column_stack([ends[0], table, ends[1]])
+    return np.append(ra, 360.0), np.concatenate([[-90.0], dec, [90.0]]), np.vstack([table, table[:1]])
+
+
+@functools.cache
+def _pioneer() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Right ascensions, declinations and the map with its gaps filled."""
+    ra, dec, table = _read("background_starlight.csv")
+    galactic = _node_directions(ra, dec) @ GALACTIC.T
+    longitude, latitude = (np.degrees(a) for a in direction_to_radec(galactic))
+    from_anticentre, height = np.abs(longitude - 180.0), np.abs(latitude)
+    flat = table.ravel()
+    known = ~np.isnan(flat)
+    for k in np.flatnonzero(~known):
+        nearness = np.exp(
+            -0.5 * ((height[known] - height[k]) / 4.0) ** 2
+            - 0.5 * ((from_anticentre[known] - from_anticentre[k]) / 20.0) ** 2
+        )
+        flat[k] = float(nearness @ flat[known] / nearness.sum())
+    return ra, dec, flat.reshape(table.shape)
+
+
+def _catalog_light(catalog: str, brightest: float, faintest: float, ra: FloatArray, dec: FloatArray) -> FloatArray:
+    """Mean brightness, S10, that a catalogue's stars of brightest < V ≤ faintest leave around each node."""
+    stars = load_catalog(catalog)
+    rows = np.flatnonzero((stars.v_mag > brightest) & (stars.v_mag <= faintest))
+    if len(rows) == 0:
+        return np.zeros((len(ra), len(dec)))
+    stars = stars.select(rows)
+    light = 10.0 ** (-0.4 * (stars.v_mag - 10.0))
+    tree = cKDTree(stars.directions(2000.0))
+    caps = tree.query_ball_point(_node_directions(ra, dec), 2.0 * math.sin(math.radians(_CAP_DEG) / 2.0))
+    square_degrees = 2.0 * math.pi * (1.0 - math.cos(math.radians(_CAP_DEG))) / math.radians(1.0) ** 2
+    return np.array([light[cap].sum() for cap in caps]).reshape(len(ra), len(dec)) / square_degrees
+
+
+def _node_directions(ra_deg: FloatArray, dec_deg: FloatArray) -> FloatArray:
+    nodes = np.meshgrid(np.radians(ra_deg), np.radians(dec_deg), indexing="ij")
+    return radec_to_direction(nodes[0].ravel(), nodes[1].ravel())
+
+
+# ---------------------------------------------------------------------- tables
+def _read(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Row nodes, column nodes and values (NaN where empty) of a shipped table."""
+    text = (resources.files("simulator.sky") / "data" / name).read_text(encoding="utf-8")
+    header, *rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    values = np.array([[float(cell) if cell else math.nan for cell in row] for row in rows])
+    return values[:, 0], np.array([float(cell) for cell in header[1:]]), values[:, 1:].copy()
+
+
+def _bilinear(x_nodes: FloatArray, y_nodes: FloatArray, table: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    i = np.clip(np.searchsorted(x_nodes, x, side="right") - 1, 0, len(x_nodes) - 2)
+    j = np.clip(np.searchsorted(y_nodes, y, side="right") - 1, 0, len(y_nodes) - 2)
+    s = (x - x_nodes[i]) / (x_nodes[i + 1] - x_nodes[i])
+    t = (y - y_nodes[j]) / (y_nodes[j + 1] - y_nodes[j])
+    low = (1.0 - t) * table[i, j] + t * table[i, j + 1]
+    high = (1.0 - t) * table[i + 1, j] + t * table[i + 1, j + 1]
+    return np.asarray((1.0 - s) * low + s * high)

@@ -1,0 +1,116 @@
+"""From a catalogue's B−V and spectral type to what a spectrum is chosen by."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.sky.library import published_colours
+from simulator.sky.spectra import LATE_GIANT
+
+FloatArray = NDArray[np.float64]
+
+GIANT_SHARE = (
+    *((0.55, 0.0), (0.65, 0.34), (0.75, 0.41), (0.85, 0.78), (0.95, 0.96), (1.05, 0.98)),
+    *((1.15, 0.99), (1.55, 1.0)),
+)  # (B−V, share)
+"""Share of giants and subgiants (M_V < 3.5, and < 4 from B−V = 0.8) among the Hipparcos stars brighter than V = 9, at
+the middle of bins of 0.1 in B−V; bluer than 0.6, where F stars above the line are dwarfs or have dwarfs' colours, 0.
+Counted from Hipparcos-2 parallaxes (van Leeuwen 2007)."""
+
+_SHARE_B_V, _SHARE = np.array(GIANT_SHARE).T
+_TYPE = re.compile(r"([OBAFGKMCSNRW])(\d(?:\.\d)?)?")
+_CLASS = re.compile(r"(?<![IV])(I{1,3}|IV|V)(?![IV])")
+_GIANTS = {"I", "II", "III"}
+_DWARFS = {"V", "VI"}
+_ORDER = "OBAFGKM"
+
+
+@functools.lru_cache(maxsize=8192)
+def parse_type(spectral_type: str) -> tuple[str, float, str]:
+    """Letter, subtype and luminosity class of a spectral type as catalogues write it.
+
+    The first type and the first class of what is written count: 'K0IIIbCN-0.5' → ('K', 0.0, 'III'), 'A1Vn' → ('A', 1.0,
+    'V'), 'gG9' → ('G', 9.0, 'III'), 'M1-2Ia-Iab' → ('M', 1.0, 'I'), 'F5III-IV' → ('F', 5.0, 'III'). The prefixes of old
+    catalogues are classes: d 'V', sd 'VI', g 'III', c 'I'. Empty or NaN where nothing is said.
+    """
+    text = spectral_type.strip()
+    prefix = re.match(r"(sd|d|g|c)(?=[OBAFGKM])", text)
+    found = _TYPE.search(text)
+    if found is None:
+        return "", math.nan, ""
+    subtype = float(found[2]) if found[2] else math.nan
+    named = _CLASS.search(text, found.end())
+    if named is not None:
+        luminosity = named[1]
+    else:
+        luminosity = {"sd": "VI", "d": "V", "g": "III", "c": "I"}[prefix[1]] if prefix else ""
+    return found[1], subtype, luminosity
+
+
+def population_giant_share(b_v: FloatArray) -> FloatArray:
+    """Share of giants among stars of this B−V whose class is not known (`GIANT_SHARE`); 0 where B−V is NaN."""
+    return np.asarray(np.where(np.isnan(b_v), 0.0, np.interp(b_v, _SHARE_B_V, _SHARE)))
+
+
+def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tuple[FloatArray, FloatArray]:
+    """B−V and `giant` of stars, as `simulator.sky.spectra.colour_sequence` takes them.
+
+    Parameters
+    ----------
+    b_v : (N,) array
+        Colours; NaN where unknown.
+    spectral_type : (N,) array of str
+        Types; empty where unknown.
+
+    Returns
+    -------
+    b_v : (N,) array
+        Where it was not known, the colour of the type (dwarf or giant); NaN where there is no type either.
+    giant : (N,) array
+        1 for the classes I, II and III, 0 for V and VI, 10 + subtype for M giants; for subgiants (IV) and
+        where the class is not known the share of giants among stars of this colour.
+    """
+    colour = np.array(b_v, dtype=float)
+    share = np.full(len(colour), math.nan)
+    texts, index = np.unique(np.asarray(spectral_type, dtype=str), return_inverse=True)
+    for i, text in enumerate(texts):
+        letter, subtype, luminosity = parse_type(str(text))
+        if not letter:
+            continue
+        rows = index == i
+        giant = luminosity in _GIANTS or (not luminosity and letter in "MCSNR")  # a bright M star is a giant
+        if giant or luminosity in _DWARFS:
+            share[rows] = float(giant)
+        if giant and letter == "M" and not math.isnan(subtype):
+            share[rows] = min(LATE_GIANT[0] + subtype, LATE_GIANT[1])
+        empty = rows & np.isnan(colour)
+        if empty.any():
+            colour[empty] = _colour_of_type(letter, subtype, giant)
+    return colour, np.where(np.isnan(share), population_giant_share(colour), share)
+
+
+def _colour_of_type(letter: str, subtype: float, giant: bool) -> float:
+    """B−V of a type, between the published ones; a missing subtype counts as 5. NaN for a letter off the sequence."""
+    if letter not in _ORDER:
+        return math.nan
+    place = _ORDER.index(letter) * 10 + (5.0 if math.isnan(subtype) else subtype)
+    places, colours = _places("giants")
+    if not giant or place < places[0]:
+        places, colours = _places("dwarfs")
+    return float(np.interp(place, places, colours))
+
+
+@functools.cache
+def _places(kind: str) -> tuple[FloatArray, FloatArray]:
+    """Published types as numbers, ten a letter, and their B−V."""
+    pairs = []
+    for name, colours in published_colours(kind).items():
+        letter, subtype, _ = parse_type(name)
+        pairs.append((_ORDER.index(letter) * 10 + subtype, colours["b_v"]))
+    places, b_v = np.array(sorted(pairs)).T
+    return places, b_v

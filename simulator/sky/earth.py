@@ -1,0 +1,253 @@
+"""The Earth beside and in the field: what it hides, how brightly its lit side and its limb shine.
+
+The Earth is a sphere of the equatorial radius (WGS 84; the poles lie 21 km lower, 0.4° at the limb from 800 km), its
+surface scatters like Lambert's, its atmosphere scatters once. Directions are ICRS, positions GCRS.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.constants import EARTH_RADIUS_KM
+from simulator.sky.magnitudes import sun_v
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+
+if TYPE_CHECKING:
+    from simulator.scenario.schema import SkySection
+    from simulator.sky.solar_system import Bodies
+
+__all__ = [
+    "ATMOSPHERE_TOP_KM",
+    "SUN_S10_SR",
+    "angular_radius_rad",
+    "earth_in_field",
+    "earth_radiance_map",
+    "earth_s10",
+    "occulted",
+    "stray_sources",
+]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+SUN_S10_SR = 10.0 ** (-0.4 * (sun_v(1.0) - 10.0)) * math.radians(1.0) ** 2
+"""Brightness in S10 of the Sun's light at 1 au spread over a steradian: 1.51e11."""
+
+SCALE_HEIGHT_KM = 7.1
+"""Scale height of the air: the density of the US Standard Atmosphere 1976 at 30, 50 and 80 km (1.5e-2, 8.4e-4, 1.5e-5
+of the ground's) within 20 %; nearer the ground it falls more slowly."""
+
+RAYLEIGH_DEPTH = 0.098
+"""Vertical optical depth of the molecules at 550 nm, sea level; Bucholtz 1995 (Appl. Opt. 34, 2765) 0.0973, Hansen &
+Travis 1974 (Space Sci. Rev. 16, 527) 0.0978."""
+
+ATMOSPHERE_TOP_KM = 180.0
+"""No light comes from above: the limb is fainter than 1 S10 there."""
+
+_AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
+"""Depth of a line that grazes the ground over the vertical one: Chapman's √(2πR/H) = 75.1."""
+
+
+def angular_radius_rad(r_km: ArrayLike) -> float:
+    """Angle between the Earth's centre and its horizon, arcsin(R/r), from a position (3,); 90° on the ground."""
+    return math.asin(min(EARTH_RADIUS_KM / float(np.linalg.norm(np.asarray(r_km, dtype=float))), 1.0))
+
+
+def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
+    """Whether the solid Earth hides what lies, infinitely far, in directions (N, 3).
+
+    Refraction is left out: it lifts a star at the limb by up to 1.2°, but spreads its light over as much.
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors.
+    r_km : array_like, shape (3,)
+        Position of the spacecraft from the Earth's centre.
+    """
+    r = np.asarray(r_km, dtype=float)
+    cosine = np.atleast_2d(np.asarray(directions, dtype=float)) @ (-r / np.linalg.norm(r))
+    return np.asarray(cosine > math.cos(angular_radius_rad(r)))
+
+
+def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
+    """Whether the Earth with its atmosphere may reach into the image: a circle around the image is tested."""
+    r = np.asarray(r_km, dtype=float)
+    distance = float(np.linalg.norm(r))
+    nadir = float(np.clip(attitude.boresight @ (-r / distance), -1.0, 1.0))
+    reach = math.asin(min((EARTH_RADIUS_KM + ATMOSPHERE_TOP_KM) / distance, 1.0))
+    return math.acos(nadir) < reach + camera.half_diagonal_rad
+
+
+def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, albedo: float = 0.3) -> FloatArray:
+    """Brightness (N,) of the Earth, S10; 0 on its dark side and where a line of sight passes it by.
+
+    On the disk Lambert's law, L = A E cos θ/π, with θ the Sun's zenith distance at the ground and E the Sun's light
+    at 1 au (the Sun's V = −26.74 spread over a steradian: `SUN_S10_SR`). Above the limb sunlight scattered once by
+    the molecules, L = E P(Θ)/4π · (1 − e^−τ) · e^−τ_s: P = ¾(1 + cos² Θ) Rayleigh's phase function, τ = τ₀ √(2πR/H)
+    e^−h/H the depth along the line with tangent height h, τ_s that of the Sun's way in to the tangent point: τ₀ e^−h/H
+    X(cos θ), X(c) = 1/(c + 0.0266 e^−11c) (Rozenberg 1966, his 0.025 fitted to our scale height), where the Sun is up;
+    where it is down, the whole line of its grazing ray less X(−cos θ) behind the point, and infinite where that ray
+    meets the ground. It falls off exponentially with H = 7.1 km where τ is small.
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors.
+    r_km : array_like, shape (3,)
+        Position of the spacecraft.
+    sun_direction : array_like, shape (3,)
+        Direction of the Sun.
+    albedo : float
+        Lambert albedo A of the surface; the Earth's Bond albedo is 0.29 to 0.31 (Stephens et al. 2015).
+
+    Notes
+    -----
+    Clouds, seas, the glint, airglow, moonlight and cities are left out, and so are the air before the disk, aerosols
+    and second scattering, which brighten the limb and soften the terminator.
+    """
+    lines = np.ascontiguousarray(np.atleast_2d(np.asarray(directions, dtype=float)))
+    r = np.ascontiguousarray(r_km, dtype=float)
+    sun = np.asarray(sun_direction, dtype=float)
+    out = np.empty(len(lines))
+    _radiance(out, lines, r, np.ascontiguousarray(sun / np.linalg.norm(sun)), albedo, SUN_S10_SR)
+    return out
+
+
+def earth_radiance_map(
+    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection
+) -> tuple[FloatArray, BoolArray] | None:
+    """The Earth in every pixel; None where it is not in the field, or `earth` is off.
+
+    Sampled at the pixels' centres; the limb of a camera that holds the local level stands still, so no smear is
+    drawn, and what the optics throw out of the disk is left to `simulator.optics.stray_light`.
+
+    Parameters
+    ----------
+    camera, attitude : Camera, Attitude
+        Projection; ICRS → camera.
+    r_km, sun_direction : array_like, shape (3,)
+        Position of the spacecraft; direction of the Sun.
+    section : SkySection
+        Its `earth` and `earth_albedo`.
+
+    Returns
+    -------
+    s10 : (height, width) array
+        Brightness of disk and limb; 0 beside them.
+    hidden : (height, width) bool
+        Whether the solid Earth hides the sky.
+    """
+    if not section.earth or not earth_in_field(camera, attitude, r_km):
+        return None
+    shape = (camera.height, camera.width)
+    x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    seen = attitude.inverse.apply(camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1)))
+    s10 = earth_s10(seen, r_km, sun_direction, section.earth_albedo)
+    return s10.reshape(shape), occulted(seen, r_km).reshape(shape)
+
+
+def stray_sources(
+    bodies: Bodies, r_km: ArrayLike, section: SkySection, rings: int = 24, sectors: int = 48
+) -> tuple[NDArray[np.str_], FloatArray, FloatArray, FloatArray]:
+    """What may shine into the baffle: Sun, Moon, and the lit Earth in pieces.
+
+    The visible part of the Earth is cut into pieces of equal solid angle about the nadir, each a point of V = −2.5
+    log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are left out while the Earth hides them.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        From `solar_system`; without the Sun in it nothing shines.
+    r_km : array_like, shape (3,)
+        Position of the spacecraft.
+    section : SkySection
+        Its `earth` (false: the Earth neither hides nor shines) and `earth_albedo`.
+
+    Returns
+    -------
+    names : (N,) str
+        ``Sun``, ``Moon``, ``Earth``.
+    directions : (N, 3)
+        Unit vectors.
+    v_mag, b_v : (N,)
+        Brightness and colour; the Earth's is the Sun's.
+    """
+    chosen = np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"]))
+    if section.earth and len(chosen):
+        chosen = chosen[~occulted(bodies.direction[chosen], r_km)]
+    names, directions = bodies.name[chosen], bodies.direction[chosen]
+    v_mag, b_v = bodies.v_mag[chosen], bodies.b_v[chosen]
+    sun = np.flatnonzero(bodies.name == "Sun")
+    if section.earth and len(sun):
+        pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
+        light = earth_s10(pieces, r_km, bodies.direction[sun[0]], section.earth_albedo) * square_degrees
+        lit = np.flatnonzero(light > 0.0)
+        names = np.concatenate([names, np.full(len(lit), "Earth")])
+        directions = np.concatenate([directions, pieces[lit]])
+        v_mag = np.concatenate([v_mag, 10.0 - 2.5 * np.log10(light[lit])])
+        b_v = np.concatenate([b_v, np.full(len(lit), bodies.b_v[sun[0]])])
+    return names, directions, v_mag, b_v
+
+
+def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, float]:
+    """Directions (rings × sectors, 3) over the Earth's disk, each standing for the same solid angle; that in deg²."""
+    nadir = -r_km / np.linalg.norm(r_km)
+    span = 1.0 - math.cos(angular_radius_rad(r_km))
+    cosine = 1.0 - span * (np.arange(rings) + 0.5) / rings
+    sine = np.sqrt(1.0 - cosine**2)
+    azimuth = (np.arange(sectors) + 0.5) * 2.0 * math.pi / sectors
+    across = np.cross(nadir, np.eye(3)[int(np.argmin(np.abs(nadir)))])
+    across /= np.linalg.norm(across)
+    along = np.cross(nadir, across)
+    turn = np.cos(azimuth)[:, None] * across + np.sin(azimuth)[:, None] * along
+    pieces = cosine[:, None, None] * nadir + sine[:, None, None] * turn
+    return pieces.reshape(-1, 3), 2.0 * math.pi * span / (rings * sectors) / math.radians(1.0) ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def _radiance(
+    out: FloatArray, lines: FloatArray, r: FloatArray, sun: FloatArray, albedo: float, sun_s10: float
+) -> None:
+    """Kernel of `earth_s10`."""
+    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+    radius = EARTH_RADIUS_KM
+    for n in range(len(lines)):
+        dx, dy, dz = lines[n, 0], lines[n, 1], lines[n, 2]
+        along = -(r[0] * dx + r[1] * dy + r[2] * dz)  # distance to the point nearest the Earth's centre
+        nearest = math.sqrt(max(square - along * along, 0.0))
+        if not along > 0.0 or nearest > radius + ATMOSPHERE_TOP_KM:  # behind, beside, or NaN
+            out[n] = 0.0
+            continue
+        distance = along - math.sqrt(radius * radius - nearest * nearest) if nearest < radius else along
+        scale = 1.0 / max(nearest, radius)
+        cosine = scale * (
+            (r[0] + distance * dx) * sun[0] + (r[1] + distance * dy) * sun[1] + (r[2] + distance * dz) * sun[2]
+        )
+        if nearest < radius:
+            out[n] = sun_s10 * albedo * max(cosine, 0.0) / math.pi
+            continue
+        thinning = math.exp(-(nearest - radius) / SCALE_HEIGHT_KM)
+        way_in = thinning * _air_mass(abs(cosine))
+        if cosine < 0.0:
+            grazing = nearest * math.sqrt(max(1.0 - cosine * cosine, 0.0)) - radius
+            if grazing < 0.0:
+                out[n] = 0.0
+                continue
+            way_in = max(_AIR_MASSES * math.exp(-grazing / SCALE_HEIGHT_KM) - way_in, 0.0)
+        towards_sun = dx * sun[0] + dy * sun[1] + dz * sun[2]
+        phase = 0.75 * (1.0 + towards_sun * towards_sun)
+        share = 1.0 - math.exp(-RAYLEIGH_DEPTH * _AIR_MASSES * thinning)
+        out[n] = sun_s10 * phase / (4.0 * math.pi) * share * math.exp(-RAYLEIGH_DEPTH * way_in)
+
+
+@njit(cache=True, error_model="numpy")
+def _air_mass(cosine: float) -> float:
+    """Depth of the air above a point towards a zenith distance, over the vertical one; half the line at 90°."""
+    return 1.0 / (cosine + 2.0 / _AIR_MASSES * math.exp(-11.0 * cosine))

@@ -1,0 +1,106 @@
+"""Diffraction against closed formulas: the Airy pattern with obscuration (Born & Wolf, § 8.6.2), Maréchal's Strehl
+ratio exp(−(2πσ)²) (§ 9.1.3; Mahajan 1983, for small σ), the axial intensity sinc²(W₀₂₀) under
+defocus (§ 8.8.2), energy on a disk by quadrature of the pattern, orthonormal Zernike polynomials (Noll 1976, table 1).
+"""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from simulator.optics import airy, diffraction, pupil
+from simulator.optics.psf import Lens, aberrated, build_psf
+from simulator.optics.psf_set import build_psf_set
+from simulator.optics.splat import render_stars
+from simulator.optics.zernike import NOLL, noll_order, zernike
+from simulator.scenario.schema import PsfSection
+
+X = np.linspace(-12, 12, 61)
+ONE = np.zeros(1)
+
+
+@pytest.mark.parametrize("hole", [0.0, 0.3, 0.6])
+def test_without_aberrations_it_is_the_airy_pattern(hole):
+    ours = pupil.intensity(np.zeros((1, 11)), X, X, hole)[0]
+    np.testing.assert_allclose(ours, airy.intensity(np.hypot(X[None], X[:, None]), hole), atol=1e-10)
+
+
+@pytest.mark.parametrize("hole", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("x", [0.5, 1.3, 6.0])
+def test_encircled_energy(hole, x):
+    exact = quad(lambda r: 2 * np.pi * r * airy.intensity(r, hole), 0, x, limit=200)[0]
+    assert airy.encircled_energy(x, hole) == pytest.approx(exact, abs=1e-9)
+    assert airy.intensity(airy.first_ring(hole), hole) == pytest.approx(0.0, abs=1e-20)
+
+
+@pytest.mark.parametrize("name", sorted(NOLL))
+def test_strehl_ratio(name):
+    for sigma in (0.02, 0.05):
+        coefficients = np.zeros((1, 11))
+        coefficients[0, NOLL[name] - 1] = sigma
+        strehl = pupil.intensity(coefficients, ONE, ONE, centred=False)[0, 0, 0] / (np.pi / 4)
+        assert strehl == pytest.approx(np.exp(-((2 * np.pi * sigma) ** 2)), abs=0.004)
+
+
+@pytest.mark.parametrize("edge_waves", [0.25, 0.5, 1.0, 1.7])
+def test_defocus_on_the_axis(edge_waves):
+    """δ = 8N² λ W₀₂₀ behind the focus leaves sinc²(W₀₂₀) of the peak; dark at a whole wave."""
+    shift_um = 8 * 2.8**2 * 0.6 * edge_waves
+    coefficients = np.zeros((1, 11))
+    coefficients[0, 3] = diffraction.defocus_waves(shift_um, 2.8, 600.0)
+    axis = pupil.intensity(coefficients, ONE, ONE)[0, 0, 0] / (np.pi / 4)
+    assert axis == pytest.approx(np.sinc(edge_waves) ** 2, abs=1e-10)
+
+
+def test_zernike_polynomials():
+    """Noll's table: order of the first, and an orthonormal set."""
+    orders = [(0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (3, -1), (3, 1), (3, -3), (3, 3), (4, 0)]
+    assert [noll_order(j) for j in range(1, 12)] == orders
+    y, x, weight = pupil.disk_nodes(12)
+    terms = np.array([zernike(j, x.ravel(), np.repeat(y, 12)) for j in range(1, 16)])
+    np.testing.assert_allclose((terms * weight.ravel()) @ terms.T / np.pi, np.eye(15), atol=1e-12)
+
+
+@pytest.mark.parametrize(("hole", "aspect"), [(0.0, 1.0), (0.4, 1.0), (0.0, 13.75 / 16)])
+def test_table_without_aberrations_is_that_of_the_airy_pattern(hole, aspect):
+    """Two ways to the same pixels: a series of the transfer function, and the sampled pattern (2e-4)."""
+    pitch = (10.0 * aspect, 10.0)
+    pair = [
+        build_psf(PsfSection(model=model, wavelength_nm=1200.0), 8.0, pitch, hole, 2.0)
+        for model in ("airy", "diffraction")
+    ]
+    for offset in ((0.0, 0.0), (0.31, -0.17)):
+        star = np.array([[20.0 + offset[0], 20.0 + offset[1]]])
+        one, other = (render_stars((41, 41), star, np.ones(1), [1e5], psf) for psf in pair)
+        assert np.abs(one - other).max() < 2e-4 * one.max()
+
+
+def test_coma_is_centred_and_points_outwards():
+    section = PsfSection(model="diffraction", field={"coma_waves": 0.15})
+    stars = build_psf_set(section, 8.0, (5.0, 5.0), (200, 200))
+    image = render_stars((61, 61), np.array([[30.0, 30.0]]), np.ones(1), [1e7], stars.psf(xy=(199.0, 99.5)))
+    rows, columns = np.mgrid[-30:31, -30:31]
+    # 0.85 px without centring; what lies beyond the stamp, whose wings are round, holds the rest as 1/R
+    assert abs((image * columns).sum() / image.sum()) < 0.1
+    assert abs((image * rows).sum() / image.sum()) < 1e-3
+    assert (image * columns**3).sum() / image.sum() > 1.0
+    groups = stars.groups(np.zeros(300), np.random.default_rng(1).uniform(0, 199, (300, 2)))
+    assert sorted(np.concatenate([members for members, _ in groups])) == list(range(300))
+
+
+def test_simple_models_are_one_group_and_the_same_psf():
+    stars = build_psf_set(PsfSection(sigma_px=1.1), 2.0, (10.0, 10.0), (64, 64))
+    ((members, psf),) = stars.groups(np.zeros(5), np.full((5, 2), np.nan))
+    plain = build_psf(PsfSection(sigma_px=1.1), 2.0, (10.0, 10.0))
+    assert members.tolist() == [0, 1, 2, 3, 4]
+    assert (psf.sigma_px, psf.feature_px, stars.sigma_px) == (plain.sigma_px, plain.feature_px, plain.sigma_px)
+
+
+def test_a_sum_of_wavelengths():
+    """Two colours of equal weight: the mean of their images."""
+    section, lens = PsfSection(model="diffraction", zernike_waves={"coma_x": 0.02}), Lens(8.0, (5.0, 5.0))
+    waves, nm = diffraction.axial_coefficients(section, 8.0), np.array([500.0, 800.0])
+    both = aberrated(section, lens, waves, nm, np.array([[0.5, 0.5], [1.0, 0.0], [0.0, 1.0]]))
+    star = np.array([[20.2, 19.9]])
+    mixed, blue, red = (render_stars((41, 41), star, np.ones(1), [1.0], psf) for psf in both)
+    assert np.abs(mixed - (blue + red) / 2).max() < 4e-4 * mixed.max()
+    assert blue.max() > 1.5 * red.max()

@@ -1,0 +1,116 @@
+"""Dead and hot pixels and columns, the map of bad pixels, and which detector may have which effect."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from simulator.detector import build_fixed_pattern, detect
+from simulator.randomness import stream
+from simulator.scenario.detector_rules import contradictions
+from simulator.scenario.schema import DetectorSection
+from startracker.errors import InputError
+
+
+def section(**keys):
+    return DetectorSection(**({"width": 200, "height": 100, "pixel_pitch_um": 5.0, "exposure_s": 1.0} | keys))
+
+
+def test_a_device_without_defects_has_an_empty_map():
+    pattern = build_fixed_pattern(section(prnu=0.1, dark_current_e_s=10.0, dsnu=0.1), 1)
+    assert pattern.dead is None
+    assert pattern.hot is None
+    assert pattern.bad_pixels((100, 200)).shape == (100, 200)
+    assert not pattern.bad_pixels((100, 200)).any()
+
+
+def test_dead_pixels_read_the_offset():
+    detector = section(dead_pixel_fraction=0.02, dark_current_e_s=50.0, offset_dn=100.0, gain_e_per_dn=1.0)
+    pattern = build_fixed_pattern(detector, 1)
+    # Binomial: 20,000 × 0.02 = 400, σ 19.8; 4σ.
+    assert abs(pattern.dead.sum() - 400) < 80
+    frame = detect(np.full((100, 200), 1000.0), detector, pattern, lambda name: stream(1, name))
+    assert np.all(frame.image[pattern.dead] == 100)
+    assert frame.image[~pattern.dead].min() > 700
+    assert np.array_equal(pattern.bad_pixels((100, 200)), pattern.dead)
+
+
+def test_dead_columns_are_whole_columns():
+    pattern = build_fixed_pattern(section(dead_columns=3), 1)
+    columns = pattern.dead.all(axis=0)
+    assert columns.sum() == 3
+    assert not pattern.dead[:, ~columns].any()
+    assert np.array_equal(pattern.prnu, np.where(pattern.dead, 0.0, 1.0))
+    assert pattern.dark_e == 0.0
+
+
+def test_hot_columns_glow_evenly_and_exponentially_between_them():
+    currents = []
+    for seed in range(40):
+        pattern = build_fixed_pattern(section(hot_columns=10, hot_column_dark_e_s=300.0, temperature_c=25.0), seed)
+        assert pattern.hot.all(axis=0).sum() == pattern.hot.any(axis=0).sum() == 10
+        assert np.all(pattern.dark_e == pattern.dark_e[:1])
+        assert not pattern.dark_e[~pattern.hot].any()
+        currents.extend(pattern.dark_e[0, pattern.hot[0]])
+    assert stats.kstest(currents, stats.expon(scale=300.0).cdf).pvalue > 1e-4
+
+
+def test_the_map_holds_all_defects():
+    keys = {"hot_pixel_fraction": 0.01, "hot_pixel_dark_e_s": 100.0, "hot_columns": 1, "hot_column_dark_e_s": 10.0}
+    pattern = build_fixed_pattern(section(**keys, dead_pixel_fraction=0.01, dead_columns=2), 1)
+    assert np.array_equal(pattern.bad_pixels((100, 200)), pattern.hot | pattern.dead)
+    assert np.all(pattern.dark_e[pattern.dead] == 0.0)
+    assert np.all(pattern.dark_e[pattern.hot & ~pattern.dead] > 0.0)
+
+
+@pytest.mark.parametrize("key", ["hot_columns", "dead_columns"])
+def test_more_columns_than_there_are(key):
+    keys = {key: 201, "hot_column_dark_e_s": 1.0}
+    with pytest.raises(InputError, match=f"detector.{key} = 201 is more than the 200 columns"):
+        build_fixed_pattern(section(**keys), 1)
+    assert [found[0] for found in contradictions(flat(section(**keys)))] == [f"detector.{key}"]
+
+
+def flat(detector):
+    return {f"detector.{key}": value for key, value in detector.model_dump().items()}
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        (
+            {"antiblooming": 0.5},
+            "0.5 with detector.kind: cmos, but the pixels of a CMOS detector have no common channel",
+        ),
+        ({"cti_parallel": 1e-5}, "1e-05 with detector.kind: cmos, but a CMOS detector reads each pixel where it is"),
+        ({"cti_serial": 1e-5}, "use 0, or kind: ccd_full_frame"),
+    ],
+)
+def test_what_a_cmos_detector_cannot_have(keys, line):
+    found = list(contradictions(flat(section(**keys))))
+    assert [key for key, _, _ in found] == [f"detector.{next(iter(keys))}"]
+    assert line in found[0][1]
+    assert not found[0][2]
+    for kind in ("ccd_full_frame", "ccd_frame_transfer"):
+        assert not list(contradictions(flat(section(kind=kind, **keys))))
+
+
+@pytest.mark.parametrize(
+    ("shutter", "kind", "right"),
+    [
+        ("rolling", "ccd_full_frame", "cmos"),
+        ("frame_transfer", "cmos", "ccd_frame_transfer"),
+        ("frame_transfer", "ccd_full_frame", "ccd_frame_transfer"),
+    ],
+)
+def test_the_shutter_belongs_to_the_kind(shutter, kind, right):
+    ((key, message, overridable),) = contradictions(flat(section(shutter=shutter, kind=kind)))
+    assert (key, overridable) == ("detector.shutter", False)
+    assert f"use kind: {right}, or shutter: global" in message
+    assert not list(contradictions(flat(section(shutter=shutter, kind=right))))
+
+
+def test_a_response_that_falls_is_refused():
+    assert not list(contradictions(flat(section(nonlinearity=(-0.3, 0.05)))))
+    found = list(contradictions(flat(section(nonlinearity=(-0.6, 0.0)))))
+    assert found[0][0] == "detector.nonlinearity"
+    assert found[0][2]
