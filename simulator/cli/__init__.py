@@ -153,7 +153,7 @@ def solve_command(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object an image.")] = False,
     wcs: Annotated[
-        Path | None, typer.Option("--wcs", metavar="OUT.fits", help="Write the world coordinate system.")
+        Path | None, typer.Option("--wcs", metavar="OUT.fits", help="Write the image with its world coordinates.")
     ] = None,
     annotate: Annotated[
         Path | None, typer.Option("--annotate", metavar="OUT.png", help="Write the picture with its identified stars.")

@@ -31,6 +31,10 @@ _FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *_FITS_SUFFIXES)
 
 
+_CALIBRATED_PX = 0.7
+"""A list of centroids that fits worse than this is not from a camera of exactly the field given."""
+
+
 @dataclass(frozen=True)
 class SolveRequest:
     """What the command line asked for."""
@@ -177,11 +181,14 @@ class _Solver:
             return self._without_camera(job)
         if not by_hand or request.method is not None:
             return self._with_camera(job, camera)
-        if job.xy is not None:
-            solution = self._with_camera(job, camera)
-            return solution if solution.solved else self._without_camera(job)
-        solution = self._without_camera(job)
-        return solution if solution.solved else self._with_camera(job, camera)
+        if job.xy is None:
+            solution = self._without_camera(job)
+            return solution if solution.solved else self._with_camera(job, camera)
+        solution = self._with_camera(job, camera)
+        if _residual_px(solution) <= _CALIBRATED_PX:
+            return solution
+        fitted = self._without_camera(job)
+        return fitted if _residual_px(fitted) < _residual_px(solution) else solution
 
     def _without_camera(self, job: _Job) -> Solution:
         request = self.request
@@ -219,6 +226,13 @@ class _Solver:
             saturation_dn=frame.saturation_dn,
             gain_e_per_dn=frame.gain_e_per_dn,
         )
+
+
+def _residual_px(solution: Solution) -> float:
+    """Root mean square residual; infinite where there is no solution."""
+    if not solution.matched:
+        return math.inf
+    return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
 
 
 def _is_our_frame(path: Path) -> bool:
@@ -331,9 +345,9 @@ def _write_outputs(request: SolveRequest, job: _Job, solution: Solution) -> None
         from astropy.io import fits
 
         observer = job.frame.observer if job.frame else Observer()
-        unit = fits.PrimaryHDU()
-        unit.header["IMAGEW"] = (job.width, "[px] width of the image this is for")
-        unit.header["IMAGEH"] = (job.height, "[px] height of the image this is for")
+        # with the picture itself: what it holds can be laid over a chart as it is
+        pixels = np.zeros((job.height, job.width), np.uint8) if job.image is None else np.asarray(job.image)
+        unit = fits.PrimaryHDU(pixels)
         unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer)))
         buffer = io.BytesIO()
         unit.writeto(buffer)

@@ -184,6 +184,26 @@ def test_broken_empty_black_white_and_starless_images(tmp_path):
         assert found["quaternion"] is None
 
 
+def test_a_field_of_view_a_little_wrong_is_fitted(tmp_path):
+    from startracker import Attitude, Camera, load_catalog
+
+    camera, attitude = Camera.from_fov(10.0, 512, 512), Attitude.from_radec_roll(83.6, -1.0, 30.0)
+    bright = load_catalog("hipparcos").brighter_than(6.0)
+    seen = attitude.apply(bright.directions(2000.0))
+    near = seen[:, 2] > 0.99
+    xy = camera.project(seen[near])
+    inside = camera.contains(xy)
+    table = np.column_stack([xy, 10 ** (-0.4 * bright.v_mag[near])])[inside]
+    np.savetxt(tmp_path / "stars.csv", table, delimiter=",", header="x,y,flux", comments="")
+    for fov in ("10", "10.1"):
+        done = boresight("solve", "--centroids", "stars.csv", "--fov", fov, "--size", "512x512", "--json", cwd=tmp_path)
+        found = json.loads(done.stdout)
+        assert found["status"] == "solved"
+        assert found["fov_deg"] == pytest.approx(10.0, abs=0.01)
+        # 1/50 pixel: the fit of one radial term to a lens that has none
+        assert (found["ra_deg"], found["dec_deg"]) == pytest.approx((83.6, -1.0), abs=0.0004)
+
+
 def test_help_names_every_command(tmp_path):
     done = boresight("--help", cwd=tmp_path)
     assert done.returncode == 0
