@@ -40,12 +40,15 @@ def catalog_attitude(attitude: Attitude, observer: Observer) -> Attitude:
     return Attitude(matrix_to_quat(attitude.as_matrix() @ turn))
 
 
-def write_fits(path: str | Path, frame: Frame, truth: FrameTruth | None = None) -> None:
+def write_fits(
+    path: str | Path, frame: Frame, truth: FrameTruth | None = None, *, noiseless_plane: bool = False
+) -> None:
     """Write a frame, beside its place first and then moved there.
 
     The primary image carries DATE-OBS, EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys under
     HIERARCH), the observer, the prior attitude, and, where the truth is given, a TAN(-SIP) world coordinate system.
-    The truth itself is the extension TRUTH: a table of the sources, with attitude and rate in its header.
+    The truth itself is the extension TRUTH: a table of the sources, with attitude and rate in its header; with
+    `noiseless_plane` the light before the detector follows as MEAN_E, in electrons.
     """
     from astropy.io import fits
 
@@ -59,7 +62,7 @@ def write_fits(path: str | Path, frame: Frame, truth: FrameTruth | None = None) 
     if truth is not None:
         header.update(wcs_header(frame.camera, catalog_attitude(truth.attitude, frame.observer)))
         units.append(_truth_table(truth))
-        if truth.mean_electrons is not None:
+        if noiseless_plane and truth.mean_electrons is not None:
             units.append(fits.ImageHDU(truth.mean_electrons.astype(np.float32), name="MEAN_E"))
     buffer = io.BytesIO()
     fits.HDUList(units).writeto(buffer, checksum=True)
@@ -120,6 +123,7 @@ def _truth_table(truth: FrameTruth) -> Any:
             "v_mag": s.v_mag,
             "b_v": s.b_v,
             "electrons": s.electrons,
+            "variable": s.variable,
         },
         units={"x": "pix", "y": "pix", "v_mag": "mag", "b_v": "mag"},
     )

@@ -175,6 +175,7 @@ class FocalPlane:
             v_mag=v_mag,
             b_v=b_v,
             electrons=electrons,
+            variable=np.concatenate([stars.variable, np.zeros(len(near), dtype=bool)]),
         )
         none = np.zeros(len(stars))
         radius_rad = np.concatenate([none, bodies.angular_radius_rad[near]])

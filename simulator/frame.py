@@ -81,6 +81,8 @@ class TrueSources:
         Apparent direction, ICRS axes.
     v_mag, b_v, electrons : array
         V, B − V, and mean photo-electrons over the exposure.
+    variable : bool array
+        Known to the catalogue as a variable star, drawn at the catalogue's V all the same; False for bodies.
     """
 
     id: NDArray[np.int64]
@@ -91,6 +93,7 @@ class TrueSources:
     v_mag: FloatArray
     b_v: FloatArray
     electrons: FloatArray
+    variable: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.id)
@@ -117,7 +120,7 @@ class FrameTruth:
     sources : TrueSources
         Everything drawn that falls on the detector.
     mean_electrons : array, shape (height, width), optional
-        Photo-electrons of the sources without any noise, on request.
+        Photo-electrons of sources and background as they come from the lens: no noise, no flaw of the detector.
     excluded : tuple of str
         Bodies within the baffle's exclusion angle.
     """

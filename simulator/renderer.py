@@ -77,7 +77,8 @@ class Renderer:
 
         scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude)
         light = self.focal_plane.expose(scene)
-        readout = detect(light.mean_e + light.background_e, detector, self.pattern, streams)
+        mean_e = light.mean_e + light.background_e
+        readout = detect(mean_e, detector, self.pattern, streams)
 
         frame = Frame(
             image=readout.image,
@@ -102,7 +103,7 @@ class Renderer:
             rate_camera_rad_s=scene.pointing.rate_camera_rad_s,
             t_s=scene.t_s,
             sources=light.sources,
-            mean_electrons=light.mean_e,
+            mean_electrons=mean_e,
             excluded=light.excluded,
         )
         return frame, truth

@@ -105,11 +105,16 @@ def render_command(
     noiseless: Annotated[
         bool, typer.Option("--noiseless", help="Switch off every noise and flaw of the detector, and the background.")
     ] = False,
+    noiseless_plane: Annotated[
+        bool, typer.Option("--noiseless-plane", help="Add the light before the detector to the FITS file (MEAN_E).")
+    ] = False,
 ) -> None:
     """Render a frame; of several scenarios one each, --out and --preview then name folders."""
     from simulator.cli.render_command import render_frames
 
-    raise typer.Exit(render_frames(scenarios, index, at, pointing, seed, set_values or [], out, preview, noiseless))
+    raise typer.Exit(
+        render_frames(scenarios, index, at, pointing, seed, set_values or [], out, preview, noiseless, noiseless_plane)
+    )
 
 
 @app.command("solve")

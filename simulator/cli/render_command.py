@@ -28,6 +28,7 @@ def render_frames(
     out: Path | None,
     preview: Path | None,
     noiseless: bool,
+    noiseless_plane: bool,
 ) -> int:
     """Render one frame of each scenario, write what is asked for, and say where the cameras looked."""
     if index is not None and at is not None:
@@ -48,7 +49,7 @@ def render_frames(
         at_s = (when - scenario.epoch).total_seconds() if when else None
         renderer = Renderer(scenario.noiseless() if noiseless else scenario)
         frame, truth = renderer.frame(index or 0, at_s=at_s, attitude=attitude)
-        _write(frame, truth, image, picture)
+        _write(frame, truth, image, picture, noiseless_plane)
         print(
             f"{frame.utc} UTC  RA {truth.attitude.ra_deg:.5f}°  Dec {truth.attitude.dec_deg:+.5f}°  "
             f"roll {truth.attitude.roll_deg:.4f}°  in the field: {_in_field(frame, truth)}"
@@ -63,9 +64,9 @@ def _target(given: Path | None, name: str, several: bool) -> Path | None:
     return make_folder(given) / name
 
 
-def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None) -> None:
+def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, noiseless_plane: bool) -> None:
     if image is not None:
-        write_fits(image, frame, truth)
+        write_fits(image, frame, truth, noiseless_plane=noiseless_plane)
         print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
     if picture is not None:
         from simulator.study.plots import frame_preview, save_bytes

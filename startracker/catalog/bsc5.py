@@ -62,7 +62,19 @@ def parse_bsc5(data: bytes) -> StarCatalog:
         spectral_type=table.text(128, 147),
         star_name=_names(table),
         position_sigma_rad=POSITION_SIGMA_RAD,
+        variable=_variable(table),
     )
+
+
+def _variable(table: FixedWidth) -> NDArray[np.bool_]:
+    """Known variables: what VarID names as the General Catalogue of Variable Stars does ("R And", "Gam Cas"), or "Var".
+
+    Suspected ones do not count: a bare number, which is that of the New Catalogue of Suspected Variable Stars
+    (Kukarkin et al. 1982), and "Var?".
+    """
+    name = table.text(52, 60)
+    numbered = np.char.isdigit(name.astype("U1"))  # "7134/5" too; no designation begins with a digit
+    return np.asarray((name != "") & ~numbered & (name != "Var?"), dtype=np.bool_)
 
 
 def _names(table: FixedWidth) -> NDArray[np.str_]:

@@ -52,7 +52,7 @@ def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -
 
     Stars that are added carry minus their number as id and are moved to the epoch of `precise`. Brightness, colour,
     position and motion of a star that both have are those of `precise`, but for the V of stars brighter than
-    `saturated_mag` in `bright`, which is that of `bright`.
+    `saturated_mag` in `bright`, which is that of `bright`. Variable is what either calls so.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)
@@ -62,6 +62,8 @@ def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -
         values = columns[column].astype(np.result_type(columns[column], source))
         values[found[has]] = source[has]
         columns[column] = values
+    columns["variable"] = columns["variable"].copy()
+    columns["variable"][found[has]] |= bright.variable[has]
     saturated = has[bright.v_mag[has] < saturated_mag]
     columns["v_mag"] = columns["v_mag"].copy()
     columns["v_mag"][found[saturated]] = bright.v_mag[saturated]

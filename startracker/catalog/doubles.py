@@ -22,7 +22,7 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
     Groups are chained: two stars belong together when a row of stars, each within `separation_rad` of the next,
     joins them. With fluxes Fᵢ = 10^(−0.4 Vᵢ) a group has V = −2.5 log₁₀ ΣFᵢ, and the F-weighted mean of position
     (unit vector), proper motion, parallax and radial velocity; id, name, colour and spectral type are those of its
-    brightest star. Separations are those at the catalogue's epoch.
+    brightest star; it is variable when any of its stars is. Separations are those at the catalogue's epoch.
 
     Parameters
     ----------
@@ -74,6 +74,7 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
     columns["ra_rad"][several], columns["dec_rad"][several] = direction_to_radec(centre)
     for column in ("pm_ra_rad_yr", "pm_dec_rad_yr", "parallax_rad", "radial_velocity_km_s"):
         columns[column][several] = mean(getattr(catalog, column))
+    columns["variable"][several] = np.bincount(label, catalog.variable, groups)[which] > 0.0
     columns["v_mag"][several] = -2.5 * np.log10(total[which])
     place = np.argsort(brightest, kind="stable")
     return replace(catalog, **{name: values[place] for name, values in columns.items()})

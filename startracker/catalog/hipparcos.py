@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
 
 SATURATED_MAG = -0.1
@@ -74,8 +74,9 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
     Notes
     -----
     Radial velocity, spectral type and name come from ``bsc5`` where it has the star, and so does the V of Sirius and
-    Canopus. Parsing takes most of a
-    second, so the table is kept in the user's cache folder; a cache that cannot be written or read is done without.
+    Canopus. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a variable's
+    name but varied too little in its time. Parsing takes most of a second, so the table is kept in the user's cache
+    folder; a cache that cannot be written or read is done without.
 
     Raises
     ------
@@ -121,7 +122,9 @@ def parse_hip2(data: bytes) -> StarCatalog:
     """Catalogue from the bytes of a file in the layout of CDS I/311 (``hip2.dat``), without V − I.
 
     A parallax that came out negative is set to zero, for it says no more than "far". B − V is NaN for the stars that
-    have none (value and error both zero in the file).
+    have none (value and error both zero in the file). Variable are the stars in the variability annex of ESA 1997
+    (SP-1200, vol. 11), as byte 151 (VA) has it: 1 periodic, 2 "unsolved", which is non-periodic or of unknown period,
+    many by a few hundredths of a magnitude.
 
     Raises
     ------
@@ -150,6 +153,7 @@ def parse_hip2(data: bytes) -> StarCatalog:
         b_v=np.where(colourless, np.nan, b_v),
         spectral_type=np.full(n, ""),
         star_name=np.full(n, ""),
+        variable=table.number(151, 151, missing=0.0) > 0.0,
     )
 
 

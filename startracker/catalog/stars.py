@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,9 @@ class StarCatalog:
     position_sigma_rad : float
         Standard error of the positions on one axis, which the tracker adds to that of its centroids; the default, 0.1″,
         is what unresolved companions add to a catalogue that is itself far better.
+    variable : bool array
+        Known to vary in brightness, by what the catalogue says; False throughout by default. `v_mag` is one value, so
+        such a star may be met brighter or fainter.
     """
 
     name: str
@@ -63,9 +66,12 @@ class StarCatalog:
     spectral_type: NDArray[np.str_]
     star_name: NDArray[np.str_]
     position_sigma_rad: float = 0.1 * ARCSEC_RAD
+    variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: nothing known to vary
 
     def __post_init__(self) -> None:
         n = len(self.id)
+        if cast("object", self.variable) is None:
+            object.__setattr__(self, "variable", np.zeros(n, dtype=bool))
         for column in self.columns():
             array = np.array(getattr(self, column))
             if array.shape != (n,):

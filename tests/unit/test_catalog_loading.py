@@ -1,4 +1,5 @@
 import os
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,39 @@ def test_companions_in_one_entry_are_not_added_twice():
 def test_saturated_stars_take_the_other_brightness():
     joined = complete(small([-1.0, 0.2], [0.0, 900.0]), small([-1.5, 0.1], [0.0, 900.0]), saturated_mag=-0.1)
     assert joined.v_mag.tolist() == [-1.5, 0.2]
+
+
+def test_a_catalogue_that_says_nothing_of_variability_has_no_variables():
+    catalog = small([1.0, 2.0], [0.0, 900.0])
+    assert catalog.variable.dtype == bool
+    assert catalog.variable.tolist() == [False, False]
+    with pytest.raises(ValueError, match="read-only"):
+        catalog.variable[0] = True
+    with pytest.raises(InputError, match="column 'variable' has"):
+        small([1.0, 2.0], [0.0, 900.0], variable=np.array([True]))
+
+
+def test_variability_goes_along_with_the_stars(cache_folder):
+    catalog = small([3.0, 1.0, 2.0], [0.0, 900.0, 1800.0], variable=np.array([True, False, True]))
+    assert catalog.brighter_than(2.5).variable.tolist() == [False, True]
+    assert catalog.at_epoch(2010.0).variable.tolist() == [True, False, True]
+    cache.store("variables", catalog)
+    assert cache.load("variables").variable.tolist() == [True, False, True]
+
+
+def test_a_star_is_variable_when_either_catalogue_says_so():
+    places = [0.0, 900.0, 1800.0, 2700.0]
+    precise = small([1.0] * 4, places, variable=np.array([False, False, True, True]))
+    bright = small([1.0] * 5, [*places, 3600.0], variable=np.array([False, True, False, True, True]))
+    assert complete(precise, bright).variable.tolist() == [False, True, True, True, True]
+
+
+def test_only_known_variables_of_the_bright_star_catalogue_count():
+    # VarID as it is printed: none, a designation, unnamed, suspected, the number of a suspected one, two such numbers
+    entries = {"": False, "Gam Cas": True, "V640 Cas": True, "Var": True, "Var?": False, "2977": False, "7134/5": False}
+    row = (files("startracker.catalog") / "data" / "bsc5.dat").read_bytes().splitlines()[0]
+    rows = [row[:51] + entry.encode().ljust(9) + row[60:] for entry in entries]
+    assert parse_bsc5(b"\n".join(rows)).variable.tolist() == list(entries.values())
 
 
 def test_moving_to_an_epoch_and_back_changes_nothing():
