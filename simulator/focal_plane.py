@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from simulator.frame import TrueSources
 from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
+from simulator.optics.disk import add_disk
 from simulator.optics.ghosts import ghost_sources
 from simulator.optics.illumination import illumination_map, is_off, star_illumination
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
-from simulator.optics.splat import add_disk, add_stars
+from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import build_baffle, stray_light_e_s_pixel
 from simulator.optics.thermal import true_camera
 from simulator.scenario import Scenario

@@ -60,6 +60,20 @@ def field_coefficients(field: FieldAberrationsSection, h: ArrayLike, azimuth_rad
     return coefficients
 
 
+def mirrored(coefficients: FloatArray, swap: bool, sign_x: int, sign_y: int) -> FloatArray:
+    """Zernike coefficients (11,) of W(±x, ±y) or, swapped, W(±y, ±x), the first sign `sign_x` where x stands and
+    `sign_y` where y does."""
+    c = coefficients.copy()
+    if swap:  # θ → π/2 − θ
+        c[[1, 2, 6, 7]] = c[[2, 1, 7, 6]]
+        c[5], c[8], c[9] = -c[5], -c[9], -c[8]
+    if sign_x < 0:  # θ → π − θ
+        c[[1, 4, 7, 9]] *= -1.0
+    if sign_y < 0:  # θ → −θ
+        c[[2, 4, 6, 8]] *= -1.0
+    return c
+
+
 def spread_px(waves: FloatArray, lambda_n_px: FloatArray, obscuration: float) -> float:
     """Radius of the geometric image about its centroid, pixels along columns; `waves` (K, T), `lambda_n_px` (K,)."""
     radius = 0.0

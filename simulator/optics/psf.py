@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
 from simulator.optics import airy, diffraction
-from simulator.optics.psf_table import TAPER_PX, coarsest, join, least_radius, offsets, polyphase
+from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
 from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
 from startracker.registry import lookup
@@ -100,13 +100,14 @@ class Psf:
     phases : int
         Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
         margins for the interpolation.
-    seam : (P, P) array
-        Factor to the core, by phase, of a star that is drawn with wings (`simulator.optics.psf_table.join`).
     wing : (W,) array
         Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart (pixels
         along columns).
+    drawn : (W,) array
+        Share of the light that a star drawn with wings to a radius leaves, `wing_step_px` apart
+        (`simulator.optics.psf_table.join`).
     wing_step_px : float
-        Step of that table.
+        Step of these tables.
     aspect : float
         Pitch along columns over pitch along rows.
     """
@@ -117,13 +118,13 @@ class Psf:
     feature_px: float
     core: NDArray[np.float64] | NDArray[np.float32] | None = None
     phases: int = 1
-    seam: FloatArray | None = None
     wing: FloatArray | None = None
+    drawn: FloatArray | None = None
     wing_step_px: float = _WING_STEP_PX
     aspect: float = 1.0
 
     def __post_init__(self) -> None:
-        for table in (self.core, self.seam, self.wing):
+        for table in (self.core, self.wing, self.drawn):
             if table is not None:
                 table.flags.writeable = False
 
@@ -246,9 +247,9 @@ def airy_disk(section: PsfSection, lens: Lens) -> Psf:
     positive = offset[offset >= 0] / phases
     quarter = airy.pixel_integrals(positive, positive, lambda_n, aspect, hole, lens.diffusion_px)
     core = polyphase(quarter[np.abs(offset)[:, None], np.abs(offset)], half, phases)
-    wing, seam = join(core, phases, wing, _WING_STEP_PX, aspect)
+    wing, drawn = join(core, phases, wing, _WING_STEP_PX, aspect)
     sigma = math.hypot(SIGMA_PER_RING * ring, lens.diffusion_px)
-    return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, seam, wing, aspect=aspect)
+    return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, wing, drawn, aspect=aspect)
 
 
 def diffracted(section: PsfSection, lens: Lens) -> Psf:
@@ -310,8 +311,8 @@ def aberrated(
         if wanted == half:
             break
         half = wanted
-    phases = 8 * max(1, math.ceil(1.5 / finest))
-    most = offsets(half, phases, 4)
+    phases = 12 * max(1, math.ceil(1.0 / finest))
+    most = offsets(half, phases, max(STRIDES))
     matrices = images.matrices(most / phases)
     psfs = []
     for spectrum, wing, total in zip(weights, wings, totals, strict=True):
@@ -319,13 +320,13 @@ def aberrated(
         stride = coarsest(fine, phases, _INTERPOLATION)
         cut = (len(most) - len(offsets(half, phases, stride))) // 2
         core = polyphase(fine[cut : len(most) - cut, cut : len(most) - cut], half, phases, stride)
-        joined, seam = join(core, phases // stride, wing, _WING_STEP_PX, aspect, float(total))
+        joined, drawn = join(core, phases // stride, wing, _WING_STEP_PX, aspect, float(total))
         core = core.astype(np.float32)
         scale = float(spectrum @ lambda_n)
         sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
         feature = scale * min(1.0, aspect) / 2.0
         psfs.append(
-            Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, seam, joined, aspect=aspect)
+            Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, joined, drawn, aspect=aspect)
         )
     return psfs
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,6 +75,7 @@ class PsfSet:
         else:
             self._colours, self._wavelengths_nm, self._weights = _spectra(section, weights_of, self._varies)
             self._psfs = {}
+            self._made: dict[tuple[float, ...], list[Psf]] = {}
             corner = self._zone(self._zone_count - 1)[-1]
         ends = [*self._zone(0), corner]
         self._widest = ends
@@ -152,8 +155,35 @@ class PsfSet:
             if self._varies:
                 turned = sector * math.tau / field.azimuths
                 coefficients = coefficients + diffraction.field_coefficients(field, ring / field.rings, turned)
-            self._psfs[zone] = aberrated(self._section, self._lens, coefficients, self._wavelengths_nm, self._weights)
+            self._psfs[zone] = self._images(coefficients)
         return self._psfs[zone]
+
+    def _images(self, coefficients: FloatArray) -> list[Psf]:
+        """The images by a wavefront, one for each colour: computed, or mirrored from one that is its mirror image.
+
+        With square pixels and a wavefront that turns with the azimuth, 2 of 12 azimuths are computed.
+        """
+        for swap, sign_x, sign_y in itertools.product((False, True), (1, -1), (1, -1)):
+            if swap and self._lens.aspect != 1.0:
+                continue
+            made = self._made.get(_key(diffraction.mirrored(coefficients, swap, sign_x, sign_y)))
+            if made is not None:
+                return [_mirrored(psf, swap, sign_x, sign_y) for psf in made]
+        made = aberrated(self._section, self._lens, coefficients, self._wavelengths_nm, self._weights)
+        self._made[_key(coefficients)] = made
+        return made
+
+
+def _key(coefficients: FloatArray) -> tuple[float, ...]:
+    return tuple((np.round(coefficients, 9) + 0.0).tolist())  # + 0.0: no −0.0
+
+
+def _mirrored(psf: Psf, swap: bool, sign_x: int, sign_y: int) -> Psf:
+    """The image by W where `psf` is that by `diffraction.mirrored(W, swap, sign_x, sign_y)`."""
+    if psf.core is None or (not swap and sign_x > 0 and sign_y > 0):
+        return psf
+    core = np.asarray(psf.core[::sign_y, ::sign_x, ::sign_y, ::sign_x], dtype=np.float32)
+    return replace(psf, core=np.ascontiguousarray(core.transpose(1, 0, 3, 2) if swap else core))
 
 
 def build_psf_set(

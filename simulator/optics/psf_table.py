@@ -1,4 +1,4 @@
-"""From light in the image plane to the table of a PSF: pixel integrals at many phases, and a seam that keeps flux."""
+"""From light in the image plane to the table of a PSF: pixel integrals at many phases, and sums that keep flux."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
+
+from simulator.optics import pupil
 
 FloatArray = NDArray[np.float64]
 
@@ -17,6 +18,9 @@ four."""
 
 TAPER_PX = 4.0
 """Width of the rim over which the wings of a star fade out, pixels along columns."""
+
+STRIDES = (6, 4, 3, 2)
+"""By how much phases may be thinned out."""
 
 _KNOTS = 11
 
@@ -43,7 +47,7 @@ def pixel_matrix(
     step = samples_px[1] - samples_px[0]
     passed, stopped = 1.0 / lambda_n_px, 1.0 / step - 1.0 / lambda_n_px
     reach = float(np.abs(positions_px).max() + np.abs(samples_px).max())
-    nodes, weights = np.polynomial.legendre.leggauss(math.ceil(math.pi * reach * stopped / 2.0) + 40)
+    nodes, weights = pupil.legendre(math.ceil(math.pi * reach * stopped / 2.0) + 40)
     f = stopped * (nodes + 1.0) / 2.0
     t = np.clip((f - passed) / (stopped - passed), 0.0, 1.0)
     window = 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
@@ -78,27 +82,25 @@ def polyphase(fine: FloatArray, half: int, phases: int, stride: int = 1) -> Floa
 
 
 def coarsest(fine: FloatArray, phases: int, tolerance: float) -> int:
-    """Largest power of two by which the phases of a table may be thinned out.
+    """How many times the phases of a table may be thinned out (`STRIDES`); half of them must be a multiple of that.
 
     Four-point Lagrange interpolation at steps h is off by at most 3/128 h⁴ |f⁗| on each axis; fourth differences give
     h⁴ f⁗. The error stays below `tolerance` × the peak.
     """
     fourth = max(float(np.abs(np.diff(fine, 4, axis=axis)).max()) for axis in (0, 1))
-    stride = 1
-    while phases % (4 * stride) == 0 and 2 * 3 / 128 * fourth * (2 * stride) ** 4 <= tolerance * float(fine.max()):
-        stride *= 2
-    return stride
+    allowed = tolerance * float(fine.max())
+    fit = (n for n in STRIDES if phases // 2 % n == 0 and 2.0 * 3.0 / 128.0 * fourth * n**4 <= allowed)
+    return next(fit, 1)
 
 
 def join(
     core: FloatArray, phases: int, wing: FloatArray, step_px: float, aspect: float, total: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Make stamps hold the same light at every phase, alone and together with the wings.
+    """Make stamps hold the same light at every phase, and say how much stamps and wings shall hold together.
 
     The core is scaled (by some 1e-5) to the same sum at all phases, which it then keeps between them too, since the
-    weights of the interpolation add up to 1. The sum of the wings over pixels hangs on the phase only because the
-    square stamp is left out of them; with wings the core is scaled once more, by the factors returned, so that the sum
-    of both does not.
+    weights of the interpolation add up to 1. The sum of the wings over pixels hangs on the phase by some 1e-5; the
+    kernel draws them first and gives the stamp what is missing to the light returned here.
 
     Parameters
     ----------
@@ -120,36 +122,40 @@ def join(
     -------
     wing : (W,) array
         The wings.
-    seam : (P, P) array
-        Factor to the core at each phase of a star that is drawn with wings.
+    drawn : (W,) array
+        Light of stamp and wings, the rim included, of a star drawn to a radius, `step_px` apart: the mean over all
+        phases; of use from `least_radius` on, below which no wings are drawn.
     """
     half = core.shape[3] // 2
     middle = core.shape[0] // 2
     radius = least_radius(half, aspect)
     sums = core.sum(axis=(2, 3))
-    period = slice(middle - phases // 2, middle - phases // 2 + phases)
-    at = (np.arange(core.shape[0]) - middle) / phases
-    knots = np.linspace(at[0], at[-1], _KNOTS)
+    period = slice(middle - phases // 2, middle + phases // 2 + 1)
+    mean = np.full(phases + 1, 1.0 / phases)  # mirrored tables must come out the same: both ends count half
+    mean[[0, -1]] /= 2.0
+    held = float(mean @ sums[period, period] @ mean)
+    core *= (held / sums)[:, :, None, None]
+    r: FloatArray = np.arange(len(wing), dtype=np.float64) * step_px
+    area = 2.0 * np.pi * r * aspect  # of rings, pixels per column
+    knots, weights = pupil.legendre(_KNOTS)
 
-    def beyond(light: FloatArray) -> FloatArray:
-        """The sum outside the stamp, by phase: smooth, so that a spline through a few phases gives it to 1e-9."""
-        few = outside(knots, half, light, 1.0 / step_px, 1.0 / aspect, radius)
-        return np.asarray(RectBivariateSpline(knots, knots, few, kx=5, ky=5)(at, at))
+    def beyond(light: FloatArray) -> float:
+        """The sum outside the stamp, mean over the phases: smooth, so that a few phases give it to 1e-9."""
+        sums = outside(knots / 2.0, half, light, 1.0 / step_px, 1.0 / aspect, radius)
+        return float(weights @ sums @ weights) / 4.0
 
     if total is not None:
-        r = np.arange(len(wing)) * step_px
-        far = 1.0 - np.array([fade(value, radius) for value in r])
+        far = 1.0 - _fades(r, radius)
         bent = wing / np.maximum(r, half / 2.0) ** 2
-        plain, extra = (
-            float(beyond(light)[period, period].mean()) + float(np.trapezoid(far * light * 2.0 * np.pi * r * aspect, r))
-            for light in (wing, bent)
-        )
-        alpha = (total - float(sums[period, period].mean()) - plain) / extra
+        plain, extra = (beyond(light) + float(np.trapezoid(far * light * area, r)) for light in (wing, bent))
+        alpha = (total - held - plain) / extra
         wing = wing + max(alpha, -0.5 * (half / 2.0) ** 2) * bent
-    held = float(sums[period, period].mean())
-    core *= (held / sums)[:, :, None, None]
-    around = beyond(wing)
-    return wing, 1.0 + (around[period, period].mean() - around) / held
+    # to a radius R with its rim: the mean over it of the light inside, weighted by the slope of `fade`
+    inside = np.concatenate([[0.0], np.cumsum((wing[1:] * area[1:] + wing[:-1] * area[:-1]) * step_px / 2.0)])
+    nodes, slopes = pupil.legendre(8)
+    t = (nodes + 1.0) / 2.0
+    rims = np.interp(np.append(r, radius)[:, None] + TAPER_PX * t, r, inside) @ (slopes * 3.0 * t * (1.0 - t))
+    return wing, held + beyond(wing) + rims[:-1] - rims[-1]
 
 
 def least_radius(half: int, aspect: float) -> float:
@@ -162,6 +168,11 @@ def fade(r: float, radius: float) -> float:
     """1 to `radius`, 0 from `radius` + `TAPER_PX` on, smooth (3t² − 2t³) between."""
     t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+def _fades(r: FloatArray, radius: float) -> FloatArray:
+    t = np.clip((radius + TAPER_PX - r) / TAPER_PX, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 @njit(cache=True, error_model="numpy")

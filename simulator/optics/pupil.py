@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -14,6 +15,15 @@ ComplexArray = NDArray[np.complex128]
 
 TERMS = 11
 """Zernike terms that a wavefront holds: Noll's 1 (piston) to 11 (spherical)."""
+
+
+@functools.lru_cache(maxsize=64)
+def legendre(count: int) -> tuple[FloatArray, FloatArray]:
+    """Points and weights of Gauss–Legendre quadrature on −1 … 1, kept: finding a few hundred takes as long as an
+    image."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
 
 
 def disk_nodes(count: int, radius: float = 1.0) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -30,7 +40,7 @@ def disk_nodes(count: int, radius: float = 1.0) -> tuple[FloatArray, FloatArray,
     """
     angle = np.pi * np.arange(1, count + 1) / (count + 1)
     y = np.cos(angle)
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = legendre(count)
     weight_y = np.pi / (count + 1) * np.sin(angle) ** 2  # for ∫ √(1−y²) g(y) dy
     x = np.sin(angle)[:, None] * nodes
     return radius * y, radius * x, radius**2 * weight_y[:, None] * weights
@@ -107,16 +117,47 @@ def _slopes(coefficients: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Flo
 def _field(
     coefficients: FloatArray, shift: FloatArray, x: FloatArray, y: FloatArray, radius: float, reach: float
 ) -> ComplexArray:
-    """Amplitude (Q, Y, X) of a disk of the pupil."""
-    count = math.ceil(math.pi * reach * radius / 2.0) + 24  # Gauss needs half the phase across, and some
+    """Amplitude (Q, Y, X) of a disk of the pupil.
+
+    Points of the pupil come in fours, ±x on the chords ±y, and share their cosines and sines; so do ±x in the image.
+    """
+    half = math.ceil(math.pi * reach * radius / 4.0) + 12  # Gauss needs half the phase across, and some
+    count = 2 * half
     node_y, node_x, weight = disk_nodes(count, radius)
     flat_y = np.repeat(node_y, count)
     waves = wavefront(coefficients, node_x.ravel(), flat_y) - shift @ np.stack([node_x.ravel(), flat_y])
     pupil = (weight.ravel() * np.exp(2j * math.pi * waves)).reshape(-1, count, count)
-    along_x = _phasors(node_x, x)  # (chord, point, X)
-    chords = np.matmul(np.ascontiguousarray(pupil.transpose(1, 0, 2)), along_x)  # (chord, Q, X)
+    right, left = pupil[..., half:], pupil[..., half - 1 :: -1]
+    even, odd = _pairs(right + left), _pairs(right - left)
+    mirrored = len(x) > 1 and np.array_equal(x, -x[::-1])
+    some_x = x[len(x) // 2 :] if mirrored else x
+    cosines = np.empty((half, even.shape[1], len(some_x)))
+    sines = np.empty_like(cosines)
+    for chord in range(half):  # one at a time: the tables of all would fill hundreds of MB
+        table = _phasors(node_x[chord, half:], some_x)
+        np.matmul(even[chord], table.real, out=cosines[chord])
+        np.matmul(odd[chord], table.imag, out=sines[chord])  # of −πx·ρ
+    symmetric, antisymmetric = _unpaired(cosines), _unpaired(sines)
+    chords = symmetric + 1j * antisymmetric  # (Q, chord, X)
+    if mirrored:
+        opposite = (symmetric - 1j * antisymmetric)[..., ::-1]
+        chords = np.concatenate([opposite[..., : len(x) // 2], chords], axis=-1)
     along_y = np.exp(-1j * math.pi * np.outer(y, node_y))
-    return np.asarray(np.einsum("yc,cqx->qyx", along_y, chords, optimize=True))
+    return np.asarray(np.matmul(along_y, chords))
+
+
+def _pairs(light: ComplexArray) -> FloatArray:
+    """(Q, chord, point) → (chord of y > 0, 4Q, point): real and imaginary parts of the chords at ±y."""
+    half = light.shape[1] // 2
+    both = np.concatenate([light[:, :half], light[:, : half - 1 : -1]])
+    return np.ascontiguousarray(np.concatenate([both.real, both.imag]).transpose(1, 0, 2))
+
+
+def _unpaired(parts: FloatArray) -> ComplexArray:
+    """(chord of y > 0, 4Q, X) → (Q, chord, X)."""
+    real, imaginary = np.split(parts.transpose(1, 0, 2), 2)
+    above, below = np.split(real + 1j * imaginary, 2)
+    return np.concatenate([above, below[:, ::-1]], axis=1)
 
 
 def _phasors(nodes: FloatArray, x: FloatArray) -> ComplexArray:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from simulator.optics.bodies import LAWS, add_lit_disk, draw_body, sun_angle_rad
+from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
-from simulator.optics.splat import add_disk, render_stars
+from simulator.optics.splat import render_stars
 from simulator.scenario.schema import PsfSection
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.camera import Camera

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
-from simulator.optics.splat import add_disk, add_stars, render_stars
+from simulator.optics.splat import add_stars, render_stars
 from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
 
@@ -33,11 +34,10 @@ def gaussian_twin(psf):
 def tabulated_twin(psf):
     image = np.zeros(SHAPE)
     half, middle = psf.core_half_px, psf.core.shape[0] // 2
-    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     for star, electrons, radius in zip(XY, ELECTRONS, psf.radius_px(ELECTRONS), strict=True):
         for (x, y), weight in zip(star, WEIGHTS, strict=True):
             cx, cy = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
-            stamp, seam = np.zeros((2 * half + 1, 2 * half + 1)), 0.0
+            stamp = np.zeros((2 * half + 1, 2 * half + 1))
             lag = []
             for at, centre in ((x, cx), (y, cy)):
                 position = (at - centre) * psf.phases
@@ -47,15 +47,21 @@ def tabulated_twin(psf):
             for b, wb in zip(*lag[1], strict=True):
                 for a, wa in zip(*lag[0], strict=True):
                     stamp += wa * wb * psf.core[b, a]
-                    seam += wa * wb * psf.seam[b, a]
+            # beyond the image too: the stamp gets what the whole of the wings leaves of the light to be drawn
+            pad = int(radius) + 2 * half + 60
+            rows, columns = np.mgrid[-pad : SHAPE[0] + pad, -pad : SHAPE[1] + pad]
             distance = np.hypot(columns - x, (rows - y) / psf.aspect)
             t = np.clip((radius + TAPER_PX - distance) / TAPER_PX, 0, 1)
             wing = np.interp(distance, np.arange(len(psf.wing)) * psf.wing_step_px, psf.wing) * t * t * (3 - 2 * t)
             near = (np.abs(columns - cx) <= half) & (np.abs(rows - cy) <= half)
+            wing[near] = 0
             if radius <= half:
-                wing[:], seam = 0, 1.0
-            wing[near] = seam * stamp[rows[near] - cy + half, columns[near] - cx + half]
-            image += electrons * weight * wing
+                wing[:] = 0
+            else:
+                light = np.interp(radius, np.arange(len(psf.drawn)) * psf.wing_step_px, psf.drawn)
+                stamp *= (light - wing.sum()) / stamp.sum()
+            wing[near] = stamp[rows[near] - cy + half, columns[near] - cx + half]
+            image += electrons * weight * wing[pad:-pad, pad:-pad]
     return image
 
 
