@@ -1,4 +1,4 @@
-"""Light onto pixels: stars along their paths through a PSF, and bodies with a disk."""
+"""Light onto pixels: stars along their paths through a PSF."""
 
 from __future__ import annotations
 
