@@ -21,6 +21,7 @@ REJECT_SIGMAS = 3.7
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _UNKNOWN_FLOOR_PX = 0.003
 _FEWEST_TO_REJECT = 4
+_MANY, _LEAST_SCALE = 10, 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ def refine(
 
     Starts from the identified pairs; then, until nothing changes: attitude, prediction of every guide star on the
     image, nearest centroids, rejection of residuals beyond 3.7 robust standard errors (blends, false matches). The
-    robust scale is the median of the normalised residuals, not below one where the errors are known.
+    robust scale is the median of the normalised residuals, not below one where the errors are known and stars are few.
 
     Parameters
     ----------
@@ -111,4 +112,7 @@ def _robust_scale(residual: FloatArray, sigma: FloatArray, known: bool) -> float
     length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
     freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
     scale = float(np.median(length)) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
-    return max(scale, 1.0 if known else _UNKNOWN_FLOOR_PX)
+    if not known:
+        return max(scale, _UNKNOWN_FLOOR_PX)
+    # where many stars agree better than they claim to, as without noise, a blend among them shows
+    return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)
