@@ -1,11 +1,12 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
+# make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all lint clean
+.PHONY: run test test-all lint clean bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -34,6 +35,16 @@ $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml
 $(VENV)/.installed-oracles: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --editable '.[test,oracles]'
 	@touch $@
+
+$(VENV)/.installed-peers: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[peers]'
+	@touch $@
+
+bench-identification: $(VENV)/.installed-peers
+	$(BIN)/python -m benchmarks.identification --peers --failures --out benchmarks/RESULTS-identification.md
+
+bench-frames: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.frames --failures --out benchmarks/RESULTS-frames.md
 
 clean:
 	rm -rf $(VENV) out

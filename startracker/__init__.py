@@ -12,6 +12,7 @@ from startracker._version import __version__
 if TYPE_CHECKING:
     from startracker.attitude import Attitude
     from startracker.blind import solve_unknown_fov
+    from startracker.calibration import Calibration, StarField, calibrate
     from startracker.camera import Camera
     from startracker.catalog import load_catalog
     from startracker.catalog.stars import StarCatalog
@@ -19,28 +20,41 @@ if TYPE_CHECKING:
     from startracker.errors import BoresightError, InputError
     from startracker.image import LoadedImage, read_image
     from startracker.observer import Observer
-    from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+    from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, TrackingSettings
     from startracker.solution import MatchedStars, Solution, Status
+    from startracker.trace import Step
     from startracker.tracker import StarTracker
+    from startracker.tracking import GyroNoise, Mekf, RateNoise, TrackingSession, TrackingState
     from startracker.wcs import wcs_header
+
 
 __all__ = [
     "Attitude",
     "BoresightError",
+    "Calibration",
     "Camera",
     "CentroidSettings",
     "DetectionSettings",
     "Distortion",
+    "GyroNoise",
     "IdentificationSettings",
     "InputError",
     "LoadedImage",
     "MatchedStars",
+    "Mekf",
     "Observer",
+    "RateNoise",
     "Solution",
     "StarCatalog",
+    "StarField",
     "StarTracker",
     "Status",
+    "Step",
+    "TrackingSession",
+    "TrackingSettings",
+    "TrackingState",
     "__version__",
+    "calibrate",
     "load_catalog",
     "read_image",
     "solve_unknown_fov",
@@ -50,19 +64,29 @@ __all__ = [
 _HOME = {
     "Attitude": "attitude",
     "BoresightError": "errors",
+    "Calibration": "calibration",
     "Camera": "camera",
     "CentroidSettings": "settings",
     "DetectionSettings": "settings",
     "Distortion": "distortion",
+    "GyroNoise": "tracking",
     "IdentificationSettings": "settings",
     "InputError": "errors",
     "LoadedImage": "image",
     "MatchedStars": "solution",
+    "Mekf": "tracking",
     "Observer": "observer",
+    "RateNoise": "tracking",
     "Solution": "solution",
     "StarCatalog": "catalog.stars",
+    "StarField": "calibration",
     "StarTracker": "tracker",
     "Status": "solution",
+    "Step": "trace",
+    "TrackingSession": "tracking",
+    "TrackingSettings": "settings",
+    "TrackingState": "tracking",
+    "calibrate": "calibration",
     "load_catalog": "catalog",
     "read_image": "image",
     "solve_unknown_fov": "blind",

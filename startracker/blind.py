@@ -21,15 +21,19 @@ from startracker.camera import Camera
 from startracker.catalog import cache, load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.distortion import Distortion
 from startracker.errors import InputError
-from startracker.front_end import Clock, clean_centroids, find_stars
+from startracker.explain import attitude_steps, hints, listed_step, search_step
+from startracker.front_end import Clock, FoundStars, clean_centroids, find_stars
 from startracker.identification import free_scale
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
-from startracker.identification.quads import QuadIndex, build_quads
+from startracker.identification.last_fit import last_fit
+from startracker.identification.quads import QuadIndex, build_quads, pack_quads, unpack_quads
 from startracker.observer import Observer
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
+from startracker.trace import Step
 
 __all__ = ["solve_unknown_fov"]
 
@@ -38,7 +42,10 @@ IntArray = NDArray[np.int64]
 
 _MAGNITUDE_LIMIT = 9.0
 _REFERENCE = Camera.from_fov(4.0, 1024, 1024)  # the finest: doubles closer than 28″ are one
-_CACHE_KEY = "quads-1"
+_CACHE_KEY = "quads-2"
+_POOR = 20
+_BARREL = -0.06
+"""k1 r² at the corner that stands for a strong barrel, -0.03 to -0.1; beyond -0.148 the image folds."""
 
 
 def solve_unknown_fov(
@@ -50,6 +57,8 @@ def solve_unknown_fov(
     fov_deg: float | None = None,
     fov_error: float = 0.05,
     parity: int | None = None,
+    camera: Camera | None = None,
+    variance_px2: ArrayLike | None = None,
     catalog: str | StarCatalog = "hipparcos",
     detector: str = "components",
     centroider: str = "moment",
@@ -76,6 +85,11 @@ def solve_unknown_fov(
         Relative error of `fov_deg`, at most.
     parity : int, optional
         +1 as seen, −1 mirrored; None: both are tried.
+    camera : Camera, optional
+        What is known roughly of projection, distortion, focal length (to `fov_error`) and parity, in place of `fov_deg`
+        and `parity`. Needed for a fisheye of 100° and more.
+    variance_px2 : array_like, shape (N,), optional
+        Variance of the centroids on one axis, for the last fit; an image's are measured.
     catalog, detector, centroider, detection, centroid, identification
         As for `StarTracker`.
     observer : Observer, optional
@@ -99,10 +113,13 @@ def solve_unknown_fov(
         raise InputError(f"fov_error must be a relative error between 0 and 1; got {fov_error}")
     if parity not in (None, 1, -1):
         raise InputError(f"parity must be 1, -1 or None; got {parity}")
+    if camera is not None and fov_deg is not None:
+        raise InputError("give a rough camera or a field of view, not both: the camera has its own")
     if (width is None) != (height is None):
         raise InputError("centroids need both the width and the height of their image")
     clock = Clock()
     signal: FloatArray | None
+    found: FoundStars | None = None
     if width is None or height is None:
         found = find_stars(
             source,
@@ -115,19 +132,63 @@ def solve_unknown_fov(
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            return Solution(found.status, found.reason, times_ms=clock.times_ms())
+            steps = (*found.steps, *hints(found.status, 0, known_camera=False))
+            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=steps)
         height, width = np.shape(source)
-        xy, signal = found.xy, found.flux
+        xy, signal, steps, saturated = found.xy, found.flux, found.steps, found.saturated
+        variance: FloatArray | None = found.variance_px2
     else:
         if not (width > 0 and height > 0):
             raise InputError(f"an image needs a size in pixels; got {width}×{height}")
         xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, int(width), int(height)))
+        variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
+        steps, saturated = (listed_step(np.size(source) // 2, xy, signal),), 0
+    if camera is not None and (camera.width, camera.height) != (width, height):
+        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the image {width}×{height}")
     search = FreeSearch(
-        xy, signal, int(width), int(height), catalog, identification or IdentificationSettings(), observer
+        xy,
+        signal,
+        int(width),
+        int(height),
+        catalog,
+        identification or IdentificationSettings(),
+        observer,
+        variance_px2=variance,
+        rough=camera,
     )
-    solution = search.run(_bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,))
+    if camera is not None:
+        parity, fov_deg = parity or camera.parity, camera.fov_deg
+    bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
+    solution = search.run(bands, sides)
     clock.lap("identification")
-    return replace(solution, times_ms=clock.times_ms())
+    knobs = (detection or DetectionSettings()) if found is not None else None
+    steps = (
+        *steps,
+        search_step(search.trials, bands, sides),
+        Step("identification", solution.reason),
+        *attitude_steps(solution),
+        *hints(
+            solution.status,
+            len(xy),
+            known_camera=False,
+            fov_known=fov_deg is not None,
+            saturated=saturated,
+            settings=knobs,
+        ),
+    )
+    return replace(solution, times_ms=clock.times_ms(), steps=steps)
+
+
+def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
+    """Variances of the centroids that are left after cleaning, found again by their place."""
+    given = np.asarray(variance_px2, dtype=float).reshape(-1)
+    points = np.asarray(source, dtype=float)
+    if len(given) != len(points):
+        raise InputError(f"there are {len(points)} centroids, but {len(given)} variances")
+    if not (np.isfinite(given) & (given > 0.0)).all():
+        raise InputError("the variances of centroids must be positive numbers (px²)")
+    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}
+    return given[[row[x, y] for x, y in kept.tolist()]]
 
 
 def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float, float], ...]:
@@ -153,6 +214,12 @@ class FreeSearch:
     settings : IdentificationSettings
         For the false-alarm rate.
     observer : Observer, optional
+    variance_px2 : (N,), optional
+        Of the centroids on one axis, for the last fit.
+    rough : Camera, optional
+        Projection and distortion to begin with; its focal length goes by the band.
+    trials : int
+        Patterns tried so far.
     """
 
     xy: FloatArray
@@ -163,6 +230,8 @@ class FreeSearch:
     settings: IdentificationSettings
     observer: Observer | None
     trials: int = 0
+    variance_px2: FloatArray | None = None
+    rough: Camera | None = None
 
     def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
         """Search band by band and side by side until something is accepted beyond doubt."""
@@ -174,19 +243,23 @@ class FreeSearch:
         sky = all_stars(self.catalog).seen_by(self.observer)
         limit = math.log(self.settings.false_alarm_rate)
         best: FreeFit | None = None
-        for low, middle, high in bands:
-            guide = sky.brightest(_depth(len(xy), self.width, self.height, low))
-            for side in sides:
-                assumed = replace(Camera.from_fov(middle, self.width, self.height), parity=side)
-                found = free_scale.candidates(xy, assumed, quad_index(self.catalog), low / middle, high / middle)
-                for camera, pattern, centre, extent in found:
-                    self.trials += 1
-                    fit = self._try(camera, pattern, centre, extent, sky.directions, guide)
-                    if fit is None or (best is not None and fit.log_evidence <= best.log_evidence):
-                        continue
-                    best = fit
-                    if self._log_chance(best) < limit - 7.0:
-                        return self._answer(best, sky)
+        for corner_k1, widen in self._passes():
+            for low, middle, high in bands:
+                guide = self._guide(sky, _depth(len(xy), self.width, self.height, low))
+                for side in sides:
+                    assumed = self._assumed(middle, side, corner_k1)
+                    index = quad_index(self.catalog)
+                    found = free_scale.candidates(xy, assumed, index, low / middle, high / middle, widen)
+                    for camera, pattern, centre, extent in found:
+                        self.trials += 1
+                        fit = self._try(camera, pattern, centre, extent, sky.directions, guide)
+                        if fit is None or (best is not None and fit.log_evidence <= best.log_evidence):
+                            continue
+                        best = fit
+                        if self._log_chance(best) < limit - 7.0:
+                            return self._answer(best, sky)
+            if best is not None and self._log_chance(best) < limit:
+                break
         if best is None:
             reason = f"{len(xy)} stars seen; of {self.trials} patterns alike in the sky none brings {needed} to agree"
             return Solution(Status.NO_MATCH, reason, centroids=xy)
@@ -198,6 +271,33 @@ class FreeSearch:
             reason = f"{says}: by chance with probability {math.exp(chance):.0e}"
             return Solution(Status.AMBIGUOUS, f"{reason}, above the limit", centroids=xy)
         return Solution(Status.NO_MATCH, f"{says}: no better than chance", centroids=xy)
+
+    def _passes(self) -> tuple[tuple[float, float], ...]:
+        """Radial distortion at the corner (k1 r²) to assume, and how wide to search, one after the other.
+
+        Shapes change with the distortion, by 2 k1 r² from one direction to the other: a strong one is only met by
+        assuming it. A poor field has few patterns, which must not be lost to noise.
+        """
+        if self.rough is not None:
+            return ((0.0, 1.0), (0.0, 2.0))
+        wide = ((-0.04, 2.0),) if len(self.xy) <= _POOR else ()
+        return ((0.0, 1.0), (_BARREL, 1.0), *wide)
+
+    def _assumed(self, fov_deg: float, side: int, corner_k1: float) -> Camera:
+        if self.rough is not None:
+            rough = self.rough
+            return replace(_without_rational(rough), parity=side)
+        camera = replace(Camera.from_fov(fov_deg, self.width, self.height), parity=side)
+        if corner_k1 == 0.0:
+            return camera
+        corner2 = (camera.cx / camera.fx) ** 2 + (camera.cy / camera.fy) ** 2
+        return replace(camera, distortion=Distortion(k1=corner_k1 / corner2))
+
+    def _guide(self, sky: GuideDatabase, depth: int) -> GuideDatabase:
+        """The brightest stars; of a sky that is the same for all frames they are kept."""
+        if self.observer is not None:
+            return sky.brightest(depth)
+        return _brightest(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
 
     def _log_chance(self, fit: FreeFit) -> float:
         return math.log(max(self.trials, 1)) - fit.log_evidence
@@ -215,6 +315,8 @@ class FreeSearch:
         guide: GuideDatabase,
     ) -> FreeFit | None:
         xy, (stars, chosen) = self.xy, pattern
+        if not np.isfinite(camera.unproject(xy[stars])).all():  # beyond the fold of the lens that is tried
+            return None
         matrix = free_scale.attitude_of(camera, xy[stars], directions[chosen])
         off = camera.project(directions[chosen] @ matrix.T) - xy[stars]
         if not np.hypot(off[:, 0], off[:, 1]).max() < 2.0 + 0.03 * extent:  # NaN too
@@ -230,6 +332,8 @@ class FreeSearch:
     def _answer(self, fit: FreeFit, sky: GuideDatabase) -> Solution:
         """Solution of an accepted fit: once more with all stars of the catalogue that bright."""
         xy, chance = self.xy, self._log_chance(fit)
+        guide = self._guide(sky, _depth(len(xy), self.width, self.height, _field_deg(fit.camera)))
+        fit = last_fit(fit, xy, self.variance_px2, guide)
         used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
         residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
         stars = MatchedStars(
@@ -255,6 +359,13 @@ class FreeSearch:
         )
 
 
+def _without_rational(camera: Camera) -> Camera:
+    """The camera without the denominator of its distortion, as the fit has none."""
+    if camera.projection != "pinhole":
+        return replace(camera, projection="fisheye")
+    return replace(camera, distortion=replace(camera.distortion, k4=0.0, k5=0.0, k6=0.0))
+
+
 def _field_deg(camera: Camera) -> float:
     """Angle across the width, edge to edge, distortion included."""
     left, right = camera.unproject([[-0.5, camera.cy], [camera.width - 0.5, camera.cy]])
@@ -268,6 +379,11 @@ def _depth(stars: int, width: int, height: int, fov_deg: float) -> int:
     return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))
 
 
+@functools.lru_cache(maxsize=16)
+def _brightest(catalog: str | StarCatalog, depth: int) -> GuideDatabase:
+    return all_stars(catalog).brightest(depth)
+
+
 @functools.cache
 def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
     """Guide stars to V = 9 for every field, brightest first."""
@@ -278,25 +394,26 @@ def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
 
 @functools.cache
 def quad_index(catalog: str | StarCatalog) -> QuadIndex:
-    """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (45 MB)."""
+    """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (24 MB)."""
     stars = all_stars(catalog)
     # the stars' number and places are part of the name: another edition of the catalogue is another index
     mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
     file = cache.folder() / f"{_CACHE_KEY}-{mark:08x}.npz"
     try:
         with np.load(file, allow_pickle=False) as stored:
-            return QuadIndex.of(stored["codes"], stored["quads"], stored["baseline_rad"])
+            return unpack_quads(stored, stars.directions)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         pass
-    codes, quads, baseline_rad = build_quads(stars.directions)
+    codes, quads, _ = build_quads(stars.directions)
+    packed = pack_quads(codes, quads)
     temporary = ""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".tmp", delete=False) as stream:
             temporary = stream.name
-            np.savez(stream, allow_pickle=False, codes=codes, quads=quads, baseline_rad=baseline_rad)
+            np.savez(stream, allow_pickle=False, **packed)
         os.replace(temporary, file)
     except OSError:  # the cache only saves time
         with contextlib.suppress(OSError):
             os.unlink(temporary)
-    return QuadIndex.of(codes, quads, baseline_rad)
+    return unpack_quads(packed, stars.directions)

@@ -12,7 +12,7 @@ and the order of the coefficients are those of OpenCV's ``calib3d`` module.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -49,11 +49,15 @@ class Distortion:
     @property
     def is_zero(self) -> bool:
         """True when the lens is a perfect pinhole."""
-        return not any(astuple(self))
+        return not any(self._coefficients)
 
     def as_array(self) -> FloatArray:
         """Coefficients (8,) in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6."""
-        return np.array(astuple(self), dtype=float)
+        return np.array(self._coefficients, dtype=float)
+
+    @property
+    def _coefficients(self) -> tuple[float, ...]:
+        return self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6
 
 
 @njit(cache=True, error_model="numpy")

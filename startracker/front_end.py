@@ -12,12 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.camera import Camera
 from startracker.centroid import Centroider
-from startracker.detection import Detector, estimate
+from startracker.detection import Background, Detector, estimate
+from startracker.detection.smear import motion_at
+from startracker.detection.streaks import Streaks, find_streaks
 from startracker.errors import InputError
+from startracker.explain import background_step, centroid_step, detection_steps, image_step
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
+from startracker.trace import Step
 
-__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars"]
+__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again"]
 
 FloatArray = NDArray[np.float64]
 
@@ -63,6 +67,12 @@ class FoundStars:
         Set where the image cannot be used.
     saturated_share, saturation_dn : float
         Share of pixels at saturation, and that level.
+    steps : tuple of Step
+        What was found, in words.
+    saturated : int
+        Saturated star images.
+    pixels, background : array (H, W) and Background, optional
+        For a second look.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -72,6 +82,10 @@ class FoundStars:
     reason: str = ""
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
+    steps: tuple[Step, ...] = ()
+    saturated: int = 0
+    pixels: NDArray[np.float32] | None = None
+    background: Background | None = None
 
 
 def find_stars(
@@ -108,21 +122,105 @@ def find_stars(
     if pixels is None:
         return FoundStars(status=Status.BAD_IMAGE, reason=fault)
     share, level = _saturated_share(np.asarray(image), pixels, saturation_dn)
+    steps = [image_step(pixels, share, level)]
     if share > _WHITE_SHARE:
-        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level))
+        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=tuple(steps))
     if float(np.nanmax(pixels)) == float(np.nanmin(pixels)):
-        return FoundStars(status=Status.NO_STARS, reason=f"every pixel is {float(np.nanmax(pixels)):g}")
+        reason = f"every pixel is {float(np.nanmax(pixels)):g}"
+        return FoundStars(status=Status.NO_STARS, reason=reason, steps=tuple(steps))
     try:
         background = estimate(pixels, detection.background_tile_px)
         clock.lap("background")
+        steps.append(background_step(background))
         spots = detect(pixels, background, detection, saturation_dn)
         clock.lap("detection")
+        steps.extend(detection_steps(spots, detection, background))
         found = measure(pixels, background, spots, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
-        return FoundStars(status=Status.BAD_IMAGE, reason=str(error))
+        return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=tuple(steps))
+    steps.append(centroid_step(found))
     variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
-    return FoundStars(found.xy, found.flux, variance, saturated_share=share, saturation_dn=level)
+    return FoundStars(
+        found.xy,
+        found.flux,
+        variance,
+        saturated_share=share,
+        saturation_dn=level,
+        steps=tuple(steps),
+        saturated=int(np.count_nonzero(found.saturated)),
+        pixels=pixels,
+        background=background,
+    )
+
+
+def look_again(
+    first: FoundStars,
+    detection: DetectionSettings,
+    camera: Camera,
+    clock: Clock,
+    *,
+    saturation_dn: float | None = None,
+    gain_e_per_dn: float | None = None,
+) -> FoundStars | None:
+    """Stars drawn out by the camera's turn (`startracker.detection.streaks`), where the first look did not do.
+
+    Parameters
+    ----------
+    first : FoundStars
+        The first look.
+    detection, camera, clock, saturation_dn, gain_e_per_dn
+        As before.
+
+    Returns
+    -------
+    FoundStars or None
+        None where the frame has no such streaks.
+    """
+    if first.pixels is None or first.background is None:
+        return None
+    streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn)
+    clock.lap("streaks")
+    if streaks is None:
+        return None
+    stars = streaks.centroids
+    length, middle = float(np.hypot(*streaks.motion[:2])), 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
+    text = f"{len(stars)} streaks of one motion, {length:.1f} px in the middle of the image"
+    return FoundStars(
+        stars.xy - _bow(stars.xy, camera, streaks, middle),
+        stars.flux,
+        np.trace(stars.covariance, axis1=1, axis2=2) / 2.0,
+        saturated_share=first.saturated_share,
+        saturation_dn=first.saturation_dn,
+        steps=(Step("detection", text), centroid_step(stars)),
+        saturated=int(np.count_nonzero(stars.saturated)),
+    )
+
+
+def _bow(xy: FloatArray, camera: Camera, streaks: Streaks, middle: FloatArray) -> FloatArray:
+    """How far the middle of a streak lies from where its star stood at mid-exposure (N, 2), pixels.
+
+    The image of a steady turn neither runs evenly nor straight: along the streak the middle is that of its ends, across
+    it the mean of an arc, which lies at two thirds of its height.
+    """
+    a, b, c = streaks.motion
+    here = camera.unproject(xy)
+    half = 0.5 * np.array([-b / camera.fy, a / camera.fx, c])
+    angle = float(np.linalg.norm(half))
+    if angle < 1e-12:
+        return np.zeros_like(xy)
+    axis = half / angle
+    ends = []
+    for turn in (angle, -angle):
+        along = (here @ axis)[:, None] * axis
+        turned = (here - along) * math.cos(turn) + np.cross(axis, here) * math.sin(turn) + along
+        ends.append(camera.project(turned))
+    off = 0.5 * (ends[0] + ends[1]) - xy
+    direction = motion_at(xy - middle, streaks.motion)
+    direction /= np.maximum(np.hypot(*direction.T), 1e-12)[:, None]
+    along = (off * direction).sum(axis=1)[:, None] * direction
+    bow = along + (off - along) / 3.0
+    return np.where(np.isfinite(bow), bow, 0.0)
 
 
 def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:

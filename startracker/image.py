@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.bayer import bayer_to_grey
+from startracker.deep_colour import read_deep
 from startracker.errors import InputError
 
 __all__ = ["LoadedImage", "read_image"]
@@ -42,11 +44,20 @@ class LoadedImage:
     notes: tuple[str, ...] = ()
 
 
-def read_image(path: str | Path) -> LoadedImage:
+def read_image(path: str | Path, *, bayer: str | None = None) -> LoadedImage:
     """Read an image file.
 
-    Colour is averaged over its channels (transparency left out), palettes are looked up. The picture is taken as it is
-    stored: an EXIF orientation is not followed, as pixel coordinates would no longer be the file's.
+    Colour is averaged over its channels (transparency left out), palettes are looked up; 16 bits a channel stay 16
+    bits. The picture is taken as it is stored: an EXIF orientation is not followed, as pixel coordinates would no
+    longer be the file's.
+
+    Parameters
+    ----------
+    path : str or Path
+        PNG, TIFF, JPEG and what else Pillow knows; FITS.
+    bayer : str, optional
+        The file holds a raw colour mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is made grey
+        (`startracker.bayer.bayer_to_grey`).
 
     Raises
     ------
@@ -67,6 +78,19 @@ def read_image(path: str | Path) -> LoadedImage:
         raise InputError(f"{file}: is empty (0 bytes); {_HINT}")
     is_fits = start.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
     loaded = _read_fits(file) if is_fits else _read_picture(file)
+    if bayer is not None:
+        if any("averaged" in note for note in loaded.notes):
+            raise InputError(f"{file}: has colour channels, so it is no raw mosaic; leave bayer out")
+        grey = bayer_to_grey(loaded.image, bayer)
+        notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
+        # the gains differ by colour: the least level at which any pixel is full
+        full = None
+        if loaded.saturation_dn is not None:
+            top = bayer_to_grey(
+                np.where(loaded.image < loaded.saturation_dn, np.nan, loaded.image), bayer, balance=False
+            )
+            full = float(np.nanmin(np.where(np.isfinite(top), grey, np.inf)))
+        loaded = LoadedImage(grey, full if full is not None and np.isfinite(full) else None, loaded.header, notes)
     if not np.isfinite(loaded.image).any():
         raise InputError(f"{file}: no pixel is a finite number; {_HINT} of the sky")
     return loaded
@@ -88,6 +112,9 @@ def _read_picture(file: Path) -> LoadedImage:
                 orientation = picture.getexif().get(_ORIENTATION_TAG, 1)
                 header = {"format": picture.format, "mode": picture.mode}
                 array, notes = _channels(picture)
+                deep = read_deep(picture, file)
+                if deep is not None:
+                    array = deep
     except InputError:
         raise
     except UnidentifiedImageError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
 from startracker.identification.hypothesis import fit_rotation, nearest_unique
+from startracker.identification.verification import fit_step, focal_slopes, turned
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,12 +39,15 @@ class Refined:
         Centroid and guide index of the stars used.
     residual_px : (M, 2)
         Measured minus predicted.
+    camera : Camera
+        The one given, or with the focal length fitted.
     """
 
     matrix: FloatArray
     covariance: FloatArray
     pairs: IntArray
     residual_px: FloatArray
+    camera: Camera
 
 
 def refine(
@@ -53,6 +57,7 @@ def refine(
     camera: Camera,
     guide: GuideDatabase,
     estimator: Estimator,
+    free_focal: bool = False,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
 
@@ -70,41 +75,70 @@ def refine(
         Variance of each centroid on one axis; None: unknown, equal, and told by the residuals.
     camera, guide, estimator
         The camera, the guide stars as the observer sees them, and a method of `startracker.estimation`.
+    free_focal : bool
+        Whether the focal length is fitted along (both axes by one factor); the covariance has its part then.
 
     Notes
     -----
-    The covariance is the estimator's, times χ²/ν (at least one where the errors are known), ν = 2M − 3.
+    The covariance is the estimator's, times χ²/ν (at least one where the errors are known), ν = 2M − 3, or − 4.
     """
     known = variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
-    vectors = camera.unproject(xy)
-    matrix = fit_rotation(vectors[pairs[:, 0]], guide.directions[pairs[:, 1]], 1.0 / sigma[pairs[:, 0]] ** 2)
-    predicted = camera.project(guide.directions[pairs[:, 1]] @ matrix.T)
-    scale = _robust_scale(xy[pairs[:, 0]] - predicted, sigma[pairs[:, 0]], known)
-    used = pairs
+    used, same = pairs, False
     for _ in range(12):
-        index, _, places = guide.in_field(matrix, margin_px=3.0)
-        gate = REJECT_SIGMAS * scale * sigma
-        near, _ = nearest_unique(xy, places, gate)
+        stars, reference = used[:, 0], guide.directions[used[:, 1]]
+        vectors = camera.unproject(xy[stars])
+        matrix = fit_rotation(vectors, reference, 1.0 / sigma[stars] ** 2)
+        if free_focal:
+            camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
+        predicted = camera.project(reference @ matrix.T)
+        scale = _robust_scale(xy[stars] - predicted, sigma[stars], known)
+        if same:
+            break
+        index, _, places = guide.in_field(matrix, 3.0, camera)
+        near, _ = nearest_unique(xy, places, REJECT_SIGMAS * scale * sigma)
         seen = np.flatnonzero(near >= 0)
         fitting = np.stack([seen, index[near[seen]]], axis=1)
         if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
             break
         same = np.array_equal(fitting, used)
         used = fitting
-        matrix = fit_rotation(vectors[used[:, 0]], guide.directions[used[:, 1]], 1.0 / sigma[used[:, 0]] ** 2)
-        predicted = camera.project(guide.directions[used[:, 1]] @ matrix.T)
-        scale = _robust_scale(xy[used[:, 0]] - predicted, sigma[used[:, 0]], known)
-        if same:
-            break
     stars, reference = used[:, 0], guide.directions[used[:, 1]]
-    estimate = estimator(vectors[stars], reference, sigma[stars] * camera.pixel_rad)
-    residual = xy[stars] - camera.project(reference @ estimate.matrix.T)
-    freedom = max(2 * len(stars) - 3, 1)
+    vectors = camera.unproject(xy[stars])
+    estimate = estimator(vectors, reference, sigma[stars] * camera.pixel_rad)
+    matrix, covariance = estimate.matrix, estimate.covariance
+    if free_focal:
+        normal, _ = _normal(camera, matrix, vectors, reference, sigma[stars])
+        covariance = np.asarray(np.linalg.inv(normal)[:3, :3], dtype=np.float64)
+    residual = xy[stars] - camera.project(reference @ matrix.T)
+    freedom = max(2 * len(stars) - (4 if free_focal else 3), 1)
     chi2 = float(np.sum(residual**2 / sigma[stars, None] ** 2))
     factor = max(chi2 / freedom, 1.0 if known else _UNKNOWN_FLOOR_PX**2)
-    return Refined(np.asarray(estimate.matrix), np.asarray(estimate.covariance) * factor, used, residual)
+    return Refined(matrix, covariance * factor, used, residual, camera)
+
+
+def _refocused(
+    camera: Camera, matrix: FloatArray, xy: FloatArray, reference: FloatArray, sigma: FloatArray
+) -> tuple[Camera, FloatArray]:
+    """Camera and attitude with the focal length that fits best: two steps of Gauss–Newton suffice within 3 %."""
+    for _ in range(2):
+        normal, right = _normal(camera, matrix, camera.unproject(xy), reference, sigma)
+        change = np.linalg.solve(normal, right)
+        matrix = turned(matrix, *change[:3])
+        factor = math.exp(change[3])
+        camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    return camera, matrix
+
+
+def _normal(
+    camera: Camera, matrix: FloatArray, vectors: FloatArray, reference: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of rotation vector and ln of the focal length."""
+    every = np.arange(len(vectors))
+    slopes, predicted = focal_slopes(vectors), reference @ matrix.T
+    normal, right = fit_step(vectors, slopes, predicted, every, sigma * camera.pixel_rad, 4)
+    return normal, right
 
 
 def _robust_scale(residual: FloatArray, sigma: FloatArray, known: bool) -> float:

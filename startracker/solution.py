@@ -6,11 +6,14 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from startracker.attitude import Attitude
+from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
+from startracker.errors import InputError
+from startracker.observer import Observer, aberrate
+from startracker.trace import Step
 
 FloatArray = NDArray[np.float64]
 
@@ -88,6 +91,8 @@ class Solution:
         Milliseconds a stage.
     camera : Camera, optional
         The camera that the attitude goes with: the one given, or the fitted one.
+    steps : tuple of Step
+        What each stage found, tried and rejected, in words; `startracker.explain.as_text` prints it.
     """
 
     status: Status
@@ -100,6 +105,7 @@ class Solution:
     parity: int = 1
     times_ms: dict[str, float] = field(default_factory=dict)
     camera: Camera | None = None
+    steps: tuple[Step, ...] = ()
 
     @property
     def solved(self) -> bool:
@@ -133,3 +139,63 @@ class Solution:
     def matched(self) -> int:
         """Number of identified stars."""
         return len(self.stars)
+
+    def radec_of(self, xy: ArrayLike, observer: Observer | None = None) -> FloatArray:
+        """ICRS right ascension and declination (N, 2), degrees, of pixels (N, 2); NaN where the lens model ends.
+
+        Parameters
+        ----------
+        xy : array_like, shape (N, 2) or (2,)
+            Columns and rows, the first pixel's centre at (0, 0); any place, off the image too.
+        observer : Observer, optional
+            The one that was given to `solve`. An attitude solved with an observer's velocity turns ICRS into the
+            directions that the moving camera *sees*, up to 26″ from the catalogue's; with the observer given here the
+            aberration is taken off and the answer is the catalogue's place. An attitude solved without one has the
+            aberration in itself, and gives places as in the catalogue to within its change over the field (2.3″
+            at 10° across).
+
+        Raises
+        ------
+        InputError
+            When the field is not solved, or the array's shape does not fit.
+        """
+        attitude, camera = self._placed()
+        seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
+        if observer is not None and observer.velocity_km_s is not None:
+            seen = aberrate(seen, -np.asarray(observer.velocity_km_s))  # the Lorentz boost back
+        return np.degrees(np.stack(direction_to_radec(seen), axis=1))
+
+    def pixel_of(self, ra_deg: ArrayLike, dec_deg: ArrayLike, observer: Observer | None = None) -> FloatArray:
+        """Pixels (N, 2) of ICRS places, degrees; NaN farther from the boresight than the image's corners.
+
+        Beyond the corners a lens polynomial can fold back into the image. `observer` as in `radec_of`, whose inverse
+        this is.
+
+        Raises
+        ------
+        InputError
+            When the field is not solved.
+        """
+        attitude, camera = self._placed()
+        ra, dec = np.broadcast_arrays(np.atleast_1d(np.radians(ra_deg)), np.atleast_1d(np.radians(dec_deg)))
+        seen = radec_to_direction(ra.ravel(), dec.ravel())
+        if observer is not None and observer.velocity_km_s is not None:
+            seen = aberrate(seen, observer.velocity_km_s)
+        vectors = attitude.apply(seen)
+        angle = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
+        inside = angle <= camera.half_diagonal_rad + camera.pixel_rad
+        pixels = np.full((len(vectors), 2), np.nan)
+        pixels[inside] = camera.project(vectors[inside])
+        return pixels
+
+    def _placed(self) -> tuple[Attitude, Camera]:
+        if self.attitude is None or self.camera is None:
+            raise InputError(f"a field that is not solved has no coordinates ({self.status}: {self.reason})")
+        return self.attitude, self.camera
+
+
+def _two_columns(values: ArrayLike, what: str) -> FloatArray:
+    table = np.atleast_2d(np.asarray(values, dtype=float))
+    if table.ndim != 2 or table.shape[1] != 2:
+        raise InputError(f"{what} must have the shape (N, 2), columns x and y; got {np.shape(values)}")
+    return table

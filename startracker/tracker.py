@@ -19,7 +19,8 @@ from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
-from startracker.front_end import SATURATED_SHARE, Clock, clean_centroids, find_stars, says_saturated
+from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.front_end import SATURATED_SHARE, Clock, clean_centroids, find_stars, look_again, says_saturated
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.observer import Observer
@@ -27,6 +28,7 @@ from startracker.refine import refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
+from startracker.trace import Step
 
 __all__ = ["StarTracker"]
 
@@ -72,7 +74,7 @@ class StarTracker:
         magnitude_limit: float = 6.0,
         detector: str = "components",
         centroider: str = "moment",
-        identifier: str = "match_groups",
+        identifier: str = "adaptive",
         estimator: str = "svd",
         *,
         detection: DetectionSettings | None = None,
@@ -140,12 +142,25 @@ class StarTracker:
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            return self._unsolved(found.status, found.reason, clock)
-        solution = self._solve(found.xy, found.flux, found.variance_px2, _prior(prior, prior_deg), observer, clock)
+            steps = (*found.steps, *hints(found.status, 0, known_camera=True))
+            return replace(self._unsolved(found.status, found.reason, clock), steps=steps)
+        hint = _prior(prior, prior_deg)
+        solution = self._solve(found.xy, found.flux, found.variance_px2, hint, observer, clock)
+        if not solution.solved:
+            smeared = look_again(
+                found, self.detection, self.camera, clock, saturation_dn=saturation_dn, gain_e_per_dn=gain_e_per_dn
+            )
+            if smeared is not None:
+                steps = (*found.steps, *solution.steps, *smeared.steps)
+                found = replace(smeared, steps=steps)
+                solution = self._solve(found.xy, found.flux, found.variance_px2, hint, observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
-            return self._unsolved(Status.SATURATED, reason, clock, found.xy)
-        return solution
+            solution = replace(solution, status=Status.SATURATED, reason=reason)
+        tips = hints(
+            solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
+        )
+        return replace(solution, steps=(*found.steps, *solution.steps, *tips))
 
     def solve_centroids(
         self,
@@ -180,7 +195,12 @@ class StarTracker:
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
             solution = replace(solution, reason=reason)
-        return solution
+        steps = (
+            listed_step(np.size(xy) // 2, points, signal),
+            *solution.steps,
+            *hints(solution.status, len(points), known_camera=True),
+        )
+        return replace(solution, steps=steps)
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
@@ -192,14 +212,31 @@ class StarTracker:
         observer: Observer | None,
         clock: Clock,
     ) -> Solution:
+        tried: tuple[Step, ...] = ()
         if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
             camera, error = self.camera, self.focal_error
-            search = FreeSearch(xy, flux, camera.width, camera.height, self.catalog, self.identification, observer)
+            search = FreeSearch(
+                xy,
+                flux,
+                camera.width,
+                camera.height,
+                self.catalog,
+                self.identification,
+                observer,
+                variance_px2=variance_px2,
+                rough=camera,
+            )
             fov = camera.fov_deg
-            solution = search.run(((fov * (1.0 - error), fov, fov * (1.0 + error)),), (camera.parity,))
+            band = (fov * (1.0 - error), fov, fov * (1.0 + error))
+            solution = search.run((band,), (camera.parity,))
             clock.lap("free_scale")
+            tried = (
+                search_step(search.trials, (band,), (camera.parity,)),
+                Step("identification", solution.reason),
+            )
             if solution.solved:
-                return replace(solution, times_ms=clock.times_ms())
+                steps = (*tried, *attitude_steps(solution))
+                return replace(solution, times_ms=clock.times_ms(), steps=steps)
         guide = self.guide.seen_by(observer)
         vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
         usable = np.flatnonzero(np.isfinite(vectors).all(axis=1))  # beyond the lens model's fold there are none
@@ -213,10 +250,18 @@ class StarTracker:
             if elsewhere.status is Status.SOLVED:
                 found = _beside_prior(elsewhere)
         clock.lap("identification")
+        faintest = float(guide.v_mag[-1])  # brightest first
+        tried += identification_steps(found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
         if found.status is not Status.SOLVED:
-            return self._unsolved(found.status, found.reason, clock, xy)
+            return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
         pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
-        refined = refine(pairs, xy, variance_px2, self.camera, guide, self._estimate)
+        camera, free = self.camera, found.focal != 1.0
+        if free:
+            camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
+        try:
+            refined = refine(pairs, xy, variance_px2, camera, guide, self._estimate, free)
+        except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
+            return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         stars = MatchedStars(
             xy[used],
@@ -227,18 +272,19 @@ class StarTracker:
             refined.residual_px,
         )
         clock.lap("attitude")
-        return Solution(
+        solution = Solution(
             Status.SOLVED,
-            found.reason,
+            found.reason + _off_focus(refined.camera.fx / self.camera.fx),
             Attitude.from_matrix(refined.matrix),
             refined.covariance,
             stars,
             xy,
-            self.camera.fov_deg,
+            refined.camera.fov_deg,
             self.camera.parity,
             clock.times_ms(),
-            self.camera,
+            refined.camera,
         )
+        return replace(solution, steps=(*tried, *attitude_steps(solution)))
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
@@ -262,6 +308,10 @@ def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
     return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))
 
 
+def _off_focus(factor: float) -> str:
+    return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"
+
+
 def _beside_prior(found: Identification) -> Identification:
     reason = f"{found.reason}; found over the whole sky, not within the prior"
-    return Identification(found.status, reason, found.pairs, found.log_false_alarm)
+    return replace(found, reason=reason)

@@ -17,17 +17,23 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lstsq
 
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.constants import ARCSEC_RAD
+from startracker.errors import InputError
 
 __all__ = ["wcs_header"]
 
 FloatArray = NDArray[np.float64]
 
-_GRID = 41
+_GRID = 31
 _WANTED_PX = 0.002
-_ORDERS = (3, 5, 7, 9)
+_WORST_PX = 0.05
+_ORDERS = (3, 5, 7, 9, 11, 13)
+_STANDARD_ORDER = 9
+"""SIP's highest; astropy reads more, which is used only where 1″ asks for it."""
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
@@ -50,7 +56,15 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
     -----
     With (ξ, η) the tangent-plane coordinates to the east and north and u, v pixels from the principal point,
     (ξ, η) = CD · (u + A(u, v), v + B(u, v)). A and B are fitted to the camera's inverse distortion, the order (3, 5, 7
-    or 9) raised until the largest error is below 0.002 px; AP and BP are the way back.
+    or 9) raised until the largest error is below 0.002 px; AP and BP are the way back. Where 9, SIP's highest, is not
+    good to 1″, 11 and 13 are tried, which astropy reads and some programs do not. CSYER1 and CSYER2 hold the largest
+    error of A and B over the image, degrees, found between the points of the fit.
+
+    Raises
+    ------
+    InputError
+        When the lens distorts so strongly that order 13 errs by 1″ or 0.05 px, whichever is more, or that
+        a part of the image has no direction at all.
     """
     matrix = attitude.as_matrix()
     ra, dec = math.radians(attitude.ra_deg), math.radians(attitude.dec_deg)
@@ -79,30 +93,56 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
         "RADESYS": "ICRS",
     }
     if distorted:
-        header.update(_sip(camera))
+        sip, error_px = _sip(camera)
+        error_deg = math.degrees(error_px * camera.pixel_rad)
+        header |= {"CSYER1": error_deg, "CSYER2": error_deg, **sip}
     return header
 
 
-def _sip(camera: Camera) -> dict[str, Any]:
-    """SIP coefficients of a camera's distortion, forward and back."""
-    x = np.linspace(-0.5, camera.width - 0.5, _GRID)
-    y = np.linspace(-0.5, camera.height - 0.5, _GRID)
-    seen = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    vectors = camera.unproject(seen)
-    seen, vectors = seen[np.isfinite(vectors).all(axis=1)], vectors[np.isfinite(vectors).all(axis=1)]
-    centre = np.array([camera.cx, camera.cy])
-    ideal = _plane(camera, vectors) * np.array([camera.parity * camera.fx, camera.fy])
-    away = seen - centre
+def _sip(camera: Camera) -> tuple[dict[str, Any], float]:
+    """SIP coefficients of a camera's distortion, forward and back, and the forward one's largest error in pixels."""
+    away, ideal = _both_ways(camera, _nodes(_GRID))
+    between = _both_ways(camera, np.linspace(-1.0, 1.0, 2 * _GRID))
     # A(0,1) and the like stay zero: the linear part is the CD matrix's. Lens polynomials have no second order unless
     # decentred, but SIP orders are complete.
     header: dict[str, Any] = {}
-    for names, points, shift in (("AB", away, ideal - away), (("AP", "BP"), ideal, away - ideal)):
-        powers, coefficients = _fit(points, shift)
+    errors = []
+    for names, one, other in (("AB", 0, 1), (("AP", "BP"), 1, 0)):
+        points, shift = (away, ideal)[one], (away, ideal)[other] - (away, ideal)[one]
+        check, truth = between[one], between[other] - between[one]
+        powers, coefficients, error = _fit(points, shift, check, truth, 0.9 * ARCSEC_RAD / camera.pixel_rad)
+        errors.append(error)
         for axis, name in enumerate(names):
             header[f"{name}_ORDER"] = int(powers.max())
             for (p, q), value in zip(powers, coefficients[:, axis], strict=True):
                 header[f"{name}_{p}_{q}"] = float(value)
-    return header
+    limit = max(_WORST_PX, ARCSEC_RAD / camera.pixel_rad)
+    if max(errors) > limit:
+        raise InputError(
+            f"a WCS of this lens errs by {max(errors):.3g} px at order {_ORDERS[-1]} (limit {limit:.2g} "
+            "px): the distortion is too strong over this field; crop the image or use the camera file itself"
+        )
+    return header, errors[0]
+
+
+def _nodes(count: int) -> FloatArray:
+    """Chebyshev's points from −1 to 1: a fit there errs evenly, not most at the borders."""
+    return -np.cos(np.pi * np.arange(count) / (count - 1))
+
+
+def _both_ways(camera: Camera, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distorted and ideal places (N, 2) of a grid over the image, pixels from the principal point."""
+    x, y = (side * (steps + 1.0) / 2.0 - 0.5 for side in (camera.width, camera.height))
+    seen = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    vectors = camera.unproject(seen)
+    good = np.isfinite(vectors).all(axis=1)
+    if not good.all() and camera.projection == "pinhole":
+        raise InputError(
+            f"{100.0 * float(np.mean(~good)):.2g} % of the image lie beyond the fold of its lens model: a WCS needs a "
+            "direction for every pixel; crop the image"
+        )
+    ideal = _plane(camera, vectors[good]) * np.array([camera.parity * camera.fx, camera.fy])
+    return seen[good] - np.array([camera.cx, camera.cy]), ideal
 
 
 def _plane(camera: Camera, vectors: FloatArray) -> FloatArray:
@@ -113,14 +153,32 @@ def _plane(camera: Camera, vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors[:, :2] * (np.arctan2(side, vectors[:, 2]) / np.maximum(side, 1e-300))[:, None])
 
 
-def _fit(points: FloatArray, shift: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """Powers (T, 2) and coefficients (T, 2) of the polynomial of least order that is good to 0.002 px."""
+def _fit(
+    points: FloatArray,
+    shift: FloatArray,
+    check: FloatArray,
+    truth: FloatArray,
+    enough_px: float,
+) -> tuple[NDArray[np.int64], FloatArray, float]:
+    """Powers (T, 2), coefficients (T, 2) and largest error of the polynomial of least order that is good to 0.002 px.
+
+    Fitted to the shifts at `points`, judged by those at `check`; beyond SIP's own orders only until `enough_px`.
+    """
     size = float(np.abs(points).max())
-    scaled = points / size
+    best: tuple[NDArray[np.int64], FloatArray, float] | None = None
     for order in _ORDERS:
         powers = np.array([(p, q) for p in range(order + 1) for q in range(order + 1 - p) if p + q >= 1])
-        terms = scaled[:, :1] ** powers[:, 0] * scaled[:, 1:] ** powers[:, 1]
-        solution, *_ = np.linalg.lstsq(terms, shift, rcond=None)
-        if np.abs(terms @ solution - shift).max() < _WANTED_PX:
+        solution, *_ = lstsq(_terms(points / size, powers), shift, lapack_driver="gelsy", check_finite=False)
+        error = float(np.abs(_terms(check / size, powers) @ solution - truth).max())
+        if best is None or error < best[2]:
+            best = powers, solution / size ** powers.sum(axis=1)[:, None], error
+        if error < _WANTED_PX or (order >= _STANDARD_ORDER and error < enough_px):
             break
-    return powers, solution / size ** powers.sum(axis=1)[:, None]
+    assert best is not None
+    return best
+
+
+def _terms(points: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
+    highest = int(powers.max())
+    x, y = (np.vander(points[:, axis], highest + 1, increasing=True) for axis in (0, 1))
+    return np.asarray(x[:, powers[:, 0]] * y[:, powers[:, 1]])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.cli.checks import writable
-from simulator.fits import catalog_attitude, read_fits
+from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
+from simulator.fits import read_fits
 from simulator.frame import Frame
-from simulator.paths import write_atomically
 from startracker.blind import solve_unknown_fov
 from startracker.camera import Camera
+from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
 from startracker.image import read_image
-from startracker.observer import Observer
-from startracker.solution import Solution
+from startracker.solution import Solution, Status
+from startracker.trace import Step
 from startracker.tracker import StarTracker
-from startracker.wcs import wcs_header
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *_FITS_SUFFIXES)
 
 
+_PARITIES = {"seen": 1, "mirrored": -1, "both": None}
+_SMALLEST_PX = 16
 _CALIBRATED_PX = 0.7
 """A list of centroids that fits worse than this is not from a camera of exactly the field given."""
 
@@ -51,6 +52,23 @@ class SolveRequest:
     as_json: bool
     wcs: Path | None
     annotate: Path | None
+    explain: bool = False
+    grid: bool = False
+    constellations: bool = False
+    pixels: tuple[str, ...] = ()
+    parity: str | None = None
+    bayer: str | None = None
+    bad_pixels: Path | None = None
+
+    @property
+    def sides(self) -> int | None:
+        """Parity asked for: 1 as seen, -1 mirrored, None both."""
+        return None if self.parity is None else _PARITIES[self.parity]
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Pixels (N, 2) asked for."""
+        return np.array([parse_pixel(text) for text in self.pixels]).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +85,10 @@ class _Job:
     saturation_dn: float | None = None
     frame: Frame | None = None
 
+    def pixels(self) -> NDArray[Any]:
+        """The image; black where a list of centroids was solved."""
+        return np.zeros((self.height, self.width), np.uint8) if self.image is None else np.asarray(self.image)
+
 
 def solve_images(request: SolveRequest) -> int:
     """Solve all; exit status 0 when each is solved, 1 when some are not, 2 for bad input."""
@@ -81,13 +103,22 @@ def solve_images(request: SolveRequest) -> int:
             print(error, file=sys.stderr)
             status = 2
             continue
-        if request.as_json:
-            print(json.dumps({"image": job.name, **_as_dict(solution)}, allow_nan=False))
-        else:
-            print(f"{job.name}: {_as_text(solution)}")
         if not solution.solved:
             status = max(status, 1)
-        _write_outputs(request, job, solution)
+        observer = job.frame.observer if job.frame else None
+        if request.as_json:
+            print(json.dumps({"image": job.name, **as_dict(solution, request.points, observer)}, allow_nan=False))
+        else:
+            print(f"{job.name}: {as_text(solution, request.points, observer, explain=request.explain)}")
+        try:
+            if request.wcs is not None:
+                write_wcs(request.wcs, solution, job.pixels(), observer)
+            if request.annotate is not None:
+                catalog, options = request.catalog, {"grid": request.grid, "constellations": request.constellations}
+                write_picture(request.annotate, solution, job.pixels(), observer, catalog=catalog, **options)
+        except BoresightError as error:
+            print(error, file=sys.stderr)
+            status = 2
     return status
 
 
@@ -111,6 +142,11 @@ def _check(request: SolveRequest) -> None:
         raise InputError("--method: needs --camera or --fov; without them the field of view is found out first")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
+    if request.parity is not None and request.parity not in _PARITIES:
+        raise InputError(f"--parity: must be {', '.join(_PARITIES)}, not '{request.parity}'")
+    if request.annotate is None and (request.grid or request.constellations):
+        raise InputError("--grid and --constellations: draw on the picture of --annotate OUT.png; give that too")
+    _ = request.points  # each is a pair of numbers
     for path in (request.wcs, request.annotate):
         writable(path)
         if path is not None and (len(request.images) > 1 or any(p.is_dir() for p in request.images)):
@@ -136,6 +172,7 @@ class _Solver:
     def __init__(self, request: SolveRequest) -> None:
         self.request = request
         self.camera = Camera.from_yaml(request.camera) if request.camera else None
+        self.bad_pixels = read_image(request.bad_pixels).image != 0.0 if request.bad_pixels else None
         self.trackers: dict[Camera, StarTracker] = {}
 
     def load(self, path: Path) -> _Job:
@@ -145,8 +182,9 @@ class _Solver:
             frame = read_fits(path)
             height, width = frame.image.shape
             camera = self.camera or self._from_fov(width, height) or frame.camera
+            frame = replace(frame, image=self._without_bad_pixels(frame.image))
             return _Job(str(path), width, height, camera, frame.image, saturation_dn=frame.saturation_dn, frame=frame)
-        loaded = read_image(path)
+        loaded = read_image(path, bayer=self.request.bayer)
         height, width = loaded.image.shape
         known = self.camera or self._from_fov(width, height)
         if self.camera is not None and (self.camera.width, self.camera.height) != (width, height):
@@ -154,7 +192,19 @@ class _Solver:
                 f"{path}: has {width}×{height} pixels, but the camera file {self.request.camera} is for "
                 f"{self.camera.width}×{self.camera.height}"
             )
-        return _Job(str(path), width, height, known, loaded.image, saturation_dn=loaded.saturation_dn)
+        image = self._without_bad_pixels(loaded.image)
+        return _Job(str(path), width, height, known, image, saturation_dn=loaded.saturation_dn)
+
+    def _without_bad_pixels(self, image: NDArray[Any]) -> NDArray[Any]:
+        """NaN where the map of --bad-pixels is not zero."""
+        if self.bad_pixels is None:
+            return image
+        if self.bad_pixels.shape != image.shape:
+            has, needs = ("×".join(map(str, shape[::-1])) for shape in (self.bad_pixels.shape, image.shape))
+            raise InputError(
+                f"{self.request.bad_pixels}: has {has} pixels, the image {needs}: --bad-pixels needs its map"
+            )
+        return mask_pixels(image, self.bad_pixels)
 
     def _from_fov(self, width: int, height: int) -> Camera | None:
         return Camera.from_fov(self.request.fov_deg, width, height) if self.request.fov_deg else None
@@ -174,6 +224,9 @@ class _Solver:
         photograph's focal length is fitted, and only where that fails, as it needs more stars, the number is taken
         for exact; a list of centroids the other way round. Without either everything is found out.
         """
+        if min(job.width, job.height) < _SMALLEST_PX:
+            reason = f"{job.width}×{job.height} pixels hold no star field"
+            return Solution(Status.BAD_IMAGE, reason, steps=(Step("image", reason),))
         request = self.request
         by_hand = request.fov_deg is not None
         camera = job.camera
@@ -183,33 +236,47 @@ class _Solver:
             return self._with_camera(job, camera)
         if job.xy is None:
             solution = self._without_camera(job)
-            return solution if solution.solved else self._with_camera(job, camera)
+            return solution if solution.solved else _after(solution, self._with_camera(job, camera), "taken for exact")
         solution = self._with_camera(job, camera)
         if _residual_px(solution) <= _CALIBRATED_PX:
             return solution
         fitted = self._without_camera(job)
-        return fitted if _residual_px(fitted) < _residual_px(solution) else solution
+        if _residual_px(fitted) < _residual_px(solution):
+            return _after(solution, fitted, "fitted")
+        return _after(fitted, solution, "taken for exact")
 
     def _without_camera(self, job: _Job) -> Solution:
         request = self.request
         if job.xy is not None:
             return solve_unknown_fov(
-                job.xy, job.width, job.height, flux=job.flux, fov_deg=request.fov_deg, catalog=request.catalog
+                job.xy,
+                job.width,
+                job.height,
+                flux=job.flux,
+                fov_deg=request.fov_deg,
+                parity=request.sides,
+                catalog=request.catalog,
             )
         assert job.image is not None
         return solve_unknown_fov(
-            job.image, fov_deg=request.fov_deg, catalog=request.catalog, saturation_dn=job.saturation_dn
+            job.image,
+            fov_deg=request.fov_deg,
+            parity=request.sides,
+            catalog=request.catalog,
+            saturation_dn=job.saturation_dn,
         )
 
     def _with_camera(self, job: _Job, camera: Camera) -> Solution:
         request = self.request
+        if request.sides is not None and job.frame is None:
+            camera = replace(camera, parity=request.sides)
         tracker = self.trackers.get(camera)
         if tracker is None:
             tracker = StarTracker(
                 camera,
                 catalog=request.catalog,
                 magnitude_limit=request.magnitude_limit,
-                identifier=request.method or "match_groups",
+                identifier=request.method or "adaptive",
             )
             self.trackers[camera] = tracker
         if job.xy is not None:
@@ -226,6 +293,12 @@ class _Solver:
             saturation_dn=frame.saturation_dn,
             gain_e_per_dn=frame.gain_e_per_dn,
         )
+
+
+def _after(tried: Solution, chosen: Solution, how: str) -> Solution:
+    """The chosen answer, its account preceded by that of the other way that was tried."""
+    earlier = tuple(step for step in tried.steps if step.stage != "hint")
+    return replace(chosen, steps=(*earlier, Step("camera", f"now with the field given {how}"), *chosen.steps))
 
 
 def _residual_px(solution: Solution) -> float:
@@ -249,6 +322,19 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise InputError(f"--size: must be WIDTHxHEIGHT in pixels, such as 1024x768, not '{text}'")
     return int(width), int(height)
+
+
+def parse_pixel(text: str) -> tuple[float, float]:
+    """Column and row of ``X,Y``; `InputError` for anything else."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not math.isfinite(x + y):
+        raise InputError(
+            f"--pixel: must be X,Y in pixels from the first pixel's centre, such as 511.5,383.5, not '{text}'"
+        )
+    return x, y
 
 
 def read_centroids(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
@@ -294,66 +380,3 @@ def read_centroids(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]
     table = np.array(rows)
     column = {name: table[:, i] for i, name in enumerate(names[: table.shape[1]])}
     return np.stack([column["x"], column["y"]], axis=1), column.get("flux")
-
-
-def _as_dict(solution: Solution) -> dict[str, Any]:
-    stars = solution.stars
-    return {
-        "status": str(solution.status),
-        "reason": solution.reason,
-        "ra_deg": solution.ra_deg,
-        "dec_deg": solution.dec_deg,
-        "roll_deg": solution.roll_deg,
-        "fov_deg": solution.fov_deg,
-        "quaternion": [float(v) for v in solution.attitude.quat] if solution.attitude else None,
-        "detected": len(solution.centroids),
-        "matched": solution.matched,
-        "rmse_arcsec": solution.rmse_arcsec,
-        "parity": solution.parity,
-        "stars": [
-            {
-                "x": float(xy[0]),
-                "y": float(xy[1]),
-                "catalog_id": int(number),
-                "name": str(name),
-                "v_mag": float(magnitude),
-                "residual_px": [float(residual[0]), float(residual[1])],
-            }
-            for xy, number, name, magnitude, residual in zip(
-                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, strict=True
-            )
-        ],
-        "times_ms": {stage: round(float(value), 3) for stage, value in solution.times_ms.items()},
-    }
-
-
-def _as_text(solution: Solution) -> str:
-    if not solution.solved:
-        return f"{solution.status}: {solution.reason}"
-    field = f"  field {solution.fov_deg:.3f}°" if solution.fov_deg else ""
-    rmse = f", residual {solution.rmse_arcsec:.1f}″ rms" if solution.rmse_arcsec is not None else ""
-    mirrored = ", mirrored" if solution.parity < 0 else ""
-    return (
-        f"solved  RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  "
-        f"({solution.matched} of {len(solution.centroids)} stars identified{rmse}{mirrored}; "
-        f"{solution.times_ms.get('total', 0.0):.0f} ms)"
-    )
-
-
-def _write_outputs(request: SolveRequest, job: _Job, solution: Solution) -> None:
-    if request.wcs is not None and solution.attitude is not None and solution.camera is not None:
-        from astropy.io import fits
-
-        observer = job.frame.observer if job.frame else Observer()
-        # with the picture itself: what it holds can be laid over a chart as it is
-        pixels = np.zeros((job.height, job.width), np.uint8) if job.image is None else np.asarray(job.image)
-        unit = fits.PrimaryHDU(pixels)
-        unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer)))
-        buffer = io.BytesIO()
-        unit.writeto(buffer)
-        write_atomically(request.wcs, buffer.getvalue())
-    if request.annotate is not None:
-        from simulator.study.plots import save_bytes, solved_image
-
-        picture = job.image if job.image is not None else np.zeros((job.height, job.width))
-        write_atomically(request.annotate, save_bytes(solved_image(picture, solution)))

@@ -145,13 +145,13 @@ class TrackerSection(Section):
     magnitude_limit: FiniteFloat = 6.5
     """Faintest guide star."""
     detector: str = "components"
-    """``components`` or ``region_growing``."""
+    """``components``, ``region_growing`` or ``clustering``."""
     centroider: str = "moment"
-    """``moment``."""
-    identifier: str = "match_groups"
-    """``match_groups``."""
+    """``moment``, ``weighted_moment``, ``least_squares`` or ``maximum_likelihood``."""
+    identifier: str = "adaptive"
+    """``adaptive``, ``match_groups``, ``pyramid`` or ``pattern_hash``."""
     estimator: str = "svd"
-    """``svd`` or ``star_pair``."""
+    """``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
     prior: bool = True
     """Give the tracker the attitude of the other sensors, good to `pointing.error_deg`; false: lost in space."""
     detection: DetectionSettings = DetectionSettings()

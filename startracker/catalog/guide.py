@@ -16,7 +16,10 @@ from scipy.spatial import cKDTree
 
 from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.field_shape import FieldShape, field_shape
+from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
+from startracker.catalog.voxels import VoxelGrid, voxel_grid
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
 from startracker.settings import IdentificationSettings
@@ -34,11 +37,19 @@ _DRIFT_MARGIN_RAD = math.radians(0.1)  # motion since the catalogue's epoch, and
 
 @dataclass(frozen=True, eq=False)
 class PairList:
-    """Pairs of stars sorted by separation: `first` and `second` index a table of stars, `separation_rad` ascends."""
+    """Pairs of stars sorted by separation.
 
-    first: IntArray
-    second: IntArray
-    separation_rad: FloatArray
+    Parameters
+    ----------
+    first, second : int32 (P,)
+        Places in a table of stars.
+    separation_rad : float32 (P,)
+        Ascending, to 6e-8 of itself.
+    """
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    separation_rad: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.separation_rad)
@@ -56,7 +67,8 @@ class PairList:
         separation = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
         keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
         order = keep[np.argsort(separation[keep], kind="stable")]
-        return cls(index[i[order]].astype(np.int64), index[j[order]].astype(np.int64), separation[order])
+        first, second = index[i[order]].astype(np.int32), index[j[order]].astype(np.int32)
+        return cls(first, second, separation[order].astype(np.float32))
 
 
 def close_pairs(
@@ -124,7 +136,9 @@ class GuideDatabase:
     epoch_jyear: float
     _tree: cKDTree
     _field: tuple[float, float]
-    _pairs: dict[float, PairList] = field(default_factory=dict)
+    _pairs: dict[tuple[float, float], PairList] = field(default_factory=dict)
+    _grid: list[VoxelGrid] = field(default_factory=list)
+    _shape: list[FieldShape] = field(default_factory=list)
 
     # ------------------------------------------------------------------ made from
     @classmethod
@@ -166,6 +180,7 @@ class GuideDatabase:
             pattern=self.pattern[:count],
             _tree=cKDTree(directions),
             _pairs={},
+            _grid=[],
         )
 
     # ------------------------------------------------------------------ facts
@@ -194,14 +209,32 @@ class GuideDatabase:
         Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`: aberration changes
         them by 1e-4 at most, and whoever matches allows for that.
         """
+        return self.pairs_within(1.0)
+
+    def pairs_within(self, share: float) -> PairList:
+        """As `pairs`, of separations up to a share of the field's diagonal."""
         epoch = _PAIR_EPOCH_STEP * round(self.epoch_jyear / _PAIR_EPOCH_STEP)
-        if epoch not in self._pairs:
+        if (epoch, share) not in self._pairs:
             index = np.flatnonzero(self.pattern)
-            widest = min(2.0 * self.half_diagonal_rad, math.pi)
-            self._pairs[epoch] = PairList.of(
+            widest = min(2.0 * self.half_diagonal_rad * share, math.pi)
+            self._pairs[epoch, share] = PairList.of(
                 self.catalog.directions(epoch), index, widest, RESOLVED_PX * self.camera.pixel_rad
             )
-        return self._pairs[epoch]
+        return self._pairs[epoch, share]
+
+    def pairs_near(self, axis: FloatArray, radius_rad: float) -> PairList:
+        """Pairs of pattern stars that can be in the field when its axis is within `radius_rad` of a unit vector."""
+        near = self.in_cone(axis, self.half_diagonal_rad + radius_rad)
+        return PairList.of(self.directions, near[self.pattern[near]], min(2.0 * self.half_diagonal_rad, math.pi))
+
+    @property
+    def view(self) -> SkyView:
+        """The stars and the field as kernels take them; the grid and the outline are made when first asked for."""
+        if not self._grid:
+            self._grid.append(voxel_grid(self.directions))
+        if not self._shape:
+            self._shape.append(field_shape(self.camera))
+        return SkyView(self.directions, self.v_mag, self._grid[0], self._shape[0], self.solid_angle_sr)
 
     def in_cone(self, axis: FloatArray, radius_rad: float) -> IntArray:
         """Indices of the guide stars within `radius_rad` of a unit vector, ascending (brightest first)."""
@@ -248,7 +281,7 @@ def field_of(camera: Camera) -> tuple[float, float]:
 def _build(
     catalog: StarCatalog, camera: Camera, magnitude_limit: float, close_deg: float, close_magnitude: float
 ) -> GuideDatabase:
-    merged = merge_doubles(_deep_enough(catalog, magnitude_limit), RESOLVED_PX * camera.pixel_rad)
+    merged = merge_doubles(_deep_enough(catalog, magnitude_limit), min(RESOLVED_PX * camera.pixel_rad, 0.1))
     merged = merged.brighter_than(magnitude_limit)
     if len(merged) < 3:
         faintest = float(catalog.v_mag.min()) if len(catalog) else math.nan

@@ -9,15 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.centroid.moments import first_moment
+from startracker.centroid.psf_fit import least_squares, maximum_likelihood, weighted_moment
 from startracker.centroid.result import Centroids
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.settings import CentroidSettings
 
-__all__ = ["METHODS", "Centroider", "Centroids", "first_moment"]
+__all__ = [
+    "METHODS",
+    "Centroider",
+    "Centroids",
+    "first_moment",
+    "least_squares",
+    "maximum_likelihood",
+    "weighted_moment",
+]
 
 Centroider: TypeAlias = Callable[[NDArray[np.float32], Background, Spots, CentroidSettings, float | None], Centroids]
 """Signature of a centroider: image, background, spots, settings, gain in electrons a DN or None."""
 
-METHODS: dict[str, Centroider] = {"moment": first_moment}
+METHODS: dict[str, Centroider] = {
+    "moment": first_moment,
+    "weighted_moment": weighted_moment,
+    "least_squares": least_squares,
+    "maximum_likelihood": maximum_likelihood,
+}
 """Centroiders by name; packages add theirs in the entry-point group ``boresight.centroiders``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
-__all__ = ["SYSTEMATIC_PX", "first_moment", "measure_psf_sigma"]
+__all__ = ["SYSTEMATIC_PX", "Prepared", "collect", "first_moment", "measure_moments", "measure_psf_sigma", "prepare"]
 
 FloatArray = NDArray[np.float64]
 
@@ -72,6 +73,40 @@ def first_moment(
     InputError
         Window not odd or below 3, width or gain not positive, shapes that differ.
     """
+    frame = prepare(image, background, settings, gain_e_per_dn)
+    if not len(spots):
+        return Centroids.none()
+    return collect(*measure_moments(frame, spots), spots, frame.half)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Checked input of a centroider.
+
+    Parameters
+    ----------
+    image, level, noise : float32 array, shape (H, W)
+        DN.
+    settings : CentroidSettings
+        As given, or the default.
+    half : int
+        Half width of the window.
+    inverse_gain : float
+        DN an electron.
+    """
+
+    image: NDArray[np.float32]
+    level: NDArray[np.float32]
+    noise: NDArray[np.float32]
+    settings: CentroidSettings
+    half: int
+    inverse_gain: float
+
+
+def prepare(
+    image: NDArray[np.float32], background: Background, settings: CentroidSettings | None, gain_e_per_dn: float | None
+) -> Prepared:
+    """Check what a centroider is given; see `first_moment` for the meaning and the errors raised."""
     settings = settings or CentroidSettings()
     window = settings.window_px
     if window < 3 or window % 2 == 0:
@@ -84,28 +119,46 @@ def first_moment(
     if gain_e_per_dn is not None and not 0 < gain_e_per_dn < math.inf:
         raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
     pixels = as_image(image)
-    level, noise = background.level, background.noise
+    level = background.level
     if pixels.shape != level.shape:
         raise InputError(f"the image is {pixels.shape} but its background {level.shape}; make it anew")
-    if not len(spots):
-        return Centroids.none()
-    sigma_x, sigma_y = (given, given) if given else measure_psf_sigma(pixels, background, spots, window)
-    gain = gain_e_per_dn or _gain_from_background(background)
+    gain = gain_e_per_dn or (_gain_from_background(background) if level.size else 1.0)
+    return Prepared(pixels, level, background.noise, settings, window // 2, 1.0 / gain)
+
+
+def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:
+    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths taken."""
+    given = frame.settings.psf_sigma_px
+    background = Background(frame.level, frame.noise)
+    sigmas = (given, given) if given else measure_psf_sigma(frame.image, background, spots, 2 * frame.half + 1)
     table = measure_stars(
-        pixels,
-        level,
-        noise,
+        frame.image,
+        frame.level,
+        frame.noise,
         spots.x_peak,
         spots.y_peak,
         spots.pixels,
         spots.saturated,
-        window // 2,
-        sigma_x,
-        sigma_y,
-        settings.bias_correction,
-        1.0 / gain,
+        frame.half,
+        *sigmas,
+        frame.settings.bias_correction,
+        frame.inverse_gain,
         _FLAT_TOP_ERROR_PX,
     )
+    return table, sigmas
+
+
+def collect(
+    table: FloatArray,
+    sigmas: tuple[float, float],
+    spots: Spots,
+    half: int,
+    together: NDArray[np.int64] | None = None,
+) -> Centroids:
+    """Centroids of the finite rows of a table of measurements: with the floor and the neighbours' light added.
+
+    `together` numbers stars that were measured jointly; their light does not disturb each other.
+    """
     good = np.flatnonzero(np.isfinite(table).all(axis=1))
     order = good[np.argsort(-table[good, 2], kind="stable")]
     table = table[order]
@@ -113,7 +166,8 @@ def first_moment(
     covariance[:, 0, 0] = table[:, 3] + SYSTEMATIC_PX**2
     covariance[:, 1, 1] = table[:, 4] + SYSTEMATIC_PX**2
     covariance[:, 0, 1] = covariance[:, 1, 0] = table[:, 5]
-    intrusion = _intrusion(table[:, :2], table[:, 2], sigma_x, sigma_y, window // 2)
+    alone = np.arange(len(order)) if together is None else together[order]
+    intrusion = _intrusion(table[:, :2], table[:, 2], *sigmas, half, alone)
     covariance[:, 0, 0] += intrusion
     covariance[:, 1, 1] += intrusion
     return Centroids(table[:, :2].copy(), table[:, 2].copy(), covariance, spots.saturated[order])
@@ -138,12 +192,14 @@ def measure_psf_sigma(
     return float(sigma_x), float(sigma_y)
 
 
-def _intrusion(xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float, half: int) -> FloatArray:
+def _intrusion(
+    xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float, half: int, together: NDArray[np.int64]
+) -> FloatArray:
     """Variance (N,), px², of either axis for other stars' light in a star's window: (share × half a window)²."""
     variance = np.zeros(len(flux))
     reach = half + 4.0 * max(sigma_x, sigma_y)
     near = (np.abs(xy[:, None] - xy[None, :]) < reach).all(axis=2)
-    for star, other in np.argwhere(near & ~np.eye(len(flux), dtype=bool)):
+    for star, other in np.argwhere(near & (together[:, None] != together)):
         dx, dy = xy[other] - np.rint(xy[star])
         light = window_moments(dx, sigma_x, -half, half)[0] * window_moments(dy, sigma_y, -half, half)[0]
         variance[star] += (half * light * flux[other] / flux[star]) ** 2

@@ -9,15 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image, estimate
+from startracker.detection.bad_pixels import find_bad_pixels, mask_pixels
+from startracker.detection.clustering import find_clusters
 from startracker.detection.components import find_components
 from startracker.detection.region_growing import grow_regions
 from startracker.detection.spots import Spots
 from startracker.settings import DetectionSettings
 
-__all__ = ["METHODS", "Background", "Detector", "Spots", "as_image", "estimate", "find_components", "grow_regions"]
+__all__ = [
+    "METHODS",
+    "Background",
+    "Detector",
+    "Spots",
+    "as_image",
+    "estimate",
+    "find_bad_pixels",
+    "find_clusters",
+    "find_components",
+    "grow_regions",
+    "mask_pixels",
+]
 
 Detector: TypeAlias = Callable[[NDArray[np.float32], Background, DetectionSettings, float | None], Spots]
 """Signature of a detector: image, background, settings, saturation in DN or None."""
 
-METHODS: dict[str, Detector] = {"components": find_components, "region_growing": grow_regions}
+METHODS: dict[str, Detector] = {
+    "components": find_components,
+    "region_growing": grow_regions,
+    "clustering": find_clusters,
+}
 """Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""

@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
 from startracker.detection.blends import part_blends
+from startracker.detection.matched import filter_image
 from startracker.detection.objects import cut_runs, find_runs, join_runs, measure_objects
-from startracker.detection.spots import COLUMNS, PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots, select_spots
+from startracker.detection.selection import measure_forms, select_smeared, select_spots
+from startracker.detection.spots import FLUX, PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -19,6 +21,10 @@ _RAISE = 2.0
 _CONTRAST = 2.0
 """A star in an oversized object stands out this many times above the threshold that cuts it free."""
 _MOST_LEVELS = 24
+_LOOKED_AT = 30
+_FEWEST_LONG = 3
+_LONGEST = 5
+"""A streak may have this many times `max_pixels`."""
 
 
 def find_components(
@@ -29,10 +35,16 @@ def find_components(
 ) -> Spots:
     """Star candidates as 8-connected components above background + `threshold_sigma` × noise.
 
+    With `matched_filter` the components are those of the filtered image (`startracker.detection.matched`) above as
+    many times its own noise; fluxes, peaks and sizes stay those of the image.
+
     An object of more than `max_pixels` (the wings of a very bright star, stars before a nebula or beside the Moon) is
     looked at again above thresholds that double, until what is left of it has a star's size; what then stands out of
     it by less than a factor 2 is structure of something extended, and left out. Objects with several peaks and
     distinct valleys between them are parted (`startracker.detection.blends`).
+
+    Where three of the brightest objects are streaks, the frame may be smeared: it is searched again at half the
+    threshold, and if the streaks fit one motion of the camera (`startracker.detection.smear`), these are the stars.
 
     Parameters
     ----------
@@ -51,19 +63,55 @@ def find_components(
         Brightest first.
     """
     pixels = as_image(image)
-    level, noise = background.level, background.noise
-    if pixels.shape != level.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {level.shape}; make it anew")
+    if pixels.shape != background.level.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {background.level.shape}; make it anew")
     saturation = np.float32(np.inf if saturation_dn is None else saturation_dn)
-    threshold = float(settings.threshold_sigma)
-    runs = find_runs(pixels, level, noise, np.float32(threshold))
+    searched, excess = pixels, 1.0
+    if settings.matched_filter:
+        searched, excess = filter_image(pixels, background, settings.psf_sigma_px)
+    threshold = excess * float(settings.threshold_sigma)
+    table = find_objects(pixels, searched, background, threshold, settings.max_pixels, saturation)
+    known = saturation_dn is not None
+    if settings.matched_filter and _looks_smeared(table, settings):
+        longest = _LONGEST * settings.max_pixels
+        objects = find_objects(pixels, searched, background, 0.5 * threshold, longest, saturation, 1)
+        spots = select_smeared(objects, settings, known, background, excess)
+        if spots is not None:
+            return spots
+    filtered = searched if settings.matched_filter else None
+    return select_spots(table, settings, known, pixels, background, filtered, excess)
+
+
+def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:
+    """Whether there are three long objects among the thirty brightest: then it is worth looking for a motion."""
+    large = table[(table[:, PIXELS] >= settings.min_pixels) & (table[:, FLUX] > 0)]
+    brightest = large[np.argsort(-large[:, FLUX], kind="stable")[:_LOOKED_AT]]
+    return bool(np.count_nonzero(measure_forms(brightest, settings.max_axis_ratio).long) >= _FEWEST_LONG)
+
+
+def find_objects(
+    image: NDArray[np.float32],
+    searched: NDArray[np.float32],
+    background: Background,
+    threshold: float,
+    max_pixels: int,
+    saturation: np.float32,
+    levels: int = _MOST_LEVELS,
+) -> NDArray[np.float64]:
+    """Table of the components of the searched image, measured in the image, oversized ones taken apart.
+
+    `levels` is the number of thresholds, each twice the one before; with one, nothing is parted.
+    """
+    level, noise = background.level, background.noise
+    runs = find_runs(searched, level, noise, np.float32(threshold))
     tables = []
-    for depth in range(_MOST_LEVELS):
+    for depth in range(levels):
         number, count = join_runs(runs)
-        table = measure_objects(runs, number, count, pixels, level, saturation)
-        oversized = table[:, PIXELS] > settings.max_pixels
-        table = part_blends(runs, number, table, settings.max_pixels, pixels, level, noise, saturation)
-        fits = table[:, PIXELS] <= settings.max_pixels
+        table = measure_objects(runs, number, count, image, level, saturation)
+        oversized = table[:, PIXELS] > max_pixels
+        if levels > 1:
+            table = part_blends(runs, number, table, max_pixels, image, level, noise, saturation)
+        fits = table[:, PIXELS] <= max_pixels
         if depth > 0:
             at_peak = noise[table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)]
             fits &= table[:, PEAK_RESIDUAL] >= _CONTRAST * threshold * at_peak
@@ -71,7 +119,5 @@ def find_components(
         if not oversized.any():
             break
         threshold *= _RAISE
-        runs = cut_runs(runs, oversized[number], pixels, level, noise, np.float32(threshold))
-    return select_spots(
-        np.concatenate(tables) if tables else np.empty((0, COLUMNS)), settings, saturation_dn is not None
-    )
+        runs = cut_runs(runs, oversized[number], searched, level, noise, np.float32(threshold))
+    return np.concatenate(tables)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
 from startracker.detection.objects import add_pixel
-from startracker.detection.spots import COLUMNS, EDGE, Spots, select_spots
+from startracker.detection.selection import select_spots
+from startracker.detection.spots import COLUMNS, EDGE, Spots
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -62,7 +63,7 @@ def grow_regions(
         settings.search_step_px,
         np.float32(saturation),
     )
-    return select_spots(table, settings, saturation_dn is not None)
+    return select_spots(table, settings, saturation_dn is not None, pixels, background)
 
 
 @njit(cache=True, error_model="numpy")

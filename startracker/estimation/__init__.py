@@ -8,15 +8,43 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.estimation.plate import Plate, plate_constants, solve_plate
 from startracker.estimation.result import Estimate
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
-from startracker.estimation.wahba import wahba_svd
+from startracker.estimation.triad import triad
+from startracker.estimation.wahba import davenport, esoq2, quest, wahba_svd
 
-__all__ = ["METHODS", "Estimate", "Estimator", "pitch_error_deg", "star_pair", "wahba_svd"]
+__all__ = [
+    "METHODS",
+    "Estimate",
+    "Estimator",
+    "Plate",
+    "davenport",
+    "esoq2",
+    "pitch_error_deg",
+    "plate_constants",
+    "quest",
+    "solve_plate",
+    "star_pair",
+    "triad",
+    "wahba_svd",
+]
 
 FloatArray = NDArray[np.float64]
 Estimator: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], Estimate]
 """Signature of an estimator: observed (M, 3), reference (M, 3), sigma_rad (M,)."""
 
-METHODS: dict[str, Estimator] = {"svd": wahba_svd, "star_pair": star_pair}
-"""Estimators by name; packages add theirs in the entry-point group ``boresight.estimators``."""
+METHODS: dict[str, Estimator] = {
+    "svd": wahba_svd,
+    "davenport": davenport,
+    "quest": quest,
+    "esoq2": esoq2,
+    "triad": triad,
+    "star_pair": star_pair,
+    "plate_constants": plate_constants,
+}
+"""Estimators by name; packages add theirs in the entry-point group ``boresight.estimators``.
+
+``svd``, ``davenport``, ``quest`` and ``esoq2`` are optimal and agree; ``triad`` and ``star_pair`` use two stars;
+``plate_constants`` leaves the scale free.
+"""

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
+from startracker.estimation.kernels import unit_vectors
 
 __all__ = ["Estimate", "check_directions"]
 
 FloatArray = NDArray[np.float64]
 
 _DISTINCT_RAD = 1e-9
-"""Directions nearer than this (0.2 mas) to one axis say nothing of the turn about it in double precision."""
+"""Directions nearer than this (0.2 mas) to the first's axis say nothing of the turn about it in double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,32 +45,27 @@ def check_directions(
         Shapes that do not fit, values that are not finite, a vector of length zero, a standard deviation that is not
         positive, or fewer than two distinct directions (a direction and its opposite are one axis).
     """
-    b, r = np.array(observed, dtype=float), np.array(reference, dtype=float)
+    b = np.ascontiguousarray(observed, dtype=np.float64)
+    r = np.ascontiguousarray(reference, dtype=np.float64)
     if b.ndim != 2 or b.shape[1] != 3 or b.shape != r.shape:
         raise InputError(f"observed and reference directions must both be (M, 3); got {b.shape} and {r.shape}")
-    sigma = np.asarray(sigma_rad, dtype=float)
-    if sigma.ndim == 0:
-        sigma = np.full(len(b), float(sigma))
+    sigma = np.ascontiguousarray(sigma_rad, dtype=np.float64)
+    if sigma.ndim == 0 or (sigma.shape == (1,) and np.ndim(sigma_rad) == 0):
+        sigma = np.full(len(b), float(sigma_rad))  # type: ignore[arg-type]  # a number, as just seen
     if sigma.shape != (len(b),):
         raise InputError(f"{len(b)} directions need as many standard deviations; got the shape {sigma.shape}")
-    if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+    if len(sigma) and not 0.0 < sigma.min() <= sigma.max() < np.inf:
         raise InputError("standard deviations of directions must be positive and finite")
     return _unit("observed", b), _unit("reference", r), sigma
 
 
 def _unit(name: str, vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    if not (np.isfinite(length).all() and (length > 0).all()):
+    unit = np.empty_like(vectors)
+    spread = unit_vectors(vectors, unit)
+    if spread < 0.0:
         raise InputError(f"{name} directions must be finite and not zero")
-    unit = np.asarray(vectors / length)
     if len(unit) < 2:
         raise InputError(f"an attitude needs two {name} directions; got {len(unit)}")
-    if _spread(unit) < _DISTINCT_RAD:
+    if spread < _DISTINCT_RAD:
         raise InputError(f"an attitude needs two distinct {name} directions; the {len(unit)} given lie along one axis")
     return unit
-
-
-def _spread(vectors: FloatArray) -> float:
-    """Largest angle, radians, of a direction from the axis that fits them all best."""
-    axis = np.linalg.eigh(vectors.T @ vectors)[1][:, 2]
-    return float(np.linalg.norm(np.cross(vectors, axis), axis=1).max())

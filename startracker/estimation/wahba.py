@@ -1,22 +1,45 @@
-"""Wahba's problem: the rotation that fits weighted directions best."""
+"""Wahba's problem, the rotation that fits weighted directions best: five ways to the same answer.
+
+All minimise Σ σᵢ⁻² |bᵢ − A rᵢ|², which is optimal for isotropic errors of the directions, from B = Σ wᵢ bᵢ rᵢᵀ with
+Σ w = 1. They differ in speed and in the digits that B leaves them: the largest eigenvalue of K and the next are 2θ² or
+so apart for stars within θ of each other, which costs the characteristic polynomial a factor 1/θ⁴ of rounding, the
+decompositions 1/θ². A Newton step on the rotation itself (`polish`) brings each to rounding over θ; where θ is so small
+that B has lost the turn about the stars altogether, it starts from the most telling pair.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.estimation.kernels import (
+    common_frame,
+    covariance_of,
+    cross,
+    most_telling_pair,
+    pair_rotation,
+    polish,
+)
 from startracker.estimation.result import Estimate, check_directions
 
-__all__ = ["attitude_covariance", "wahba_svd"]
+__all__ = ["attitude_covariance", "davenport", "esoq2", "quest", "wahba_svd"]
 
 FloatArray = NDArray[np.float64]
+
+_LOST_RAD2 = 1e-10
+"""Mean square angle from the common axis, rad², below which B says too little of the turn about it."""
+_NEWTON_STEPS = 40
+_SMALLEST = 1e-12  # of a quaternion's squared length before it is normalised
 
 
 def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude by singular value decomposition (Markley 1988, J. Astronaut. Sci. 36, 245).
 
-    Minimises Σ σᵢ⁻² |bᵢ − A rᵢ|²: with B = Σ σᵢ⁻² bᵢ rᵢᵀ = U S Vᵀ, A = U diag(1, 1, det U det V) Vᵀ. The result is
-    always a proper rotation; 180° is no special case. Optimal for isotropic errors of the directions.
+    With B = U S Vᵀ, A = U diag(1, 1, det U det V) Vᵀ. The result is always a proper rotation; 180° is no special case.
 
     Parameters
     ----------
@@ -36,22 +59,229 @@ def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     InputError
         See `startracker.estimation.result.check_directions`.
     """
-    b, r, sigma = check_directions(observed, reference, sigma_rad)
-    weight = (sigma.min() / sigma) ** 2
-    u, _, vt = np.linalg.svd((weight[:, None] * b).T @ r)
-    sign = 1.0 if np.linalg.det(u) * np.linalg.det(vt) > 0 else -1.0
-    matrix = (u * np.array([1.0, 1.0, sign])) @ vt
-    return Estimate(matrix, attitude_covariance(b, sigma))
+    return _optimal(observed, reference, sigma_rad, _svd_rotation)
+
+
+def davenport(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude by Davenport's q method (Keat 1977; Wertz 1978, section 12.2.3).
+
+    The quaternion is the eigenvector of the largest eigenvalue of K = [[B + Bᵀ − tr B · I, z], [zᵀ, tr B]] with
+    z = Σ w b × r. Parameters, result and errors as for `wahba_svd`.
+    """
+    return _optimal(observed, reference, sigma_rad, _davenport_rotation)
+
+
+def quest(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude by QUEST (Shuster & Oh 1981, J. Guidance & Control 4, 70).
+
+    λ by Newton's method on the characteristic quartic of K from λ = 1, which lies above the largest root, so that it
+    comes down without overshooting; then q ∝ [(αI + βS + S²) z; γ]. That vanishes at 180°: of the reference frame and
+    the three turned by 180° about an axis, the one with the largest tr B is taken (the method of sequential rotations),
+    which leaves at most 120°. Where Newton does not settle or q is short, as with two equal eigenvalues, Davenport's
+    method takes over. Parameters, result and errors as for `wahba_svd`.
+    """
+    return _optimal(observed, reference, sigma_rad, _quest_rotation)
+
+
+def esoq2(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude by ESOQ2 (Mortari 1997, AAS 97-167; Markley & Mortari 2000, J. Astronaut. Sci. 48, 359).
+
+    The Euler axis e spans the null space of (λ − tr B)((λ + tr B) I − B − Bᵀ) − z zᵀ: the longest cross product of two
+    of its rows; q ∝ [(λ − tr B) e; z·e]. Small angles are its weak place, so that of the four frames of `quest` the
+    one with the smallest tr B is taken. λ, the way out, parameters, result and errors as there.
+    """
+    return _optimal(observed, reference, sigma_rad, _esoq2_rotation)
 
 
 def attitude_covariance(observed: FloatArray, sigma_rad: FloatArray) -> FloatArray:
     """Covariance (3, 3), rad², of the rotation vector: P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Markley & Crassidis 2014, ch. 5).
 
     The information about the turn along the directions' common axis is Σ σᵢ⁻² sin², which the difference I − bbᵀ would
-    lose to rounding; in the principal axes of Σ σᵢ⁻² bᵢ bᵢᵀ it is summed from the components across that axis.
+    lose to rounding; it is summed from the components across that axis.
     """
-    root = observed / sigma_rad[:, None]
-    axes = np.linalg.svd(root, full_matrices=True)[2]
-    squares = ((root @ axes.T) ** 2).sum(axis=0)
-    information = np.array([squares[1] + squares[2], squares[0] + squares[2], squares[0] + squares[1]])
-    return np.asarray((axes.T / information) @ axes)
+    return np.asarray(covariance_of(np.ascontiguousarray(observed), np.ascontiguousarray(sigma_rad)))
+
+
+def _optimal(
+    observed: ArrayLike,
+    reference: ArrayLike,
+    sigma_rad: ArrayLike,
+    rotation: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+) -> Estimate:
+    b, r, sigma = check_directions(observed, reference, sigma_rad)
+    return Estimate(rotation(b, r, sigma), covariance_of(b, sigma))
+
+
+@njit(cache=True, error_model="numpy")
+def weights_of(sigma: FloatArray) -> FloatArray:
+    """σ⁻² (M,), their sum one."""
+    weight = (sigma.min() / sigma) ** 2
+    return weight / weight.sum()  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def profile_of(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
+    """Attitude profile matrix B = Σ w b rᵀ (3, 3)."""
+    out = np.zeros((3, 3))
+    for i in range(len(b)):
+        for j in range(3):
+            for k in range(3):
+                out[j, k] += weight[i] * b[i, j] * r[i, k]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray, weight: FloatArray) -> FloatArray:
+    axis = common_frame(b, weight)[0]
+    spread = 0.0
+    for i in range(len(b)):
+        x, y, z = cross(axis, b[i])
+        spread += weight[i] * (x * x + y * y + z * z)
+    if spread < _LOST_RAD2:
+        first, second = most_telling_pair(b, sigma)
+        matrix = pair_rotation(b, r, first, second)
+    return polish(matrix, b, r, weight)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    weight = weights_of(sigma)
+    u, _, vt = np.linalg.svd(profile_of(b, r, weight))
+    if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
+        u[:, 2] *= -1.0
+    return _finish(u @ vt, b, r, sigma, weight)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def matrix_of(q: FloatArray) -> FloatArray:
+    """Matrix (3, 3), reference to observed, of an unnormalised quaternion (4,), scalar last."""
+    x, y, z, w = q / math.sqrt((q**2).sum())
+    return np.array(
+        [
+            [x * x - y * y - z * z + w * w, 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)],
+            [2.0 * (x * y - z * w), y * y - x * x - z * z + w * w, 2.0 * (y * z + x * w)],
+            [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), z * z - x * x - y * y + w * w],
+        ]
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def eigenvector_rotation(profile: FloatArray) -> FloatArray:
+    """Davenport's rotation (3, 3) of a profile matrix B."""
+    k = np.empty((4, 4))
+    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
+    for i in range(3):
+        for j in range(3):
+            k[i, j] = profile[i, j] + profile[j, i]
+        k[i, i] -= trace
+    k[0, 3] = profile[1, 2] - profile[2, 1]
+    k[1, 3] = profile[2, 0] - profile[0, 2]
+    k[2, 3] = profile[0, 1] - profile[1, 0]
+    k[3, :3] = k[:3, 3]
+    k[3, 3] = trace
+    return matrix_of(np.linalg.eigh(k)[1][:, 3].copy())  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    weight = weights_of(sigma)
+    return _finish(eigenvector_rotation(profile_of(b, r, weight)), b, r, sigma, weight)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_reference(profile: FloatArray, axis: int) -> None:
+    """Turn the reference frame by 180° about an axis (in place; −1: not at all): two columns of B change sign."""
+    for k in range(3):
+        if axis >= 0 and k != axis:
+            profile[:, k] *= -1.0
+
+
+@njit(cache=True, error_model="numpy")
+def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
+    """Largest root of the characteristic quartic of K, and whether Newton's method settled on it.
+
+    λ⁴ − (a + b) λ² − c λ + (ab + cσ − d) = 0 with Shuster & Oh's a, b, c, d.
+    """
+    s = profile + profile.T
+    sigma = 0.5 * (s[0, 0] + s[1, 1] + s[2, 2])
+    z0, z1, z2 = profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]
+    kappa = s[1, 1] * s[2, 2] - s[1, 2] ** 2 + s[0, 0] * s[2, 2] - s[0, 2] ** 2 + s[0, 0] * s[1, 1] - s[0, 1] ** 2
+    delta = (
+        s[0, 0] * (s[1, 1] * s[2, 2] - s[1, 2] ** 2)
+        - s[0, 1] * (s[0, 1] * s[2, 2] - s[1, 2] * s[0, 2])
+        + s[0, 2] * (s[0, 1] * s[1, 2] - s[1, 1] * s[0, 2])
+    )
+    t0 = s[0, 0] * z0 + s[0, 1] * z1 + s[0, 2] * z2
+    t1 = s[1, 0] * z0 + s[1, 1] * z1 + s[1, 2] * z2
+    t2 = s[2, 0] * z0 + s[2, 1] * z1 + s[2, 2] * z2
+    a = sigma**2 - kappa
+    b = sigma**2 + z0 * z0 + z1 * z1 + z2 * z2
+    c = delta + z0 * t0 + z1 * t1 + z2 * t2
+    d = t0 * t0 + t1 * t1 + t2 * t2
+    constant = a * b + c * sigma - d
+    value = 1.0
+    for _ in range(_NEWTON_STEPS):
+        slope = (4.0 * value**2 - 2.0 * (a + b)) * value - c
+        if not slope > 0.0:
+            return value, False
+        step = ((value**2 - (a + b)) * value**2 - c * value + constant) / slope
+        value -= step
+        if abs(step) < 1e-15 or step < 0.0:  # from above every step goes down, but for rounding
+            return value, abs(step) < 1e-6
+    return value, False
+
+
+@njit(cache=True, error_model="numpy")
+def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    weight = weights_of(sigma)
+    profile = profile_of(b, r, weight)
+    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
+    axis = int(np.argmax(np.array([trace, profile[0, 0], profile[1, 1], profile[2, 2]]))) - 1
+    _turn_reference(profile, axis)
+    value, settled = largest_eigenvalue(profile)
+    s = profile + profile.T
+    trace = 0.5 * (s[0, 0] + s[1, 1] + s[2, 2])
+    z = np.array([profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]])
+    kappa = s[1, 1] * s[2, 2] - s[1, 2] ** 2 + s[0, 0] * s[2, 2] - s[0, 2] ** 2 + s[0, 0] * s[1, 1] - s[0, 1] ** 2
+    alpha, beta = value**2 - trace**2 + kappa, value - trace
+    q = np.empty(4)
+    sz = s @ z
+    q[:3] = alpha * z + beta * sz + s @ sz
+    q[3] = (value + trace) * alpha - np.linalg.det(s)
+    matrix = matrix_of(q) if settled and (q**2).sum() > _SMALLEST else eigenvector_rotation(profile)
+    _turn_reference(matrix, axis)
+    return _finish(matrix, b, r, sigma, weight)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _esoq2_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    weight = weights_of(sigma)
+    profile = profile_of(b, r, weight)
+    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
+    axis = int(np.argmin(np.array([trace, profile[0, 0], profile[1, 1], profile[2, 2]]))) - 1
+    _turn_reference(profile, axis)
+    value, settled = largest_eigenvalue(profile)
+    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
+    z = np.array([profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]])
+    m = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            m[i, j] = -(value - trace) * (profile[i, j] + profile[j, i]) - z[i] * z[j]
+        m[i, i] += value**2 - trace**2
+    e, longest = np.zeros(3), 0.0
+    for i in range(3):
+        x, y, w = cross(m[(i + 1) % 3], m[(i + 2) % 3])
+        length = x * x + y * y + w * w
+        if length > longest:
+            longest = length
+            e[0], e[1], e[2] = x, y, w
+    if settled and longest > _SMALLEST:
+        e /= math.sqrt(longest)
+        q = np.empty(4)
+        q[:3] = (value - trace) * e
+        q[3] = (z * e).sum()
+        matrix = matrix_of(q)
+    else:
+        matrix = eigenvector_rotation(profile)
+    _turn_reference(matrix, axis)
+    return _finish(matrix, b, r, sigma, weight)  # type: ignore[no-any-return]

@@ -8,12 +8,30 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.identification.adaptive import adaptive
 from startracker.identification.match_groups import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.pattern_hash import pattern_hash
+from startracker.identification.pyramid import pyramid
 from startracker.settings import IdentificationSettings
 
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
 
-METHODS: dict[str, Identifier] = {"match_groups": match_groups}
+METHODS: dict[str, Identifier] = {
+    "adaptive": adaptive,
+    "match_groups": match_groups,
+    "pyramid": pyramid,
+    "pattern_hash": pattern_hash,
+}
 
-__all__ = ["METHODS", "Identification", "Identifier", "Observed", "Prior", "match_groups"]
+__all__ = [
+    "METHODS",
+    "Identification",
+    "Identifier",
+    "Observed",
+    "Prior",
+    "adaptive",
+    "match_groups",
+    "pattern_hash",
+    "pyramid",
+]

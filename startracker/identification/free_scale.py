@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
-from startracker.distortion import Distortion
 from startracker.identification.evidence import log_evidence, magnitude_ratio
 from startracker.identification.hypothesis import fit_rotation, nearest_unique
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
+from startracker.lens import by_turn, change_lens, is_one_to_one, sensitivity
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -35,6 +35,7 @@ FOV_BANDS_DEG = ((3.0, 9.0, 18.0), (17.0, 22.0, 29.0), (27.0, 33.0, 40.0), (38.0
 """Least, assumed and largest field of each band; shapes off the axis depend on the field, 1.5 % within a band."""
 FEWEST_MATCHED = 6
 _MOST_CANDIDATES = 4000
+_LEAST_DEPTH = {"pinhole": 1e-3, "fisheye": -1.0}
 _K1_SIGMA = 0.5
 _FEWEST_FOR_K1 = 10
 
@@ -68,7 +69,12 @@ class FreeFit:
 
 
 def fit_camera(
-    camera: Camera, matrix: FloatArray, directions: FloatArray, xy: FloatArray, with_k1: bool
+    camera: Camera,
+    matrix: FloatArray,
+    directions: FloatArray,
+    xy: FloatArray,
+    with_k1: bool,
+    k1_expected: float = 0.0,
 ) -> tuple[Camera, FloatArray, FloatArray, float]:
     """Attitude, focal length and k1 by least squares (Gauss–Newton) on pixels.
 
@@ -81,7 +87,10 @@ def fit_camera(
     xy : (M, 2)
         Their images.
     with_k1 : bool
-        Whether to fit the radial distortion too; it is held near zero with σ = 0.5, which matters for few stars only.
+        Whether to fit the radial distortion too; it is held near the expected one with σ = 0.5, which matters for few
+        stars only.
+    k1_expected : float
+        Zero, or what is known of the lens.
 
     Returns
     -------
@@ -89,33 +98,35 @@ def fit_camera(
     where no lens that is one to one over the image fits.
     """
     count = 5 if with_k1 else 4
-    step = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-3])[:count]
-    prior = np.zeros((1, count))
+    held = np.zeros(count)
     if with_k1:
-        prior[0, 4] = 1.0 / _K1_SIGMA
-    residual = xy - camera.project(directions @ matrix.T)
+        held[4] = _K1_SIGMA**-2
     normal = np.eye(count)
     for _ in range(8):
-        base = camera.project(directions @ matrix.T)
-        residual = xy - base
-        columns = []
-        for k in range(count):
-            moved_camera, moved = _moved(camera, matrix, step[k] * np.eye(count)[k])
-            columns.append(((moved_camera.project(directions @ moved.T) - base) / step[k]).ravel())
-        jacobian = np.stack(columns, axis=1)
-        pull = -prior[0] * prior[0] * (camera.distortion.k1 if with_k1 else 0.0)
-        normal = jacobian.T @ jacobian + prior.T @ prior
+        vectors = directions @ matrix.T
+        if not (vectors[:, 2] > _LEAST_DEPTH[camera.projection]).all():
+            return camera, matrix, np.zeros((3, 3)), math.inf
+        places, moves, by_vector = sensitivity(camera, vectors)
+        columns = np.empty((len(xy), 2, count))
+        columns[:, :, :3] = by_turn(by_vector, vectors)
+        columns[:, :, 3] = moves["f"]
+        if with_k1:
+            columns[:, :, 4] = moves["k1"]
+        jacobian = columns.reshape(-1, count)
+        normal = jacobian.T @ jacobian + np.diag(held)
+        pull = held * (camera.distortion.k1 - k1_expected)
         try:
-            change = np.linalg.solve(normal, jacobian.T @ residual.ravel() + pull)
+            change = np.linalg.solve(normal, jacobian.T @ (xy - places).ravel() - pull)
         except np.linalg.LinAlgError:  # all at one place
             return camera, matrix, np.zeros((3, 3)), math.inf
         if not np.isfinite(change).all():
             return camera, matrix, np.zeros((3, 3)), math.inf
         change = np.clip(change, -0.3, 0.3)
-        camera, matrix = _moved(camera, matrix, change)
+        camera = change_lens(camera, {"f": float(change[3]), "k1": float(change[4]) if with_k1 else 0.0})
+        matrix = rotation_vector_to_matrix(change[:3]) @ matrix
         if not _sane(camera):
             return camera, matrix, np.zeros((3, 3)), math.inf
-        if np.abs(change[:4]).max() < 1e-9:
+        if np.abs(change[:4]).max() < 1e-8:
             break
     residual = xy - camera.project(directions @ matrix.T)
     freedom = max(2 * len(xy) - count, 1)
@@ -129,17 +140,11 @@ def _sane(camera: Camera) -> bool:
 
     r (1 + k1 r²) turns back at r² = −1/(3 k1), which images at k1 r_d² = −4/27 = −0.148.
     """
+    if camera.projection != "pinhole":
+        return is_one_to_one(camera)
     corner = (max(camera.cx, camera.width - 1 - camera.cx) / camera.fx) ** 2
     corner += (max(camera.cy, camera.height - 1 - camera.cy) / camera.fy) ** 2
     return corner < 14.0 and -0.11 < camera.distortion.k1 * corner < 0.5
-
-
-def _moved(camera: Camera, matrix: FloatArray, change: FloatArray) -> tuple[Camera, FloatArray]:
-    # a change of f at fixed pixels, so that steps in ln f and in the rotation have like units
-    k1 = camera.distortion.k1 + (float(change[4]) if len(change) > 4 else 0.0)
-    scale = math.exp(float(change[3]))
-    moved = replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=Distortion(k1=k1))
-    return moved, rotation_vector_to_matrix(change[:3]) @ matrix
 
 
 def weigh(
@@ -169,14 +174,19 @@ def weigh(
 
 
 def grow(
-    camera: Camera, matrix: FloatArray, xy: FloatArray, guide: GuideDatabase, centre: FloatArray, first_gate: FloatArray
+    camera: Camera,
+    matrix: FloatArray,
+    xy: FloatArray,
+    guide: GuideDatabase,
+    centre: FloatArray,
+    first_gate: FloatArray,
 ) -> tuple[Camera, FloatArray, FloatArray, float, IntArray] | None:
     """Match and refit from one pattern's surroundings outwards; None as soon as too few stars agree.
 
     Returns camera, matrix, covariance, rms and pairs.
     """
     away = np.hypot(*(xy - centre).T)
-    gate = first_gate
+    gate, k1_expected = first_gate, camera.distortion.k1
     pairs = np.empty((0, 2), dtype=np.int64)
     result = None
     for round_ in range(10):
@@ -191,7 +201,7 @@ def grow(
             break
         pairs = new
         camera, matrix, covariance, rms = fit_camera(
-            camera, matrix, guide.directions[pairs[:, 1]], xy[pairs[:, 0]], len(pairs) >= _FEWEST_FOR_K1
+            camera, matrix, guide.directions[pairs[:, 1]], xy[pairs[:, 0]], len(pairs) >= _FEWEST_FOR_K1, k1_expected
         )
         if not math.isfinite(rms):
             return None
@@ -206,7 +216,7 @@ def grow(
 
 
 def candidates(
-    xy: FloatArray, camera: Camera, index: QuadIndex, low: float, high: float
+    xy: FloatArray, camera: Camera, index: QuadIndex, low: float, high: float, widen: float = 1.0
 ) -> Iterator[tuple[Camera, IntArray, FloatArray, float]]:
     """Cameras and attitudes that patterns of the brightest stars suggest, best agreement first within each star count.
 
@@ -219,17 +229,20 @@ def candidates(
     index : QuadIndex
     low, high : float
         Allowed range of true over assumed angle.
+    widen : float
+        Factor on the tolerance of the patterns' codes.
 
     Yields
     ------
     camera of that focal length, the pattern (2, 4): observed and guide stars, its centre (2,) and extent in pixels.
     """
     vectors = camera.unproject(xy)
+    usable = np.flatnonzero(np.isfinite(vectors).all(axis=1))  # within what the lens that is tried can show
     done: set[bytes] = set()
     for count in STAR_COUNTS:
         if count > STAR_COUNTS[0] and len(xy) <= STAR_COUNTS[STAR_COUNTS.index(count) - 1]:
             break
-        quads = neighbour_quads(vectors, np.arange(min(count, len(xy))))
+        quads = neighbour_quads(vectors, usable[:count])
         quads = np.array([q for q in quads if q.tobytes() not in done], dtype=np.int64).reshape(-1, 4)
         done.update(q.tobytes() for q in quads)
         if len(quads) == 0:
@@ -240,7 +253,7 @@ def candidates(
         codes, order, baseline, baseline_px = codes[good], order[good], baseline[good], baseline_px[good]
         if len(codes) == 0:
             continue
-        tolerance = np.minimum(0.006 + 0.8 / baseline_px, 0.03)
+        tolerance = widen * np.minimum(0.006 + 0.8 / baseline_px, 0.03)
         query, found, _ = index.candidates(codes, tolerance, baseline * low, baseline * high)
         for q, k in zip(query[:_MOST_CANDIDATES], found[:_MOST_CANDIDATES], strict=True):
             stars, guides = order[q], index.quads[k]

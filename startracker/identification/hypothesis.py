@@ -1,7 +1,7 @@
 """Acceptance by probability: an attitude is believed only when chance cannot explain it and nothing competes.
 
-Each hypothesis, however it was found, is refitted to all observed stars of the field and weighed (`evidence`). The
-chance that any of the H hypotheses implied by the search gives such evidence on a random sky is at most H/Λ.
+Each hypothesis, however it was found, is refitted to all observed stars of the field and weighed (`bayes_factor`):
+the more it explains, and the fewer rivals explain anything, the less is left to chance.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.evidence import log_evidence, magnitude_ratio
+from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.verification import MOST_EXTRA, focal_slopes, verify_attitude
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 
@@ -24,7 +25,8 @@ IntArray = NDArray[np.int64]
 
 SCALES = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
-GATE_SIGMAS = 4.5
+SURE_BEYOND = 15.0
+"""How far beyond the limit (in ln of the chance) nothing can compete any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +40,13 @@ class Hypothesis:
     pairs : int (M, 2)
         Observed and guide index.
     log_evidence : float
-        ln Λ, less the price of having chosen among the scales and distractor shares.
+        ln B (`bayes_factor`).
     scale : float
         Which multiple of the stated errors explains it best.
     in_field : int
-        Guide stars expected on the image.
+        Guide stars expected on the image, as many as can be among the observed.
+    focal : float
+        Factor of the focal length against the camera's; 1 where that fits.
     """
 
     matrix: FloatArray
@@ -50,6 +54,7 @@ class Hypothesis:
     log_evidence: float
     scale: float
     in_field: int
+    focal: float = 1.0
 
     def agrees_with(self, other: Hypothesis) -> bool:
         """Whether two hypotheses are one and the same: most of the smaller one's pairs are shared."""
@@ -98,49 +103,58 @@ def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray)
 
 
 def verify(
-    matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float = SCALES[-1]
+    matrix: FloatArray,
+    observed: Observed,
+    guide: GuideDatabase,
+    scale: float = SCALES[-1],
+    focal: float | None = None,
 ) -> Hypothesis | None:
     """Check an attitude against every observed star: match, refit until it stands still, weigh.
 
-    Starts at `scale` times the stated errors and goes on to the smaller `SCALES`, keeping what has most evidence.
+    Parameters
+    ----------
+    matrix : (3, 3)
+        ICRS to camera.
+    observed, guide
+        What was seen, and the sky.
+    scale : float
+        The first gate is 4.5 times this times the stated errors; narrower ones follow, and the one with most evidence
+        is kept.
+    focal : float, optional
+        Factor of the focal length to start from, where that is fitted too (within some 2 %).
 
     Returns
     -------
     Hypothesis, or None when fewer than three stars agree.
     """
+    found = verify_attitude(
+        np.ascontiguousarray(matrix, dtype=np.float64),
+        0.0 if focal is None else math.log(focal),
+        observed.vectors,
+        focal_slopes(observed.vectors),
+        observed.sigma_rad,
+        magnitudes_or_nan(observed),
+        guide.view,
+        float(scale),
+        focal is not None,
+        count_table(len(observed), 2 * len(observed) + MOST_EXTRA),
+    )
+    return hypothesis_of(found)
+
+
+def magnitudes_or_nan(observed: Observed) -> FloatArray:
+    """Instrumental magnitudes (N,), NaN where they are not known."""
     magnitude = observed.magnitudes()
-    everyone = 2 * len(observed) + 10  # fainter guide stars than these can hardly be among the observed
-    best: Hypothesis | None = None
-    prices = math.log(len(SCALES))
-    for step in [s for s in SCALES[::-1] if s <= scale] or [scale]:
-        sigma = observed.sigma_rad * step
-        pairs = np.empty((0, 2), dtype=np.int64)
-        current = matrix if best is None else best.matrix
-        for round_ in range(6):
-            field_index, vectors, _ = guide.in_field(current, margin_px=2.0)
-            field_index, vectors = field_index[:everyone], vectors[:everyone]
-            gate = GATE_SIGMAS * sigma * (2.0 if round_ == 0 and best is None else 1.0)
-            index, distance = nearest_unique(observed.vectors, vectors, gate)
-            matched = np.flatnonzero(index >= 0)
-            if len(matched) < 3:
-                break
-            new = np.stack([matched, field_index[index[matched]]], axis=1)
-            if np.array_equal(new, pairs):
-                break
-            pairs = new
-            weight = 1.0 / sigma[matched] ** 2
-            current = fit_rotation(observed.vectors[matched], guide.directions[pairs[:, 1]], weight)
-        if len(matched) < 3:
-            continue
-        ratio = np.ones(len(observed))
-        if magnitude is not None:
-            v = np.full(len(observed), np.nan)
-            v[matched] = guide.v_mag[field_index[index[matched]]]
-            ratio = magnitude_ratio(magnitude, v, guide.v_mag[field_index])
-        value = log_evidence(distance, sigma, guide.solid_angle_sr, len(field_index), ratio) - prices
-        if best is None or value > best.log_evidence:
-            best = Hypothesis(current, pairs, value, step, len(field_index))
-    return best
+    return np.full(len(observed), np.nan) if magnitude is None else magnitude
+
+
+def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) -> Hypothesis | None:
+    """What `verify_attitude` says, as an object; None when fewer than three stars agree."""
+    log_b, matrix, focal, scale, in_field, guide_of = found
+    if not log_b > -math.inf:
+        return None
+    seen = np.flatnonzero(guide_of >= 0)
+    return Hypothesis(matrix, np.stack([seen, guide_of[seen]], axis=1), log_b, scale, in_field, math.exp(focal))
 
 
 @dataclass
@@ -151,23 +165,21 @@ class Bench:
     ----------
     settings : IdentificationSettings
         For the false-alarm rate and the least number of stars.
-    trials : dict
-        For each scale searched, the hypotheses implied so far: two-star attitudes that the observed pairs allow. The
-        choice among the scales is paid for in the evidence.
+    prior : Prior, optional
+        Attitudes that can be: the fewer, the less is left to chance.
+    stars : int
+        Observed stars.
     """
 
     settings: IdentificationSettings
-    trials: dict[float, float] = field(default_factory=dict)
+    prior: Prior | None = None
+    stars: int = 3
     standing: list[Hypothesis] = field(default_factory=list)
-    largest_group: int = 0
-
-    def count(self, scale: float, trials: float) -> None:
-        """Add hypotheses tried at a scale."""
-        self.trials[scale] = self.trials.get(scale, 0.0) + trials
+    tried: list[str] = field(default_factory=list)
 
     def add(self, hypothesis: Hypothesis | None) -> None:
         """Take in a verified hypothesis; one that repeats another replaces it only when it is better."""
-        if hypothesis is None:
+        if hypothesis is None or not self._allowed(hypothesis):
             return
         for k, known in enumerate(self.standing):
             if known.agrees_with(hypothesis):
@@ -179,53 +191,86 @@ class Bench:
         self.standing.sort(key=lambda h: -h.log_evidence)
         del self.standing[20:]
 
-    def log_chance(self, hypothesis: Hypothesis) -> float:
-        """Logarithm of the bound on the chance of such evidence, ln H − ln Λ."""
-        trials = self.trials.get(hypothesis.scale, max(self.trials.values(), default=1.0))
-        return math.log(max(trials, 1e-300)) - hypothesis.log_evidence
+    def note(self, text: str) -> None:
+        """Write down what was tried, for the explanation."""
+        self.tried.append(text)
+
+    @property
+    def log_chance(self) -> float:
+        """Logarithm of the chance that the best hypothesis is none: (1 + Σ B of the others) p / B, p the density."""
+        if not self.standing:
+            return 0.0
+        others = [h.log_evidence for h in self.standing[1:]]
+        return self._log_density + float(np.logaddexp.reduce([-self._gain, *others])) - self.standing[0].log_evidence
 
     @property
     def surely(self) -> bool:
         """Whether the best one is so far beyond the limit that looking on is idle."""
-        return bool(self.standing) and (
-            self.log_chance(self.standing[0]) < math.log(self.settings.false_alarm_rate) - 15.0
-            and self._gap > self._least_gap
-        )
+        return bool(self.standing) and self.log_chance < self.limit - SURE_BEYOND
 
     @property
-    def _gap(self) -> float:
-        best = self.standing[0].log_evidence
-        return best - max(self.standing[1].log_evidence, 0.0) if len(self.standing) > 1 else best
+    def sure_evidence(self) -> float:
+        """ln B from which a hypothesis without rivals is `surely`."""
+        return SURE_BEYOND + self._log_density - self.limit - self._gain
 
     @property
-    def _least_gap(self) -> float:
-        return -0.5 * math.log(self.settings.false_alarm_rate)
+    def limit(self) -> float:
+        """Logarithm of the chance that is still accepted."""
+        return math.log(self.settings.false_alarm_rate)
+
+    @property
+    def _log_density(self) -> float:
+        return math.log(largest_density(self.stars))
+
+    @property
+    def _gain(self) -> float:
+        """What a prior adds to ln B: the share of all rotations that turn by less than its radius is (ρ − sin ρ)/π."""
+        if self.prior is None:
+            return 0.0
+        radius = min(self.prior.radius_rad, math.pi)
+        return -math.log((radius - math.sin(radius)) / math.pi if radius > 1e-3 else radius**3 / (6.0 * math.pi))
+
+    def _allowed(self, hypothesis: Hypothesis) -> bool:
+        if self.prior is None:
+            return True
+        turn = hypothesis.matrix @ self.prior.attitude.as_matrix().T
+        return bool((np.trace(turn) - 1.0) / 2.0 >= math.cos(min(self.prior.radius_rad * 1.05, math.pi)))
 
     def judge(self, observed: Observed, prior: Prior | None = None) -> Identification:
         """Solved, ambiguous or no match, with the reason in words."""
-        seen = f"{len(observed)} stars seen"
         if prior is not None:
-            seen += f", prior within {math.degrees(prior.radius_rad):.2g}°"
+            self.prior = prior
+            self.standing = [h for h in self.standing if self._allowed(h)]
+        seen = f"{len(observed)} stars seen"
+        if self.prior is not None:
+            seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"
         if not self.standing:
-            return Identification(
-                Status.NO_MATCH, f"no attitude explains three stars: {seen}, largest match group {self.largest_group}"
-            )
-        best = self.standing[0]
-        chance = self.log_chance(best)
+            return Identification(Status.NO_MATCH, f"no attitude explains three stars: {seen}", steps=tuple(self.tried))
+        best, chance, limit = self.standing[0], self.log_chance, self.settings.false_alarm_rate
         says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
-        limit = self.settings.false_alarm_rate
-        if len(best.pairs) < self.settings.min_stars or chance > 0.0:
-            reason = f"best attitude is no better than chance: {says}; largest match group {self.largest_group}"
-            return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0))
-        if chance > math.log(limit):
-            reason = f"{says}: by chance with probability {_power(chance)}, above the limit of {limit:.0e}"
-            return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance)
-        if self._gap < self._least_gap:
+        steps = (*self.tried, *(_describe(h) for h in self.standing[:3]))
+        if len(best.pairs) < self.settings.min_stars or chance > self._log_density:
+            reason = f"best attitude is no better than chance: {says}"
+            return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
+        if chance <= self.limit:
+            reason = f"{says}; by chance with probability {_power(chance)}"
+            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps)
+        if len(self.standing) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
             other = self.standing[1]
             reason = f"{says}, but another part of the sky fits {len(other.pairs)} stars nearly as well"
-            return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance)
-        reason = f"{says}; by chance with probability {_power(chance)}"
-        return Identification(Status.SOLVED, reason, best.pairs, chance)
+        else:
+            reason = f"{says}: by chance with probability {_power(chance)}, above the limit of {limit:.0e}"
+        return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance, steps=steps)
+
+
+def _describe(hypothesis: Hypothesis) -> str:
+    z = hypothesis.matrix[2]
+    ra, dec = math.degrees(math.atan2(z[1], z[0])) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, float(z[2])))))
+    return (
+        f"hypothesis at RA {ra:.3f}°, Dec {dec:+.3f}°: {len(hypothesis.pairs)} stars fit within "
+        f"{hypothesis.scale:g} stated errors, {hypothesis.in_field} guide stars expected; "
+        f"e^{hypothesis.log_evidence:.1f} times likelier than chance"
+    )
 
 
 def _power(log_value: float) -> str:

@@ -17,13 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.catalog.guide import GuideDatabase
 from startracker.identification import match_kernels as kernels
-from startracker.identification.hypothesis import SCALES, Bench, Hypothesis, fit_rotation, verify
+from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings
@@ -66,7 +67,7 @@ def match_groups(
     if min(len(observed), n) < least:
         reason = f"{len(observed)} stars seen, {least} are needed"
         return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
-    bench = Bench(settings)
+    bench = Bench(settings, prior, len(observed))
     scales = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
     for skip in (0, n // 2):
         if skip and len(observed) < n + (n - skip) // 2:  # hardly a new star among them
@@ -77,30 +78,21 @@ def match_groups(
         )
         for scale in scales:
             search = _Search.prepare(chosen, guide, settings, prior, scale)
-            bench.count(scale, search.trials)
-            bench.largest_group = max(bench.largest_group, search.largest)
+            bench.note(f"match groups within {scale:g} stated errors: largest {search.largest} stars")
             decisive = 0
             for threshold in search.thresholds():
                 for size, matrix in search.attitudes(threshold):
                     if size < decisive - 1:  # what comes now cannot compete
                         break
-                    bench.add(_within(verify(matrix, observed, guide, scale), prior))
+                    bench.add(verify(matrix, observed, guide, scale))
                     if decisive == 0 and bench.surely:
                         decisive = size
                 if decisive:
                     break
-            verdict = bench.judge(observed, prior)
+            verdict = bench.judge(observed)
             if verdict.status is Status.SOLVED:
                 return verdict
     return verdict
-
-
-def _within(hypothesis: Hypothesis | None, prior: Prior | None) -> Hypothesis | None:
-    """The hypothesis, or None where it leaves the prior's range."""
-    if hypothesis is None or prior is None:
-        return hypothesis
-    turn = hypothesis.matrix @ prior.attitude.as_matrix().T
-    return hypothesis if (np.trace(turn) - 1.0) / 2.0 >= math.cos(min(prior.radius_rad * 1.05, math.pi)) else None
 
 
 @dataclass(eq=False)
@@ -110,14 +102,13 @@ class _Search:
     observed: Observed
     guide: GuideDatabase
     settings: IdentificationSettings
-    pair_args: tuple[IntArray, ...]
+    pair_args: tuple[NDArray[Any], ...]
     magnitude: FloatArray
     tolerance_mag: float
     allowed: NDArray[np.bool_]
     tolerance: FloatArray
     separations: FloatArray
     sizes: IntArray
-    trials: float
     given_out: set[bytes] = field(default_factory=set)
 
     @classmethod
@@ -134,7 +125,7 @@ class _Search:
         fixed = settings.separation_tolerance_deg
         tolerance = pair_tolerance(sigma, i, j, separations, None if fixed is None else math.radians(fixed))
         allowed = np.zeros((0, 0), dtype=bool)
-        pairs = guide.pairs if prior is None else _pairs_near(guide, prior)
+        pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
         if prior is not None:
             expected = vectors @ prior.attitude.as_matrix()
             slack = prior.radius_rad + float(tolerance.max())
@@ -145,14 +136,11 @@ class _Search:
             magnitude, tolerance_mag = np.zeros(len(observed)), math.inf
         partners = np.zeros((len(observed), len(guide)), dtype=np.uint64)
         pair_args = (i, j, low, high, pairs.first, pairs.second)
-        trials = float(kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners))
-        if prior is not None:
-            trials = _expected_trials(guide, prior, separations, tolerance)
+        kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners)
         sizes = kernels.group_sizes(partners)
         return cls(
-            observed, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes,
-            trials,
-        )  # fmt: skip
+            observed, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes
+        )
 
     @property
     def largest(self) -> int:
@@ -205,22 +193,3 @@ class _Search:
                 per_star[kernel_obs[k]] += 1
                 kept.append(int(k))
         return np.asarray(found[kept])
-
-
-def _pairs_near(guide: GuideDatabase, prior: Prior) -> PairList:
-    near = guide.in_cone(prior.attitude.boresight, guide.half_diagonal_rad + prior.radius_rad)
-    near = near[guide.pattern[near]]
-    return PairList.of(guide.directions, near, min(2.0 * guide.half_diagonal_rad, math.pi))
-
-
-def _expected_trials(guide: GuideDatabase, prior: Prior, separations: FloatArray, tolerance: FloatArray) -> float:
-    """Two-star attitudes that chance would offer within the prior: its mean, which may be below one.
-
-    A random star is within the prior's radius ρ of a guide star of the field with probability K π ρ²/A; a second
-    one then falls into a strip 2τ wide along the arc 2ρ·s that the remaining turn leaves open, for one of K guides.
-    """
-    index, _, _ = guide.in_field(prior.attitude.as_matrix())
-    k, area, rho = max(len(index), 1), guide.solid_angle_sr, prior.radius_rad + 2.0 * float(tolerance.max())
-    first = k * min(1.0, math.pi * rho**2 / area)
-    arc = np.minimum(2.0 * rho * separations + 2.0 * tolerance, 2.0 * math.pi * np.sin(separations))
-    return float(np.sum(first * k * np.minimum(1.0, 2.0 * tolerance * arc / area)))

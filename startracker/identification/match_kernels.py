@@ -41,8 +41,8 @@ def mark(
     tolerance_mag: float,
     allowed: BoolArray,
     partners: WordArray,
-) -> int:
-    """Set, for each couple, the bits of the observed stars that support it; returns the number of pair matches.
+) -> None:
+    """Set, for each couple, the bits of the observed stars that support it.
 
     Parameters
     ----------
@@ -61,7 +61,6 @@ def mark(
     """
     restricted = allowed.shape[0] > 0
     one = np.uint64(1)
-    total = 0
     for p in range(i_obs.shape[0]):
         i, j = i_obs[p], j_obs[p]
         brighter = magnitude[i] - magnitude[j]
@@ -72,12 +71,9 @@ def mark(
             if abs(brighter - step) <= tolerance_mag and (not restricted or (allowed[i, a] and allowed[j, b])):
                 partners[i, a] |= bit_j
                 partners[j, b] |= bit_i
-                total += 1
             if abs(brighter + step) <= tolerance_mag and (not restricted or (allowed[i, b] and allowed[j, a])):
                 partners[i, b] |= bit_j
                 partners[j, a] |= bit_i
-                total += 1
-    return total
 
 
 @njit(cache=True, error_model="numpy")

@@ -61,10 +61,16 @@ class Identification:
     pairs : int array, shape (M, 2)
         Observed index and guide index of each identified star; empty unless solved.
     log_false_alarm : float
-        Natural logarithm of the chance that the sky gives such agreement at random, over all hypotheses tried.
+        Natural logarithm of the chance that the sky gives such agreement at random, over all attitudes.
+    focal : float
+        Factor of the focal length against the camera's, where that is a little off; else 1.
+    steps : tuple of str
+        What was tried and how far it got, for people.
     """
 
     status: Status
     reason: str
     pairs: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     log_false_alarm: float = 0.0
+    focal: float = 1.0
+    steps: tuple[str, ...] = ()

@@ -42,6 +42,6 @@ def pair_tolerance(
 
 def windows(pairs: PairList, separations: FloatArray, tolerance: FloatArray) -> tuple[IntArray, IntArray]:
     """Half-open ranges [low, high) of the guide pairs within `tolerance` of each separation, each (P,)."""
-    low = np.searchsorted(pairs.separation_rad, separations - tolerance, side="left")
-    high = np.searchsorted(pairs.separation_rad, separations + tolerance, side="right")
+    low = np.searchsorted(pairs.separation_rad, (separations - tolerance).astype(np.float32), side="left")
+    high = np.searchsorted(pairs.separation_rad, (separations + tolerance).astype(np.float32), side="right")
     return low.astype(np.int64), high.astype(np.int64)

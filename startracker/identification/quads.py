@@ -13,8 +13,10 @@ Source: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, sections 2.1 an
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -194,3 +196,31 @@ def build_quads(
         np.concatenate([t[1] for t in tables]),
         np.concatenate([t[2] for t in tables]),
     )
+
+
+_CODE_LOW, _CODE_STEP = -0.5, 2.0**-15
+"""C and D are no farther from A and B than these from each other, √2: codes lie within (1 ± √3)/2 = -0.37 to 1.37, and
+0.05 beyond where the plane stretches the sky."""
+
+
+def pack_quads(codes: NDArray[np.float32], quads: NDArray[np.int32]) -> dict[str, NDArray[Any]]:
+    """Arrays of half the size, for a file: codes to 1.5e-5 (a four-hundredth of the tolerance), stars in 18 bits.
+
+    The angles AB are left out, as the stars' places tell them.
+    """
+    steps = np.round((codes - _CODE_LOW) / _CODE_STEP).astype(np.uint16)
+    high = np.zeros(len(quads), dtype=np.uint8)
+    for star in range(4):
+        high |= (quads[:, star] >> 16 << 2 * star).astype(np.uint8)
+    return {"codes": steps, "low": (quads & 0xFFFF).astype(np.uint16), "high": high}
+
+
+def unpack_quads(stored: Mapping[str, NDArray[Any]], directions: FloatArray) -> QuadIndex:
+    """Index of packed arrays and the stars (G, 3) they are of."""
+    codes = (stored["codes"] * np.float32(_CODE_STEP) + np.float32(_CODE_LOW)).astype(np.float32)
+    high = stored["high"].astype(np.int32)
+    quads = np.stack([stored["low"][:, k].astype(np.int32) | (high >> 2 * k & 3) << 16 for k in range(4)], axis=1)
+    places = directions.astype(np.float32)
+    chord = np.linalg.norm(places[quads[:, 0]] - places[quads[:, 1]], axis=1)
+    baseline = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+    return QuadIndex.of(codes, quads, baseline.astype(np.float32))

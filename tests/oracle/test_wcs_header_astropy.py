@@ -9,7 +9,7 @@ import pytest
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 
-from startracker import Attitude, Camera, wcs_header
+from startracker import Attitude, Camera, InputError, wcs_header
 from startracker.attitude import direction_to_radec, radec_to_direction
 from startracker.distortion import Distortion
 
@@ -20,6 +20,10 @@ CAMERAS = {
     "barrel": Camera.from_fov(20.0, 1024, 768, Distortion(k1=-0.2, k2=0.05)),
     "decentred": Camera(1500.0, 1500.0, 500.0, 390.0, 1024, 768, Distortion(k1=0.1, p1=0.003, p2=-0.002), -1),
     "wide": Camera.from_fov(50.0, 1024, 768, Distortion(k1=-0.15)),
+    "all coefficients": Camera(
+        1400.0, 1408.0, 500.0, 395.0, 1024, 768, Distortion(-0.2, 0.06, 0.002, -0.0015, -0.01), -1
+    ),
+    "off the image": Camera(1500.0, 1500.0, -40.0, 800.0, 1024, 768, Distortion(-0.1, 0.02, 0.001, 0.0005)),
 }
 ATTITUDES = [(85.0, 8.6, 0.0), (0.0, 0.0, 123.0), (250.0, -70.0, 300.0), (12.0, 89.99, 45.0), (40.0, -90.0, 10.0)]
 
@@ -62,3 +66,27 @@ def test_the_tangent_point_is_the_boresight_and_up_is_the_roll():
     east = (ra_up - np.radians(85.0)) * np.cos(dec_up)
     north = dec_up - np.radians(8.6)
     assert np.degrees(np.arctan2(east, north)) == pytest.approx(40.0, abs=1e-2)
+
+
+@pytest.mark.parametrize("fov_deg", [60.0, 80.0, 100.0])
+def test_the_stated_error_is_what_astropy_finds(fov_deg):
+    """Wide fields: the largest error over a dense grid is at most CSYER, and no less than a third of it."""
+    camera = Camera.from_fov(fov_deg, 1500, 1000, Distortion(k1=-0.05 if fov_deg > 90 else -0.12))
+    attitude = Attitude.from_radec_roll(85.0, 8.6, 33.0)
+    header = wcs_header(camera, attitude)
+    x, y = np.linspace(-0.5, 1499.5, 61), np.linspace(-0.5, 999.5, 41)
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    found = radec_to_direction(*np.radians(WCS(Header(header)).all_pix2world(xy, 0)).T)
+    error = np.degrees(np.linalg.norm(found - attitude.inverse.apply(camera.unproject(xy)), axis=1)).max()
+    # CSYER is in the distorted plane at the scale of the centre; towards the corners a pixel is a smaller angle
+    assert error < 1.05 * header["CSYER1"] * np.sqrt(2.0)
+    assert error > 0.2 * header["CSYER1"]
+    assert header["CSYER1"] == header["CSYER2"]
+
+
+def test_a_lens_that_no_polynomial_follows_is_refused():
+    attitude = Attitude.from_radec_roll(85.0, 8.6, 33.0)
+    with pytest.raises(InputError, match=r"errs by .* px at order 13"):
+        wcs_header(Camera.from_fov(90.0, 1920, 1080, Distortion(-0.25, 0.08, 0.0, 0.0, -0.01)), attitude)
+    with pytest.raises(InputError, match="beyond the fold"):
+        wcs_header(Camera.from_fov(80.0, 1000, 1000, Distortion(k1=-0.35)), attitude)

@@ -1,4 +1,4 @@
-"""Attitude errors of both estimators against their covariance."""
+"""Attitude errors of all estimators against their covariance."""
 
 import numpy as np
 import pytest

@@ -46,7 +46,7 @@ def test_half_turns(method, axis):
     assert np.allclose(METHODS[method](observed, observed @ truth, np.full(8, ARCSEC)).matrix, truth, atol=1e-11)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "plate_constants"])  # no plane holds these
 def test_all_round_the_sky_and_opposite_pairs(method):
     rng = np.random.default_rng(2)
     observed = np.vstack([np.eye(3), -np.eye(3)])

@@ -10,7 +10,14 @@ from startracker import Attitude, Camera, InputError, Status, solve_unknown_fov
 from startracker.blind import all_stars, quad_index
 from startracker.distortion import Distortion
 from startracker.identification.free_scale import fit_camera
-from startracker.identification.quads import QuadIndex, build_quads, neighbour_quads, sky_codes
+from startracker.identification.quads import (
+    QuadIndex,
+    build_quads,
+    neighbour_quads,
+    pack_quads,
+    sky_codes,
+    unpack_quads,
+)
 
 
 def stars_of(camera, attitude, count=800):
@@ -92,6 +99,26 @@ def test_candidates_are_those_of_brute_force():
     np.testing.assert_allclose(angle, index.baseline_rad[::200], rtol=1e-6)
 
 
+def test_a_packed_index_is_the_same_index():
+    rng = np.random.default_rng(16)
+    directions = rng.normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    codes, quads, baseline_rad = build_quads(directions, (10.0, 14.0))
+    index = unpack_quads(pack_quads(codes, quads), directions)
+    np.testing.assert_array_equal(index.quads, quads)
+    np.testing.assert_allclose(index.codes, codes, rtol=0, atol=2**-16 + 1e-7)
+    # the difference of two single-precision unit vectors, 1e-7, over the shortest angle
+    np.testing.assert_allclose(index.baseline_rad, baseline_rad, rtol=0, atol=3e-7)
+    # numbers beyond 16 bits
+    far = np.array([[65535, 65536, 131_072, 200_000]], dtype=np.int32)
+    places = np.zeros((200_001, 3))
+    places[:, 2] = 1.0
+    np.testing.assert_array_equal(unpack_quads(pack_quads(codes[:1], far), places).quads, far)
+    # all shapes there are fit in
+    assert codes.min() > -0.45
+    assert codes.max() < 1.45
+
+
 def test_the_index_covers_the_sky_at_every_size():
     index = quad_index("hipparcos")
     directions = all_stars("hipparcos").directions
@@ -151,3 +178,58 @@ def test_mistakes_of_the_caller_are_one_clear_line():
         solve_unknown_fov(xy, 100)
     with pytest.raises(InputError, match="size"):
         solve_unknown_fov(xy, 0, 100)
+
+
+def test_a_strong_barrel_is_solved():
+    # an action camera: k1 r² = -0.1 at the corner, shapes there 20 % narrower than they are
+    camera = Camera.from_fov(62.0, 1280, 960, Distortion(k1=-0.18))
+    rng = np.random.default_rng(4)
+    for attitude in (Attitude.from_radec_roll(95.0, 12.0, 20.0), Attitude.from_radec_roll(280.0, 20.0, 100.0)):
+        _, _, xy, flux = stars_of(camera, attitude, 900)
+        xy = xy + rng.normal(0, 0.5, xy.shape)
+        solution = solve_unknown_fov(xy, 1280, 960, flux=flux)
+        assert solution.solved, solution.reason
+        assert math.degrees(attitude.angle_to(solution.attitude)) < 0.05
+        assert solution.camera.distortion.k1 == pytest.approx(-0.18, abs=0.02)
+
+
+def test_a_fisheye_is_solved_from_what_is_known_roughly():
+    truth = Camera.from_fov(120.0, 1200, 1000, Distortion(k1=0.02), projection="fisheye")
+    attitude = Attitude.from_radec_roll(95.0, 12.0, 200.0)
+    _, _, xy, flux = stars_of(truth, attitude, 500)
+    rough = replace(truth, fx=1.02 * truth.fx, fy=1.02 * truth.fy, distortion=Distortion())
+    solution = solve_unknown_fov(xy, 1200, 1000, flux=flux, camera=rough)
+    assert solution.solved, solution.reason
+    assert math.degrees(attitude.angle_to(solution.attitude)) < 0.01
+    assert solution.camera.fx == pytest.approx(truth.fx, rel=1e-3)
+
+
+def test_decentred_distortion_is_fitted_and_weights_are_used():
+    truth = Camera.from_fov(40.0, 1600, 1200, Distortion(k1=-0.1, p1=3e-3, p2=-2e-3))
+    attitude = Attitude.from_radec_roll(95.0, 12.0, 200.0)
+    _, _, xy, flux = stars_of(truth, attitude, 3000)
+    rng = np.random.default_rng(7)
+    sigma = np.where(np.arange(len(xy)) % 3 == 0, 1.0, 0.1)
+    noisy = xy + rng.normal(size=xy.shape) * sigma[:, None]
+    weighed = solve_unknown_fov(noisy, 1600, 1200, flux=flux, variance_px2=sigma**2)
+    plain = solve_unknown_fov(noisy, 1600, 1200, flux=flux)
+    assert weighed.solved
+    assert weighed.camera.distortion.p1 == pytest.approx(3e-3, abs=2e-4)
+    assert weighed.camera.distortion.p2 == pytest.approx(-2e-3, abs=2e-4)
+    assert np.trace(weighed.covariance) < np.trace(plain.covariance)
+    # six standard errors about each axis, for three of them
+    off = attitude.rotation_vector_to(weighed.attitude)
+    assert off @ np.linalg.solve(weighed.covariance, off) < 25.0
+
+
+def test_mistakes_about_rough_camera_and_variances():
+    camera = Camera.from_fov(12.0, 100, 100)
+    xy = np.random.default_rng(1).uniform(0, 99, (9, 2))
+    with pytest.raises(InputError, match="not both"):
+        solve_unknown_fov(xy, 100, 100, camera=camera, fov_deg=12.0)
+    with pytest.raises(InputError, match="the camera has 100×100"):
+        solve_unknown_fov(xy, 120, 100, camera=camera)
+    with pytest.raises(InputError, match="9 centroids, but 8 variances"):
+        solve_unknown_fov(xy, 100, 100, variance_px2=np.ones(8))
+    with pytest.raises(InputError, match="positive"):
+        solve_unknown_fov(xy, 100, 100, variance_px2=np.zeros(9))

@@ -1,11 +1,15 @@
 """Image files of all kinds, sound and broken."""
 
+import struct
+import zlib
+
 import numpy as np
 import pytest
 from astropy.io import fits
 from PIL import Image
 
 from startracker import InputError, read_image
+from startracker.bayer import bayer_to_grey
 
 RNG = np.random.default_rng(4)
 GREY8 = RNG.integers(0, 256, (7, 11)).astype(np.uint8)
@@ -127,3 +131,123 @@ def test_faulty_files_are_one_clear_line(tmp_path, name, says):
     text = str(caught.value)
     assert "\n" not in text
     assert name.replace("\0", "\\x00") in text
+
+
+def mosaic(pattern, shape=(40, 60), noise=0.0):
+    """A grey sky of 1000 DN behind filters that let 0.5 (red), 1 (green), 0.4 (blue) through, and a uniform field."""
+    rng = np.random.default_rng(3)
+    share = {"R": 0.5, "G": 1.0, "B": 0.4}
+    image = np.empty(shape)
+    for k, colour in enumerate(pattern):
+        row, column = divmod(k, 2)
+        site = image[row::2, column::2]
+        site[...] = share[colour] * (1000 + rng.normal(0, noise, site.shape))
+    return image
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_a_balanced_mosaic_is_even(pattern):
+    raw = mosaic(pattern, (400, 600), noise=20.0)
+    grey = bayer_to_grey(raw, pattern)
+    assert grey.shape == raw.shape
+    sites = [grey[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    # 60,000 pixels a site: median to 20 · 1.25 / 245 = 0.1 DN, spread to 0.3 %; the greens are two such samples
+    assert np.ptp([np.median(site) for site in sites]) < 0.6
+    assert np.ptp([site.std() for site in sites]) < 0.4
+    assert np.median(grey) == pytest.approx(1000.0, abs=0.5)
+    np.testing.assert_array_equal(bayer_to_grey(raw, pattern, balance=False), raw.astype(np.float32))
+
+
+def test_a_raw_mosaic_file_is_read_and_nonsense_refused(tmp_path):
+    raw = mosaic("RGGB", noise=20.0).astype(np.uint16)
+    raw[10, 10] = 65535
+    path = save(tmp_path / "raw.tiff", raw)
+    loaded = read_image(path, bayer="rggb")
+    np.testing.assert_array_equal(loaded.image, bayer_to_grey(raw, "RGGB"))
+    assert loaded.saturation_dn == loaded.image[10, 10]
+    assert any("RGGB" in note for note in loaded.notes)
+    with pytest.raises(InputError, match="must be one of RGGB"):
+        read_image(path, bayer="RGB")
+    with pytest.raises(InputError, match="no raw mosaic"):
+        read_image(save(tmp_path / "colour.png", COLOUR), bayer="RGGB")
+    with pytest.raises(InputError, match="one plane"):
+        bayer_to_grey(np.zeros((4, 4, 3)))
+
+
+def png_chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colour_png_of_16_bits_keeps_them(tmp_path, channels):
+    # written by the book (PNG specification, third edition, section 9): every row with another of the five filters
+    deep = RNG.integers(0, 65536, (10, 13, channels)).astype(">u2")
+    size = 2 * channels
+    rows = deep.view(np.uint8).reshape(10, -1).astype(int)
+    data = b""
+    for y, row in enumerate(rows):
+        above = rows[y - 1] if y else np.zeros_like(row)
+        left, corner = (np.concatenate([np.zeros(size, int), r[:-size]]) for r in (row, above))
+        guess = left + above - corner
+        far = [np.abs(guess - p) for p in (left, above, corner)]
+        paeth = np.where((far[0] <= far[1]) & (far[0] <= far[2]), left, np.where(far[1] <= far[2], above, corner))
+        predicted = [0, left, above, (left + above) // 2, paeth][y % 5]
+        data += bytes([y % 5]) + ((row - predicted) % 256).astype(np.uint8).tobytes()
+    head = struct.pack(">IIBBBBB", 13, 10, 16, 2 if channels == 3 else 6, 0, 0, 0)
+    path = tmp_path / "deep.png"
+    body = png_chunk(b"IHDR", head) + png_chunk(b"IDAT", zlib.compress(data)) + png_chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+    loaded = read_image(path)
+    np.testing.assert_allclose(loaded.image, deep[..., :3].astype(float).mean(axis=2), rtol=1e-6)
+    assert loaded.saturation_dn == 65535.0
+
+
+def lzw(data):
+    """TIFF 6.0, section 13, the encoder as printed there."""
+    codes, table, word = [256], {bytes([k]): k for k in range(256)}, b""
+    widths, width, following = [9], 9, 258
+    for byte in data:
+        longer = word + bytes([byte])
+        if longer in table:
+            word = longer
+            continue
+        codes.append(table[word])
+        widths.append(width)
+        table[longer] = following
+        following += 1
+        width = 9 if following < 512 else 10 if following < 1024 else 11 if following < 2048 else 12
+        if following == 4095:
+            codes.append(256)
+            widths.append(12)
+            table, following, width = {bytes([k]): k for k in range(256)}, 258, 9
+        word = bytes([byte])
+    codes += [table[word], 257]
+    # the end may come with the width of the next code
+    widths += [width, 9 if following < 511 else 10 if following < 1023 else 11 if following < 2047 else 12]
+    bits = "".join(f"{code:0{width}b}" for code, width in zip(codes, widths, strict=True))
+    bits += "0" * (-len(bits) % 8)
+    return bytes(int(bits[k : k + 8], 2) for k in range(0, len(bits), 8))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("compression", [1, 8, 5])
+def test_colour_tiff_of_16_bits_keeps_them(tmp_path, order, compression):
+    deep = (300 * RNG.integers(0, 9, (50, 41, 3)) + 7).astype(order + "u2")
+    data = {1: bytes, 8: zlib.compress, 5: lzw}[compression](deep.tobytes())
+    tags = [(256, 4, 1, 41), (257, 4, 1, 50), (258, 3, 3, 8), (259, 4, 1, compression), (262, 4, 1, 2)]
+    tags += [(273, 4, 1, 14), (277, 4, 1, 3), (278, 4, 1, 50), (279, 4, 1, len(data)), (284, 4, 1, 1)]
+    start = 14 + len(data) + len(data) % 2
+    path = tmp_path / "deep.tiff"
+    path.write_bytes(
+        (b"II" if order == "<" else b"MM")
+        + struct.pack(order + "HI", 42, start)
+        + struct.pack(order + "HHH", 16, 16, 16)
+        + data
+        + b"\0" * (len(data) % 2)
+        + struct.pack(order + "H", len(tags))
+        + b"".join(struct.pack(order + "HHII", *tag) for tag in tags)
+        + b"\0" * 4
+    )
+    loaded = read_image(path)
+    np.testing.assert_allclose(loaded.image, deep.astype(float).mean(axis=2), rtol=1e-6)
+    assert loaded.saturation_dn == 65535.0

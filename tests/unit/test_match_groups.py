@@ -75,7 +75,6 @@ def test_mark_and_collect_are_their_plain_twins(seed, restricted):
     n, g, args, magnitude, v, tolerance, allowed = random_pairs(seed, restricted)
     i, j, low, high, first, second = args
     support = {}
-    matches = 0
     for p in range(len(i)):
         for k in range(low[p], high[p]):
             for a, b in ((first[k], second[k]), (second[k], first[k])):
@@ -83,11 +82,10 @@ def test_mark_and_collect_are_their_plain_twins(seed, restricted):
                     continue
                 if restricted and not (allowed[i[p], a] and allowed[j[p], b]):
                     continue
-                matches += 1
                 support.setdefault((i[p], a), []).append((j[p], b))
                 support.setdefault((j[p], b), []).append((i[p], a))
     partners = np.zeros((n, g), np.uint64)
-    assert mark(*args, magnitude, v, tolerance, allowed, partners) == matches
+    mark(*args, magnitude, v, tolerance, allowed, partners)
     sizes = group_sizes(partners)
     for o in range(n):
         for s in range(g):
@@ -218,14 +216,15 @@ def test_a_roll_outside_the_prior_is_no_match_though_no_star_moves_far(guide):
 
 def test_a_prior_makes_few_stars_enough(guide):
     attitude, index, vectors, _ = field(guide, 40.0, 15.0)
-    few = observed(guide, index[:4], vectors[:4], flux=False)
+    few = observed(guide, index[:3], vectors[:3], flux=False)
     near = match_groups(few, guide, None, Prior(attitude, math.radians(1.0)))
     assert near.status is Status.SOLVED
     lost = match_groups(few, guide)
     assert lost.status is Status.AMBIGUOUS
     assert "by chance with probability" in lost.reason
-    # of some thousand two-star attitudes over the sky the prior leaves less than one
-    assert near.log_false_alarm < lost.log_false_alarm - math.log(1000.0)
+    # √3° about all axes at most leave (ρ − sin ρ)/π of all rotations
+    radius = math.radians(1.0)
+    assert near.log_false_alarm < lost.log_false_alarm + math.log((radius - math.sin(radius)) / math.pi) + 1e-9
 
 
 @pytest.mark.parametrize(

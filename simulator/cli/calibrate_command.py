@@ -1,0 +1,133 @@
+"""``boresight calibrate``: photographs of the sky to a camera file."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulator.cli.checks import writable
+from simulator.cli.solve_command import _FITS_SUFFIXES, _SUFFIXES, _is_our_frame
+from simulator.fits import read_fits
+from simulator.paths import write_atomically
+from startracker import centroid as centroiding
+from startracker import detection as detecting
+from startracker.calibration import StarField, calibrate
+from startracker.calibration.camera_file import camera_yaml, summary
+from startracker.calibration.plot import residual_png
+from startracker.camera import Camera
+from startracker.errors import BoresightError, InputError
+from startracker.front_end import Clock, find_stars
+from startracker.image import read_image
+from startracker.observer import Observer
+from startracker.registry import lookup
+from startracker.settings import CentroidSettings, DetectionSettings
+
+_MOST_STARS = 400
+_YEARS = (1800.0, 2200.0)
+
+
+@dataclass(frozen=True)
+class CalibrateRequest:
+    """What the command line asked for."""
+
+    images: list[Path]
+    out: Path
+    plot: Path | None
+    camera: Path | None
+    fov_deg: float | None
+    projection: str
+    refraction: bool
+    epoch_jyear: float | None
+    catalog: str
+    centroider: str
+    parameters: str | None
+
+
+def calibrate_images(request: CalibrateRequest) -> int:
+    """Calibrate and write; exit status 0, or 1 when some images had to be left out."""
+    _check(request)
+    camera = Camera.from_yaml(request.camera) if request.camera else None
+    fields, faults = [], 0
+    for path in _sources(request.images):
+        try:
+            fields.append(_field(path, request))
+        except BoresightError as error:
+            print(error, file=sys.stderr)
+            faults += 1
+    if not fields:
+        raise InputError("calibrate: no image with stars is left")
+    result = calibrate(
+        fields,
+        camera=camera,
+        fov_deg=request.fov_deg,
+        catalog=request.catalog,
+        projection=request.projection,
+        refraction=request.refraction,
+        parameters=None if request.parameters is None else [p.strip() for p in request.parameters.split(",")],
+    )
+    # both are whole in memory before either is written
+    text, picture = camera_yaml(result), None if request.plot is None else residual_png(result)
+    write_atomically(request.out, text)
+    if request.plot is not None and picture is not None:
+        write_atomically(request.plot, picture)
+    print("\n".join(summary(result)))
+    print(f"written: {request.out}" + (f", {request.plot}" if request.plot else ""))
+    return 1 if faults or result.unsolved else 0
+
+
+def _sources(images: list[Path]) -> list[Path]:
+    """Files, those of folders in their place."""
+    files: list[Path] = []
+    for path in images:
+        found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
+        if not found:
+            raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
+        files += found
+    return files
+
+
+def _check(request: CalibrateRequest) -> None:
+    if request.fov_deg is not None and request.camera is not None:
+        raise InputError("--fov and --camera: give one of the two; a camera file holds its field of view")
+    if request.fov_deg is not None and not 0.5 <= request.fov_deg <= 120:
+        raise InputError(f"--fov: must be between 0.5 and 120 degrees, not {request.fov_deg:g}")
+    lookup("centroiders", centroiding.METHODS, request.centroider)  # a wrong name once, not for every image
+    epoch = request.epoch_jyear
+    if epoch is not None and not (math.isfinite(epoch) and _YEARS[0] <= epoch <= _YEARS[1]):
+        raise InputError(f"--epoch: must be a year such as 2026.2, from {_YEARS[0]:g} to {_YEARS[1]:g}; got {epoch:g}")
+    for path in (request.out, request.plot):
+        writable(path)
+    if request.plot is not None and request.plot.resolve() == request.out.resolve():
+        raise InputError(f"{request.out}: --out and --plot name the same file")
+
+
+def _field(path: Path, request: CalibrateRequest) -> StarField:
+    """Centroids of one image file."""
+    observer = None if request.epoch_jyear is None else Observer(request.epoch_jyear)
+    gain: float | None = None
+    saturation: float | None
+    if path.suffix.lower() in _FITS_SUFFIXES and _is_our_frame(path):
+        frame = read_fits(path)
+        image, saturation, gain = frame.image, frame.saturation_dn, frame.gain_e_per_dn
+        observer = frame.observer
+    else:
+        loaded = read_image(path)
+        image, saturation = loaded.image, loaded.saturation_dn
+    found = find_stars(
+        image,
+        detecting.METHODS["components"],
+        lookup("centroiders", centroiding.METHODS, request.centroider),
+        DetectionSettings(max_stars=_MOST_STARS),
+        CentroidSettings(),
+        Clock(),
+        saturation_dn=saturation,
+        gain_e_per_dn=gain,
+    )
+    if found.status is not None:
+        raise InputError(f"{path}: {found.reason}")
+    height, width = np.shape(image)
+    return StarField(path.name, found.xy, width, height, found.flux, found.variance_px2, observer)

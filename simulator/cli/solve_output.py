@@ -1,0 +1,117 @@
+"""What ``boresight solve`` tells and leaves behind: a line or a JSON object, a WCS file, a picture."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.fits import catalog_attitude
+from simulator.paths import write_atomically
+from startracker import explain as explaining
+from startracker.observer import Observer
+from startracker.solution import Solution
+from startracker.wcs import wcs_header
+
+__all__ = ["as_dict", "as_text", "write_picture", "write_wcs"]
+
+FloatArray = NDArray[np.float64]
+
+
+def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -> dict[str, Any]:
+    """Solution in plain values; `pixels` (N, 2) with their places."""
+    stars = solution.stars
+    return {
+        "status": str(solution.status),
+        "reason": solution.reason,
+        "ra_deg": solution.ra_deg,
+        "dec_deg": solution.dec_deg,
+        "roll_deg": solution.roll_deg,
+        "fov_deg": solution.fov_deg,
+        "quaternion": [float(v) for v in solution.attitude.quat] if solution.attitude else None,
+        "detected": len(solution.centroids),
+        "matched": solution.matched,
+        "rmse_arcsec": solution.rmse_arcsec,
+        "parity": solution.parity,
+        "stars": [
+            {
+                "x": float(xy[0]),
+                "y": float(xy[1]),
+                "catalog_id": int(number),
+                "name": str(name),
+                "v_mag": float(magnitude),
+                "residual_px": [float(residual[0]), float(residual[1])],
+            }
+            for xy, number, name, magnitude, residual in zip(
+                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, strict=True
+            )
+        ],
+        "pixels": [
+            {"x": float(x), "y": float(y), "ra_deg": _number(ra), "dec_deg": _number(dec)}
+            for (x, y), (ra, dec) in zip(pixels, _places(solution, pixels, observer), strict=True)
+        ],
+        "steps": [{"stage": step.stage, "text": step.text} for step in solution.steps],
+        "times_ms": {stage: round(float(value), 3) for stage, value in solution.times_ms.items()},
+    }
+
+
+def as_text(solution: Solution, pixels: FloatArray, observer: Observer | None, *, explain: bool) -> str:
+    """Solution in a line; a line more for each of `pixels` (N, 2), and the stages' account where asked for."""
+    lines = [_summary(solution)]
+    if solution.solved:
+        for (x, y), (ra, dec) in zip(pixels, _places(solution, pixels, observer), strict=True):
+            place = f"RA {ra:.5f}°  Dec {dec:+.5f}°" if np.isfinite(ra) else "beyond the lens model's reach"
+            lines.append(f"  pixel {x:g},{y:g}  {place}")
+    if explain:
+        lines.append(explaining.as_text(solution.steps))
+    return "\n".join(lines)
+
+
+def _summary(solution: Solution) -> str:
+    if not solution.solved:
+        return f"{solution.status}: {solution.reason}"
+    field = f"  field {solution.fov_deg:.3f}°" if solution.fov_deg else ""
+    rmse = f", residual {solution.rmse_arcsec:.1f}″ rms" if solution.rmse_arcsec is not None else ""
+    mirrored = ", mirrored" if solution.parity < 0 else ""
+    return (
+        f"solved  RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  "
+        f"({solution.matched} of {len(solution.centroids)} stars identified{rmse}{mirrored}; "
+        f"{solution.times_ms.get('total', 0.0):.0f} ms)"
+    )
+
+
+def _places(solution: Solution, pixels: FloatArray, observer: Observer | None) -> FloatArray:
+    """Right ascension and declination (N, 2), degrees; NaN where there is no solution."""
+    return solution.radec_of(pixels, observer) if solution.solved and len(pixels) else np.full((len(pixels), 2), np.nan)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None) -> None:
+    """The image with its world coordinates as FITS: what it holds can be laid over a chart as it is.
+
+    Nothing is written where the field is not solved. `InputError` where the lens has no WCS.
+    """
+    if solution.attitude is None or solution.camera is None:
+        return
+    from astropy.io import fits
+
+    unit = fits.PrimaryHDU(image)
+    unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer or Observer())))
+    buffer = io.BytesIO()
+    unit.writeto(buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def write_picture(
+    path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None, **options: Any
+) -> None:
+    """The annotated picture as PNG, of an unsolved field too; `options` are those of `startracker.annotate`."""
+    from startracker.annotate import annotated_png
+
+    write_atomically(path, annotated_png(image, solution, observer=observer, **options))

@@ -1,0 +1,125 @@
+"""Labels on a picture that keep clear of each other: each takes the first free place around its star, or none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Labels"]
+
+FloatArray = NDArray[np.float64]
+
+_DIRECTIONS = (
+    (1, 0.35),
+    (-1, 0.35),
+    (1, -0.35),
+    (-1, -0.35),
+    (0, 1),
+    (0, -1),
+    (0.8, 1),
+    (-0.8, 1),
+    (0.8, -1),
+    (-0.8, -1),
+)
+"""Where a label may stand about its star, the first choice first; y up."""
+_GAP = 2.0
+_BORDER = 20.0
+
+
+class Labels:
+    """Places taken on a picture, in points from the lower left corner of its axes.
+
+    Parameters
+    ----------
+    ax : Axes
+        With its limits set; they must not change afterwards.
+    """
+
+    def __init__(self, ax: Axes) -> None:
+        self.ax = ax
+        figure: Any = ax.figure
+        self.points = 72.0 / figure.dpi
+        box = ax.get_window_extent()
+        self.origin = np.array([box.x0, box.y0])
+        self.size = np.array([box.width, box.height]) * self.points
+        self.taken: list[tuple[float, float, float, float]] = []
+        self.renderer = figure.canvas.get_renderer()
+
+    def place(self, xy: FloatArray) -> FloatArray:
+        """Points of a pixel."""
+        return np.asarray((self.ax.transData.transform(xy) - self.origin) * self.points)
+
+    def occupy(self, xy: FloatArray, diameter: float) -> None:
+        """Keep labels off a mark of some points across."""
+        x, y = self.place(xy)
+        half = diameter / 2
+        self.taken.append((x - half, y - half, x + half, y + half))
+
+    def occupy_box(self, xy: FloatArray, half_x_px: float, half_y_px: float | None = None) -> None:
+        """Keep labels off a rectangle about a pixel, its half sides in pixels."""
+        half = np.array([half_x_px, half_x_px if half_y_px is None else half_y_px])
+        (x0, y1), (x1, y0) = self.place(xy - half), self.place(xy + half)
+        self.taken.append((float(x0), float(y0), float(x1), float(y1)))
+
+    def beside(self, xy: FloatArray, diameter: float, text: str, colour: str, size: float) -> bool:
+        """Write beside a mark where nothing is covered; False, and nothing, when there is no such place."""
+        artist, wide, high = self._measure(text, colour, size)
+        x, y = self.place(xy)
+        reach = diameter / 2 + _GAP
+        for side, up in _DIRECTIONS:
+            left = x + (reach * side if side > 0 else reach * side - wide if side < 0 else -wide / 2)
+            low = y - high / 2 + up * (reach + high / 2)
+            if self._put(artist, left, low, wide, high):
+                return True
+        artist.remove()
+        return False
+
+    def at_border(self, places: FloatArray, text: str, colour: str) -> bool:
+        """Write a line's value where the line meets the border, at the left or the lower side first."""
+        artist, wide, high = self._measure(text, colour, 6.5)
+        ends = [self.place(places[k]) for k in (0, -1)]
+        for x, y in sorted(ends, key=lambda end: float(min(end))):
+            if min(x, y, *(self.size - (x, y))) > _BORDER:  # the pole, where lines end
+                continue
+            left = min(max(x + _GAP, _GAP), self.size[0] - wide - _GAP)
+            low = min(max(y + _GAP, _GAP), self.size[1] - high - _GAP)
+            if self._put(artist, left, low, wide, high):
+                return True
+        artist.remove()
+        return False
+
+    def free(self, xy: FloatArray, text: str, colour: str, size: float) -> None:
+        """Write about a pixel, whatever is there."""
+        artist, wide, high = self._measure(text, colour, size)
+        x, y = self.place(xy)
+        self._move(artist, x - wide / 2, y - high / 2)
+
+    def _measure(self, text: str, colour: str, size: float) -> tuple[Any, float, float]:
+        from matplotlib.patheffects import withStroke
+
+        artist = self.ax.annotate(
+            text.replace("$", r"\$"), (0.0, 0.0), xycoords="axes points", color=colour, fontsize=size, zorder=5,
+            ha="left", va="bottom", path_effects=[withStroke(linewidth=1.6, foreground="black")],
+        )  # fmt: skip
+        box = artist.get_window_extent(self.renderer)
+        return artist, box.width * self.points, box.height * self.points
+
+    def _put(self, artist: Any, left: float, low: float, wide: float, high: float) -> bool:
+        box = (left, low, left + wide, low + high)
+        if box[0] < 0 or box[1] < 0 or box[2] > self.size[0] or box[3] > self.size[1]:
+            return False
+        if any(box[0] < x1 and x0 < box[2] and box[1] < y1 and y0 < box[3] for x0, y0, x1, y1 in self.taken):
+            return False
+        self.taken.append(box)
+        self._move(artist, left, low)
+        return True
+
+    @staticmethod
+    def _move(artist: Any, left: float, low: float) -> None:
+        artist.xy = (left, low)
+        artist.set_position((left, low))

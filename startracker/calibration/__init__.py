@@ -1,0 +1,9 @@
+"""Calibration: the camera's focal length, principal point and distortion from photographs of the sky."""
+
+from __future__ import annotations
+
+from startracker.calibration.calibrate import calibrate
+from startracker.calibration.field import StarField
+from startracker.calibration.result import CalibratedField, Calibration
+
+__all__ = ["CalibratedField", "Calibration", "StarField", "calibrate"]

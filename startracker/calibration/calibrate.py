@@ -1,0 +1,361 @@
+"""A camera from photographs of the sky: identify, match every star, fit all images together, keep what is significant.
+
+1. Each image is identified with the focal length free (`startracker.blind`).
+2. Camera and attitudes are fitted to the matched stars of all images (`startracker.lens_fit`). Which of principal
+   point, aspect, radial and tangential terms are kept is decided by the Bayesian information criterion (Schwarz 1978)
+   over all combinations: a term must lower χ² by more than ln(number of observations) for each coefficient.
+3. All catalogue stars are projected and matched anew within 3.7 robust standard errors; until nothing changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.attitude import Attitude
+from startracker.blind import solve_unknown_fov
+from startracker.calibration.field import SkyPart, StarField, pair_up, sky_part
+from startracker.calibration.result import CalibratedField, Calibration
+from startracker.camera import Camera
+from startracker.catalog import load_catalog
+from startracker.catalog.stars import StarCatalog
+from startracker.distortion import Distortion
+from startracker.errors import InputError
+from startracker.lens import PARAMETERS, only, plain
+from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
+from startracker.refine import REJECT_SIGMAS
+
+__all__ = ["calibrate"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
+_STATED_PX = 0.1
+"""Of centroids that come without an error; what matters is that they are alike."""
+_FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
+_MOST_MAG = 3.0
+_FEWEST = 8
+_VAGUE = 4.0
+"""A centroid whose stated error is this many times the image's median is a blend or no star: it is left out."""
+
+
+def calibrate(
+    fields: Sequence[StarField],
+    *,
+    camera: Camera | None = None,
+    fov_deg: float | None = None,
+    catalog: str | StarCatalog = "hipparcos",
+    projection: str = "auto",
+    refraction: bool = False,
+    parameters: Sequence[str] | None = None,
+) -> Calibration:
+    """The camera that took these images.
+
+    Parameters
+    ----------
+    fields : sequence of StarField
+        Centroids of one or several images by the same camera at the same focus and zoom.
+    camera : Camera, optional
+        What is known roughly: focal length to 5 %, projection, parity.
+    fov_deg : float, optional
+        Field across the width to 5 %, instead.
+    catalog : str or StarCatalog
+    projection : str
+        ``pinhole``, ``fisheye``, or ``auto``: that of `camera`; without one, the better of both for fields beyond 40°.
+    refraction : bool
+        Whether the images were taken through air: a stretch of each field is fitted along, which is no part of the
+        camera. Left out, a camera that always stands level has it in its aspect.
+    parameters : sequence of str, optional
+        What to fit, of `startracker.lens.PARAMETERS`, in place of the choice by significance; the focal length always
+        is.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        When there are no images, their sizes differ, none is identified, or stars are too few for a fit.
+    """
+    if not fields:
+        raise InputError("a calibration needs at least one image")
+    if projection not in ("auto", *PARAMETERS):
+        raise InputError(f"projection must be auto, {' or '.join(PARAMETERS)}; got {projection!r}")
+    width, height = fields[0].width, fields[0].height
+    for one in fields:
+        if (one.width, one.height) != (width, height):
+            raise InputError(
+                f"{one.name}: has {one.width}×{one.height} pixels, {fields[0].name} {width}×{height}: "
+                "images of one camera have one size"
+            )
+    if camera is not None and (camera.width, camera.height) != (width, height):
+        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the images {width}×{height}")
+    allowed = {name for names in PARAMETERS.values() for name in names}
+    if parameters is not None and (unknown := [name for name in parameters if name not in allowed]):
+        raise InputError(f"there is no parameter {unknown[0]!r} to fit; there are {', '.join(sorted(allowed))}")
+    table = load_catalog(catalog) if isinstance(catalog, str) else catalog
+    known, unsolved = _identify(fields, camera, fov_deg, catalog)
+    if not known:
+        first = next(iter(unsolved.items()))
+        raise InputError(f"no image could be identified; {first[0]}: {first[1]}")
+    kinds = _projections(projection, camera, known[0].camera)
+    best: _Bench | None = None
+    for kind in kinds:
+        bench = _Bench.begin(known, table, kind, refraction, parameters)
+        if bench is not None and (best is None or bench.score() < best.score()):
+            best = bench
+    if best is None:
+        count = sum(len(k.pairs) for k in known)
+        raise InputError(f"{count} stars in {len(known)} images are too few for a fit; give more images")
+    return best.answer(unsolved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """An identified image."""
+
+    field: StarField
+    camera: Camera
+    matrix: FloatArray
+    pairs: list[tuple[int, int]]  # row of the centroid, number in the catalogue
+
+
+def _identify(
+    fields: Sequence[StarField], camera: Camera | None, fov_deg: float | None, catalog: str | StarCatalog
+) -> tuple[list[_Known], dict[str, str]]:
+    known: list[_Known] = []
+    unsolved: dict[str, str] = {}
+    parity = None
+    rough = camera
+    for one in fields:
+        solution = solve_unknown_fov(
+            one.xy,
+            one.width,
+            one.height,
+            flux=one.flux,
+            fov_deg=None if rough is not None else fov_deg,
+            parity=parity,
+            camera=rough,
+            variance_px2=one.variance_px2,
+            catalog=catalog,
+            observer=one.observer,
+        )
+        if solution.attitude is None or solution.camera is None:
+            unsolved[one.name] = solution.reason
+            continue
+        row = {(float(x), float(y)): k for k, (x, y) in enumerate(one.xy)}
+        pairs = [
+            (row[float(x), float(y)], int(number))
+            for (x, y), number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True)
+        ]
+        known.append(_Known(one, solution.camera, solution.attitude.as_matrix(), pairs))
+        rough, parity = solution.camera, solution.camera.parity  # the same camera: it helps with the next image
+    return known, unsolved
+
+
+def _projections(projection: str, camera: Camera | None, fitted: Camera) -> tuple[str, ...]:
+    if projection != "auto":
+        return (projection,)
+    if camera is not None:
+        return ("pinhole",) if camera.projection == "pinhole" else ("fisheye",)
+    return ("pinhole", "fisheye") if fitted.fov_deg > 40.0 else ("pinhole",)
+
+
+@dataclass(eq=False)
+class _Bench:
+    """The state between the rounds of matching and fitting."""
+
+    known: list[_Known]
+    skies: list[SkyPart]
+    kind: str
+    refraction: bool
+    fixed: tuple[str, ...] | None
+    pairs: list[IntArray]
+    floor_px: float
+    rejected: list[int]
+    fit: JointFit
+
+    @classmethod
+    def begin(
+        cls, known: list[_Known], table: StarCatalog, kind: str, refraction: bool, wanted: Sequence[str] | None
+    ) -> _Bench | None:
+        """Match and fit from the identified stars until the pairs stay the same; None where no lens fits."""
+        skies = [sky_part(table, k.field.observer, k.matrix, k.camera) for k in known]
+        pairs = []
+        for one, sky in zip(known, skies, strict=True):
+            place = {int(number): j for j, number in enumerate(sky.catalog.id)}
+            pairs.append(np.array([(i, place[n]) for i, n in one.pairs if n in place], dtype=np.int64).reshape(-1, 2))
+        if sum(map(len, pairs)) < _FEWEST:
+            return None
+        focal = float(np.median([k.camera.fx for k in known]))
+        k1 = float(np.median([k.camera.distortion.k1 for k in known]))
+        # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to the third order
+        lens = Distortion(k1=k1 if kind == "pinhole" else k1 + 1.0 / 3.0)
+        start = replace(known[0].camera, fx=focal, fy=focal, distortion=lens, projection=kind)
+        fixed = None if wanted is None else tuple(n for n in PARAMETERS[kind] if n in {*wanted, "f"})
+        bench = cls(known, skies, kind, refraction, fixed, pairs, 0.0, [0] * len(known), _unfitted(start, known))
+        first = fit_jointly(start, [k.matrix for k in known], bench.matches(), ("f", "k1"))
+        if first is None:
+            return None
+        bench.fit = first
+        for round_ in range(12):
+            if not bench.refit():
+                return None
+            before = [set(map(tuple, p.tolist())) for p in bench.pairs]
+            bench.match(wide=round_ == 0)
+            if sum(map(len, bench.pairs)) < _FEWEST:
+                return None
+            if round_ and before == [set(map(tuple, p.tolist())) for p in bench.pairs]:
+                break
+        return bench if bench.refit() else None
+
+    def sigma(self, image: int) -> FloatArray:
+        """Standard error of each centroid on one axis, px, floor included."""
+        one = self.known[image].field
+        variance = np.full(len(one.xy), _STATED_PX**2) if one.variance_px2 is None else one.variance_px2
+        catalogue = (self.skies[image].catalog.position_sigma_rad / self.known[image].camera.pixel_rad) ** 2
+        return np.asarray(np.sqrt(variance + catalogue + self.floor_px**2))
+
+    def matches(self) -> list[Matches]:
+        """Stars of each image as the fit takes them."""
+        return [
+            Matches(k.field.xy[p[:, 0]], sky.directions[p[:, 1]], self.sigma(i)[p[:, 0]])
+            for i, (k, sky, p) in enumerate(zip(self.known, self.skies, self.pairs, strict=True))
+        ]
+
+    def refit(self) -> bool:
+        """Noise floor from the residuals, fit with everything, then with what is significant alone."""
+        self.floor_px = self._floor()
+        full = self._fit(self.fixed or PARAMETERS[self.kind])
+        if full is None or full.freedom < _FEWEST:
+            chosen = self._fit(("f", "k1"))
+        elif self.fixed:
+            chosen = full
+        else:
+            chosen = self._fit(significant(full))
+        if chosen is None:
+            return False
+        self.fit = chosen
+        return True
+
+    def _fit(self, names: tuple[str, ...]) -> JointFit | None:
+        start = only(self.fit.camera, names)
+        return fit_jointly(start, self.fit.matrices, self.matches(), names, with_refraction=self.refraction)
+
+    def _floor(self) -> float:
+        """Noise beside the centroids' own that makes the median of the normalised residuals what it should be."""
+        self.floor_px = 0.0
+        variance = np.concatenate([self.sigma(i)[p[:, 0]] ** 2 for i, p in enumerate(self.pairs)])
+        return noise_floor(np.concatenate(self._residuals()), variance, len(self.fit.covariance))
+
+    def _places(self, image: int) -> FloatArray:
+        """Pixels (K, 2) of the catalogue stars in the present fit; NaN outside the field."""
+        vectors = stretch(self.skies[image].directions @ self.fit.matrices[image].T, self.fit.stretches[image])
+        places = self.fit.camera.project(vectors)
+        places[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
+        return places
+
+    def _residuals(self) -> list[FloatArray]:
+        """Measured minus predicted of the present pairs."""
+        return [
+            k.field.xy[p[:, 0]] - self._places(i)[p[:, 1]]
+            for i, (k, p) in enumerate(zip(self.known, self.pairs, strict=True))
+        ]
+
+    def match(self, *, wide: bool) -> None:
+        """All catalogue stars against all centroids, as the present fit predicts them."""
+        normal = np.concatenate(
+            [
+                np.hypot(*(r / self.sigma(i)[p[:, 0], None]).T)
+                for i, (r, p) in enumerate(zip(self.fit.residuals, self.pairs, strict=True))
+            ]
+        )
+        scale = max(float(np.median(normal)) / _RAYLEIGH_MEDIAN, 1e-9)
+        for i, one in enumerate(self.known):
+            sky, places = self.skies[i], self._places(i)
+            gate = np.maximum(REJECT_SIGMAS * scale * self.sigma(i), _LEAST_GATE_PX)
+            widest = np.maximum(gate, _FIRST_GATE_PX * scale * np.median(self.sigma(i)) + 1.0)
+            sigma = self.sigma(i)
+            sure = sigma <= _VAGUE * np.median(sigma)
+            tried, other = pair_up(one.field.xy, one.field.flux, places, sky.catalog.v_mag, widest, _MOST_MAG)
+            if wide:
+                gate = widest
+            off = np.hypot(*(one.field.xy[tried[:, 0]] - places[tried[:, 1]]).T)
+            fits = (off <= gate[tried[:, 0]]) & sure[tried[:, 0]]
+            self.pairs[i] = tried[fits]
+            self.rejected[i] = int(np.sum(~fits)) + other
+
+    def score(self) -> float:
+        """Bayesian information criterion, for comparing projections on nearly the same stars: per observation."""
+        count = 2 * self.fit.stars
+        squares = sum(float(np.sum(r**2)) for r in self.fit.residuals)
+        return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
+
+    def answer(self, unsolved: dict[str, str]) -> Calibration:
+        """The result in its final form."""
+        fit, matches = self.fit, self.matches()
+        covariance = rescaled(fit, matches, with_refraction=self.refraction)
+        lens = len(fit.names)
+        fields = []
+        for i, (one, sky, pairs) in enumerate(zip(self.known, self.skies, self.pairs, strict=True)):
+            at = slice(lens + 3 * i, lens + 3 * i + 3)
+            fields.append(
+                CalibratedField(
+                    one.field.name,
+                    Attitude.from_matrix(fit.matrices[i]),
+                    covariance[at, at],
+                    one.field.xy[pairs[:, 0]],
+                    sky.catalog.id[pairs[:, 1]],
+                    sky.catalog.v_mag[pairs[:, 1]],
+                    fit.residuals[i],
+                    matches[i].sigma_px,
+                    self.rejected[i],
+                    len(one.field.xy),
+                    fit.stretches[i],
+                )
+            )
+        bare = fit_jointly(plain(fit.camera), fit.matrices, matches, ("f",))
+        epochs = [k.field.observer.epoch_jyear for k in self.known if k.field.observer is not None]
+        result = Calibration(
+            fit.camera,
+            fit.names,
+            covariance[:lens, :lens],
+            tuple(fields),
+            tuple(fit.residuals if bare is None else bare.residuals),
+            self.floor_px,
+            fit.chi2,
+            fit.freedom,
+            float(np.mean(epochs)) if epochs else self.skies[0].catalog.epoch_jyear,
+            unsolved,
+        )
+        return replace(result, notes=_notes(result))
+
+
+def _unfitted(camera: Camera, known: list[_Known]) -> JointFit:
+    images = len(known)
+    return JointFit(camera, [k.matrix for k in known], np.zeros((images, 2)), (), np.empty((0, 0)), math.inf, 0.0, [])
+
+
+def _notes(result: Calibration) -> tuple[str, ...]:
+    notes = []
+    if "cx" not in result.names:
+        notes.append(
+            "principal point held at the image's centre: its shift is not told from a turn of the camera by these stars"
+        )
+    else:
+        held = [n for n in result.held_by_prior() if n in ("cx", "cy")]
+        if held:
+            notes.append(f"{' and '.join(held)}: told by the prior (3 % of the width) more than by the stars")
+    stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
+    if any(stretches):
+        # κ tan²z / 2
+        zenith = [math.degrees(math.atan(math.sqrt(2.0 * s / (58.3 / 206_264.8)))) for s in stretches]
+        says = ", ".join(f"{90 - z:.0f}°" for z in zenith)
+        notes.append(f"differential refraction fitted and taken off; it is that of altitudes of about {says}")
+    return tuple(notes)

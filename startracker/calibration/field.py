@@ -1,0 +1,93 @@
+"""One image on its way through a calibration: its centroids, and the catalogue stars that it could show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.camera import Camera
+from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.stars import StarCatalog
+from startracker.identification.hypothesis import nearest_unique
+from startracker.observer import Observer, aberrate
+
+__all__ = ["SkyPart", "StarField", "pair_up", "sky_part"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_RESOLVED_PX = 2.0
+_MOTION_RAD = math.radians(0.1)
+
+
+@dataclass(frozen=True, eq=False)
+class StarField:
+    """Centroids of one image.
+
+    Parameters
+    ----------
+    name : str
+        As reports call it.
+    xy : (N, 2)
+        Pixels, brightest first.
+    width, height : int
+        Of the image.
+    flux : (N,), optional
+        Positive; any linear unit.
+    variance_px2 : (N,), optional
+        Of a centroid on one axis; None: all alike.
+    observer : Observer, optional
+        Epoch, velocity and position. Without it the stars stand as at the catalogue's epoch.
+    """
+
+    name: str
+    xy: FloatArray
+    width: int
+    height: int
+    flux: FloatArray | None = None
+    variance_px2: FloatArray | None = None
+    observer: Observer | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SkyPart:
+    """Catalogue stars in and around one field, doubles that the camera does not resolve made one."""
+
+    catalog: StarCatalog
+    directions: FloatArray
+
+
+def sky_part(catalog: StarCatalog, observer: Observer | None, matrix: FloatArray, camera: Camera) -> SkyPart:
+    """All stars of the catalogue within the field and a tenth around it, as the observer sees them."""
+    reach = min(1.1 * camera.half_diagonal_rad + _MOTION_RAD, math.pi)
+    axis = matrix[2]
+    near = np.flatnonzero(catalog.directions(catalog.epoch_jyear) @ axis >= math.cos(reach))
+    part = merge_doubles(catalog.select(near), min(_RESOLVED_PX * camera.pixel_rad, 0.01))
+    if observer is None:
+        return SkyPart(part, part.directions(part.epoch_jyear))
+    directions = part.directions(observer.epoch_jyear, observer.position_au)
+    if observer.velocity_km_s is not None:
+        directions = aberrate(directions, observer.velocity_km_s)
+    return SkyPart(part, directions)
+
+
+def pair_up(
+    xy: FloatArray, flux: FloatArray | None, places: FloatArray, v_mag: FloatArray, gate_px: FloatArray, most_mag: float
+) -> tuple[IntArray, int]:
+    """Pairs (M, 2) of centroid and nearest star within a gate, and how many differ too much in brightness.
+
+    A star more than `most_mag` off the median zero point of the field is another one: a faint star beside a planet, or
+    a hot pixel on a faint star's place.
+    """
+    visible = np.flatnonzero(np.isfinite(places).all(axis=1))
+    near, _ = nearest_unique(xy, places[visible], gate_px)
+    seen = np.flatnonzero(near >= 0)
+    pairs = np.stack([seen, visible[near[seen]]], axis=1)
+    if flux is None or len(pairs) < 5:
+        return pairs, 0
+    zero = -2.5 * np.log10(flux[pairs[:, 0]]) - v_mag[pairs[:, 1]]
+    like = np.abs(zero - np.median(zero)) <= most_mag
+    return pairs[like], int(np.sum(~like))

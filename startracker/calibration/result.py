@@ -1,0 +1,172 @@
+"""What a calibration hands on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.constants import ARCSEC_RAD
+from startracker.lens import prior_of
+
+__all__ = ["CalibratedField", "Calibration"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedField:
+    """One image of a calibration.
+
+    Parameters
+    ----------
+    name : str
+    attitude : Attitude
+        ICRS to camera.
+    covariance : (3, 3)
+        Of the rotation-vector error in camera axes, rad², the camera's errors marginalised.
+    xy : (M, 2)
+        Measured centroids, pixels.
+    catalog_id : int (M,)
+    v_mag : (M,)
+    residual_px : (M, 2)
+        Measured minus predicted.
+    sigma_px : (M,)
+        Standard error on one axis that the fit weighed with.
+    rejected : int
+        Centroids with a catalogue star in the widest gate that disagrees by more than 3.7 robust σ, or in brightness.
+    centroids : int
+        All centroids of the image.
+    refraction : (2,)
+        Fitted stretch (`startracker.lens_fit.stretch`); zero where not fitted.
+    """
+
+    name: str
+    attitude: Attitude
+    covariance: FloatArray
+    xy: FloatArray
+    catalog_id: NDArray[np.int64]
+    v_mag: FloatArray
+    residual_px: FloatArray
+    sigma_px: FloatArray
+    rejected: int
+    centroids: int
+    refraction: FloatArray
+
+    @property
+    def rms_px(self) -> float:
+        """√(mean(dx² + dy²)): both axes together, as tetra3 and its kin report."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera fitted to the stars of one or several images.
+
+    Parameters
+    ----------
+    camera : Camera
+    names : tuple of str
+        Fitted ones of `startracker.lens.PARAMETERS`; the others were not significant and stand at their plain values.
+    covariance : (P, P)
+        Of these, errors scaled with √(χ²/ν).
+    fields : tuple of CalibratedField
+    plain_residual_px : list of (M, 2)
+        What one focal length without distortion leaves of the same stars.
+    floor_px : float
+        Noise on one axis beyond the centroids' own errors that the residuals show (model, blends, air).
+    chi2, freedom : float, int
+        With that floor.
+    epoch_jyear : float
+        Of the stars' places.
+    unsolved : mapping of str to str
+        Images left out, and why.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    camera: Camera
+    names: tuple[str, ...]
+    covariance: FloatArray
+    fields: tuple[CalibratedField, ...]
+    plain_residual_px: tuple[FloatArray, ...]
+    floor_px: float
+    chi2: float
+    freedom: int
+    epoch_jyear: float
+    unsolved: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    WELL_MEASURED_PX: ClassVar[float] = 0.2
+
+    @property
+    def residual_px(self) -> FloatArray:
+        """Residuals of all images (M, 2)."""
+        return np.concatenate([f.residual_px for f in self.fields])
+
+    @property
+    def rms_px(self) -> float:
+        """√(mean(dx² + dy²)) of all stars, pixels."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
+
+    @property
+    def rms_arcsec(self) -> float:
+        """`rms_px` as an angle at the centre of the field."""
+        return self.rms_px * self.camera.pixel_rad / ARCSEC_RAD
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """Standard errors (M,) on one axis that the fit weighed with."""
+        return np.concatenate([f.sigma_px for f in self.fields])
+
+    @property
+    def weighted_rms_px(self) -> float:
+        """`rms_px` with each star weighed as in the fit: faint stars' noise does not hide what the camera does."""
+        weight = self.sigma_px**-2.0
+        return float(np.sqrt(np.sum(weight * np.sum(self.residual_px**2, axis=1)) / np.sum(weight)))
+
+    def well_measured(self) -> NDArray[np.bool_]:
+        """Stars (M,) whose own stated error is at most `WELL_MEASURED_PX`, whatever their residual."""
+        return np.asarray(self.sigma_px <= self.WELL_MEASURED_PX)
+
+    @property
+    def stars(self) -> int:
+        """Stars used, all images together."""
+        return sum(len(f.xy) for f in self.fields)
+
+    @property
+    def rejected(self) -> int:
+        """Stars rejected, all images together."""
+        return sum(f.rejected for f in self.fields)
+
+    def values(self) -> dict[str, tuple[float, float, str]]:
+        """Value, standard error and unit of each number of the camera file; the error is 0 where it was held."""
+        camera, names = self.camera, list(self.names)
+        table: dict[str, tuple[float, float, str]] = {}
+        stretch = np.zeros(len(names))
+        for name, sign in (("fx", -0.5), ("fy", 0.5)):
+            gradient = stretch.copy()
+            gradient[names.index("f")] = 1.0
+            if "aspect" in names:
+                gradient[names.index("aspect")] = sign
+            focal = getattr(camera, name)
+            table[name] = (focal, focal * math.sqrt(gradient @ self.covariance @ gradient), "px")
+        for name in ("cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"):
+            value = getattr(camera if name in ("cx", "cy") else camera.distortion, name)
+            if name in names:
+                k = names.index(name)
+                table[name] = (value, math.sqrt(self.covariance[k, k]), "px" if name[0] == "c" else "")
+            elif name in ("cx", "cy"):
+                table[name] = (value, 0.0, "px")
+        return table
+
+    def held_by_prior(self) -> list[str]:
+        """Fitted parameters that the stars tell less well than the prior does."""
+        variance = np.diag(self.covariance)
+        sigma = [prior_of(name, self.camera)[1] for name in self.names]
+        return [n for n, v, s in zip(self.names, variance, sigma, strict=True) if math.isfinite(s) and v > 0.5 * s * s]

@@ -1,0 +1,91 @@
+"""Which directions a camera sees: the image's outline about its centre, as a kernel can ask for it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.camera import Camera
+
+__all__ = ["FieldShape", "field_shape", "in_shape"]
+
+FloatArray = NDArray[np.float64]
+
+_AZIMUTHS = 720
+_STEPS_PER_SIDE = 200
+
+
+class FieldShape(NamedTuple):
+    """Outline of an image on the unit sphere, as its least cosine from the image's centre at each azimuth.
+
+    Good for outlines that every ray from the centre crosses once: every camera's whole image.
+
+    Parameters
+    ----------
+    axes : (3, 3)
+        Rows: two directions across, and the image's centre, in the camera frame.
+    least_cosine : (720,)
+        At azimuths from −π on, half a degree apart.
+    widest_cosine : float
+        The least of these.
+    """
+
+    axes: FloatArray
+    least_cosine: FloatArray
+    widest_cosine: float
+
+
+def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
+    """Outline of a camera's image grown by a margin; pixels that the lens model cannot undo are left out of it."""
+    low_x, high_x = -0.5 - margin_px, camera.width - 0.5 + margin_px
+    low_y, high_y = -0.5 - margin_px, camera.height - 0.5 + margin_px
+    along = np.linspace(0.0, 1.0, _STEPS_PER_SIDE, endpoint=False)
+    x = np.concatenate([low_x + along * (high_x - low_x), np.full(len(along), high_x)])
+    y = np.concatenate([np.full(len(along), low_y), low_y + along * (high_y - low_y)])
+    rim = np.concatenate([np.stack([x, y], 1), np.stack([low_x + high_x - x, low_y + high_y - y], 1)])
+    middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
+    centre = camera.unproject(middle)[0]
+    if not np.isfinite(centre).all():
+        centre = np.array([0.0, 0.0, 1.0])
+    across = np.cross([0.0, 1.0, 0.0] if abs(centre[1]) < 0.9 else [1.0, 0.0, 0.0], centre)
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(centre, across), centre])
+    seen = _outermost(camera, middle[0], rim) @ axes.T
+    azimuth = np.arctan2(seen[:, 1], seen[:, 0])
+    order = np.argsort(azimuth)
+    table = -math.pi + 2.0 * math.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
+    least = np.interp(table, azimuth[order], seen[order, 2], period=2.0 * math.pi)
+    return FieldShape(axes, least, float(least.min()))
+
+
+def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArray:
+    """Directions (N, 3) of the rim's points, or of the outermost on the way there that has a direction."""
+    vectors = camera.unproject(rim)
+    for share in np.linspace(0.98, 0.02, 49):
+        lost = ~np.isfinite(vectors).all(axis=1)
+        if not lost.any():
+            break
+        vectors[lost] = camera.unproject(middle + share * (rim[lost] - middle))
+    return vectors[np.isfinite(vectors).all(axis=1)]
+
+
+@njit(cache=True, error_model="numpy")
+def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
+    """Whether a unit vector of the camera frame is on the image."""
+    axes = shape.axes
+    cosine = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    if cosine < shape.widest_cosine:
+        return False
+    across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    down = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    place = (math.atan2(down, across) + math.pi) * (len(shape.least_cosine) / (2.0 * math.pi))
+    low = int(place)
+    share = place - low
+    size = len(shape.least_cosine)
+    least = (1.0 - share) * shape.least_cosine[low % size] + share * shape.least_cosine[(low + 1) % size]
+    inside: bool = cosine >= least
+    return inside

@@ -1,0 +1,36 @@
+"""What kernels see of the sky: the guide stars as arrays, and the camera's field."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.field_shape import FieldShape
+from startracker.catalog.voxels import VoxelGrid
+
+__all__ = ["SkyView"]
+
+FloatArray = NDArray[np.float64]
+
+
+class SkyView(NamedTuple):
+    """Guide stars and the camera's field, as kernels take them.
+
+    Parameters
+    ----------
+    directions : (G, 3)
+        Unit vectors, brightest first.
+    v_mag : (G,)
+    grid : VoxelGrid
+    shape : FieldShape
+    area : float
+        Of the image, sr.
+    """
+
+    directions: FloatArray
+    v_mag: FloatArray
+    grid: VoxelGrid
+    shape: FieldShape
+    area: float

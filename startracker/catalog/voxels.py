@@ -1,0 +1,103 @@
+"""Finding stars by direction without trigonometry: a grid of cubes around the unit sphere.
+
+A star's cube follows from its unit vector by three divisions; what lies within a chord of a direction lies in the
+cubes that a box of that half side touches. Kernels take the grid as plain arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["VoxelGrid", "star_within", "stars_in_cone", "voxel_grid"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_STARS_PER_CUBE = 2.0
+_MOST_CUBES_PER_AXIS = 96
+DRIFT = 2e-4
+"""What aberration (26″) and two decades of proper motion move a star after the grid was made, at most, bar a few."""
+
+
+class VoxelGrid(NamedTuple):
+    """Stars sorted into cubes.
+
+    Parameters
+    ----------
+    per_axis : int
+        Cubes along each axis of the box from −1 to 1.
+    start : int32 (per_axis³ + 1,)
+        Where each cube's stars begin in `members`.
+    members : int32 (N,)
+        Stars, cube by cube, ascending within one.
+    """
+
+    per_axis: int
+    start: NDArray[np.int32]
+    members: NDArray[np.int32]
+
+
+def voxel_grid(directions: FloatArray) -> VoxelGrid:
+    """Grid of unit vectors (N, 3), some two stars to a cube that the sphere passes through."""
+    side = math.sqrt(4.0 * math.pi * _STARS_PER_CUBE / max(len(directions), 1))
+    per_axis = min(max(int(2.0 / side), 1), _MOST_CUBES_PER_AXIS)
+    cell = np.clip(((directions + 1.0) * (0.5 * per_axis)).astype(np.int64), 0, per_axis - 1)
+    number = (cell[:, 0] * per_axis + cell[:, 1]) * per_axis + cell[:, 2]
+    members = np.argsort(number, kind="stable")
+    start = np.zeros(per_axis**3 + 1, np.int32)
+    start[1:] = np.cumsum(np.bincount(number, minlength=per_axis**3))
+    return VoxelGrid(per_axis, start, members.astype(np.int32))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
+    low = int((centre - reach + 1.0) * (0.5 * per_axis))
+    high = int((centre + reach + 1.0) * (0.5 * per_axis))
+    return min(max(low, 0), per_axis - 1), min(max(high, 0), per_axis - 1)
+
+
+@njit(cache=True, error_model="numpy")
+def star_within(x: float, y: float, z: float, chord2: float, directions: FloatArray, grid: VoxelGrid) -> bool:
+    """Whether a star is within √`chord2` of the unit vector (x, y, z)."""
+    reach = math.sqrt(chord2) + DRIFT
+    x0, x1 = _cell_range(x, reach, grid.per_axis)
+    y0, y1 = _cell_range(y, reach, grid.per_axis)
+    z0, z1 = _cell_range(z, reach, grid.per_axis)
+    for i in range(x0, x1 + 1):
+        for j in range(y0, y1 + 1):
+            row = (i * grid.per_axis + j) * grid.per_axis
+            for m in range(grid.start[row + z0], grid.start[row + z1 + 1]):
+                star = grid.members[m]
+                dx, dy, dz = directions[star, 0] - x, directions[star, 1] - y, directions[star, 2] - z
+                if dx * dx + dy * dy + dz * dz <= chord2:
+                    return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def stars_in_cone(
+    x: float, y: float, z: float, cosine: float, directions: FloatArray, grid: VoxelGrid
+) -> NDArray[np.int32]:
+    """Stars whose angle to the unit vector (x, y, z) has at least this cosine, in the grid's order."""
+    reach = math.sqrt(max(2.0 - 2.0 * cosine, 0.0)) + DRIFT
+    x0, x1 = _cell_range(x, reach, grid.per_axis)
+    y0, y1 = _cell_range(y, reach, grid.per_axis)
+    z0, z1 = _cell_range(z, reach, grid.per_axis)
+    out = np.empty(64, np.int32)
+    count = 0
+    for i in range(x0, x1 + 1):
+        for j in range(y0, y1 + 1):
+            row = (i * grid.per_axis + j) * grid.per_axis
+            for m in range(grid.start[row + z0], grid.start[row + z1 + 1]):
+                star = grid.members[m]
+                if directions[star, 0] * x + directions[star, 1] * y + directions[star, 2] * z >= cosine:
+                    if count == len(out):
+                        out = np.concatenate((out, np.empty_like(out)))
+                    out[count] = star
+                    count += 1
+    return out[:count]

@@ -1,0 +1,214 @@
+"""The star image of a camera, from the stars of its frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from startracker.centroid.moments import Prepared, measure_moments, prepare
+from startracker.centroid.psf_kernel import fit_stars
+from startracker.centroid.psf_model import PsfModel
+from startracker.centroid.psf_shape import frame_psf
+from startracker.detection.background import Background
+from startracker.detection.spots import Spots
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings
+
+__all__ = ["build_effective_psf"]
+
+FloatArray = NDArray[np.float64]
+
+_KNOTS_A_PIXEL = 2
+_OVERSAMPLING = 8
+_ROUNDS = 12
+_CONVERGED = 1e-3
+"""Largest change of the image in a round, as a share of its peak."""
+_LEAST_STARS = 8
+_MARGIN_PX = 3.0
+_ROUGHNESS = 1e-3
+"""Weight of the third differences, relative to the mean weight of the data; more smooths the image itself."""
+_CLIP_SIGMA = 5.0
+_CONDITION = 1e3
+_DEGREE = 3
+
+
+class _Basis:
+    """Cubic B-splines with half-pixel knots, integrated over pixels, along one axis."""
+
+    def __init__(self, radius_px: float) -> None:
+        half = math.ceil(radius_px * _KNOTS_A_PIXEL)
+        knots = np.arange(-half - _DEGREE, half + _DEGREE + 1) / _KNOTS_A_PIXEL
+        self.count = len(knots) - _DEGREE - 1
+        self.radius_px = half / _KNOTS_A_PIXEL
+        self._integral = BSpline(knots, np.eye(self.count), _DEGREE, extrapolate=False).antiderivative()
+        self._low, self._high = knots[_DEGREE], knots[-_DEGREE - 1]
+
+    def __call__(self, distance: FloatArray) -> FloatArray:
+        """Integrals over the pixel at each distance from the star, (…, count); the image ends at the radius."""
+        upper = np.clip(distance + 0.5, self._low, self._high)
+        lower = np.clip(distance - 0.5, self._low, self._high)
+        return np.asarray(self._integral(upper) - self._integral(lower))
+
+
+def build_effective_psf(
+    frames: Sequence[tuple[NDArray[np.float32], Background, Spots]],
+    *,
+    radius_px: float = 5.0,
+    gain_e_per_dn: float | None = None,
+    most_stars: int = 400,
+) -> PsfModel:
+    """The star image of a camera, measured from stars of one or more of its frames.
+
+    After Anderson & King (2000): the effective point-spread function and the stars' positions and fluxes are improved
+    in turn from the same pixels. Here the image is a spline and both are found by one weighted least-squares
+    adjustment, so that there is neither a grid to bin samples into nor a smoothing kernel to choose.
+
+    Parameters
+    ----------
+    frames : sequence of (image, background, spots)
+        Some tens of clean stars in all at least, at all sub-pixel phases; a hundred or more are better. Saturated
+        stars, those at the border, and those with a neighbour within twice the radius are left out.
+    radius_px : float
+        Where the image ends; light further out is not missed by the fits, whose windows are smaller.
+    gain_e_per_dn : float, optional
+        As for the centroiders.
+    most_stars : int
+        The brightest are taken.
+
+    Returns
+    -------
+    PsfModel
+        Normalised to the light within the radius; its centre is that of the Gaussian that fits it best.
+
+    Raises
+    ------
+    InputError
+        Fewer than eight usable stars; a radius below 2 or above 20 pixels.
+
+    Notes
+    -----
+    p(u, v) = Σ c_jk B_j(u) B_k(v), B a cubic spline of half-pixel knots already integrated over the pixel: what is
+    sought is the optical image, which the pixels only sample. The stars' x, y and ln F are eliminated from each star's
+    equations (their columns are projected out), which makes it a Gauss-Newton step in image and positions together.
+    Alternation alone hardly moves in the direction in which a shift of every star by some function of its phase is
+    made up for by the image, the way in which the phase errors of the first centroids imprint on the image. A small
+    weight against the third differences of c holds what the data leave open. Scale and centre are fixed by two further
+    conditions. Stars of χ² beyond five standard deviations of the others' are dropped.
+    """
+    if not 2.0 <= radius_px <= 20.0:
+        raise InputError(f"the radius of a star image is {radius_px}; it must be from 2 to 20 pixels")
+    half = math.floor(radius_px - 0.5)
+    prepared, chosen, models = [], [], []
+    for number, (image, background, spots) in enumerate(frames):
+        frame = prepare(image, background, CentroidSettings(), gain_e_per_dn)
+        prepared.append(frame)
+        if not len(spots):
+            continue
+        moments, sigmas = measure_moments(frame, spots)
+        height, width = frame.image.shape
+        at = np.where(np.isfinite(moments[:, :2]), moments[:, :2], np.stack([spots.x_peak, spots.y_peak], axis=1))
+        near = (np.abs(at[:, None] - at[None, :]).max(axis=2) < 2 * radius_px).sum(axis=1) > 1
+        inside = (at > half + 1).all(axis=1) & (at < [width - half - 2, height - half - 2]).all(axis=1)
+        good = np.flatnonzero(~spots.saturated & ~spots.edge & ~near & inside & np.isfinite(moments).all(axis=1))
+        chosen += [(moments[s, 2], number, at[s, 0], at[s, 1]) for s in good]
+        models.append((len(good), number, frame_psf(frame, spots, at, sigmas, radius_px + _MARGIN_PX)))
+    if len(chosen) < _LEAST_STARS:
+        raise InputError(
+            f"{len(chosen)} stars stand alone, unsaturated and off the border; a star image needs {_LEAST_STARS}"
+        )
+    chosen.sort(reverse=True)
+    stars = np.array(chosen[:most_stars])
+    psf = max(models, key=lambda entry: entry[0])[2]
+    basis = _Basis(radius_px)
+    grid = np.arange(
+        -math.ceil((radius_px + 0.5) * _OVERSAMPLING) - 2, math.ceil((radius_px + 0.5) * _OVERSAMPLING) + 3
+    )
+    on_grid = basis(grid / _OVERSAMPLING)
+    shape = psf.shape
+    # the Gaussian in the basis
+    inverse = np.linalg.pinv(on_grid)
+    start = psf.shares(grid / _OVERSAMPLING, (grid / _OVERSAMPLING)[:, None])
+    coefficients = inverse @ start @ inverse.T
+    for _ in range(_ROUNDS):
+        psf = _as_model(on_grid @ coefficients @ on_grid.T, shape)
+        fits = np.full((len(stars), 8), np.nan)
+        for number, frame in enumerate(prepared):
+            rows = np.flatnonzero(stars[:, 1] == number)
+            fits[rows] = fit_stars(
+                frame.image, frame.level, frame.noise, psf.table, psf.oversampling, np.arange(len(rows)),
+                stars[rows, 2].copy(), stars[rows, 3].copy(), np.full(len(rows), half), np.full(len(rows), np.inf),
+                frame.inverse_gain, 0.0, True,
+            )  # fmt: skip
+        misfit = fits[:, 6] / fits[:, 7]
+        usual = np.nanmedian(misfit)
+        spread = 1.4826 * np.nanmedian(np.abs(misfit - usual)) + np.sqrt(2.0 / np.nanmedian(fits[:, 7]))
+        good = np.flatnonzero(misfit < usual + _CLIP_SIGMA * spread)
+        before = coefficients
+        coefficients = _adjust(coefficients, basis, prepared, stars[good], fits[good], half, shape)
+        if np.abs(on_grid @ (coefficients - before) @ on_grid.T).max() < _CONVERGED * psf.table.max():
+            break
+    return _as_model(on_grid @ coefficients @ on_grid.T, shape)
+
+
+def _as_model(table: FloatArray, shape: tuple[float, float, float]) -> PsfModel:
+    return PsfModel(np.ascontiguousarray(table / (table.sum() / _OVERSAMPLING**2)), _OVERSAMPLING, shape)
+
+
+def _adjust(
+    coefficients: FloatArray,
+    basis: _Basis,
+    prepared: Sequence[Prepared],
+    stars: FloatArray,
+    fits: FloatArray,
+    half: int,
+    shape: tuple[float, float, float],
+) -> FloatArray:
+    """Coefficients after one Gauss-Newton step in image, positions and fluxes."""
+    count = basis.count
+    normal, right = np.zeros((count**2, count**2)), np.zeros(count**2)
+    k = np.arange(-half, half + 1)
+    h = 1e-3
+    for star, fit in zip(stars, fits, strict=True):
+        frame = prepared[int(star[1])]
+        cx, cy = round(star[2]), round(star[3])
+        cut = slice(cy - half, cy + half + 1), slice(cx - half, cx + half + 1)
+        x, y, flux = fit[0] - cx, fit[1] - cy, fit[2]
+        along_x, along_y = basis(k - x), basis(k - y)
+        by_x = (basis(k - x - h) - basis(k - x + h)) / (2 * h)
+        by_y = (basis(k - y - h) - basis(k - y + h)) / (2 * h)
+        p = along_y @ coefficients @ along_x.T
+        model = flux * p
+        data = frame.image[cut].astype(float) - frame.level[cut]
+        variance = frame.noise[cut].astype(float) ** 2 + np.maximum(model, 0) * frame.inverse_gain
+        weight = np.where(np.isfinite(data), 1.0 / np.sqrt(variance), 0.0).ravel()
+        data = np.where(np.isfinite(data), data, 0.0)
+        nuisance = [along_y @ coefficients @ by_x.T, by_y @ coefficients @ along_x.T, p]
+        own, _ = np.linalg.qr(np.stack([column.ravel() for column in nuisance], axis=1) * weight[:, None])
+        rows = np.einsum("aj,bk->abjk", along_y, along_x).reshape(len(weight), count**2) * (flux * weight)[:, None]
+        residual = (data - model).ravel() * weight
+        rows -= own @ (own.T @ rows)
+        residual -= own @ (own.T @ residual)
+        normal += rows.T @ rows
+        right += rows.T @ residual
+    scale = np.trace(normal) / count**2
+    third = np.diff(np.eye(count), 3, axis=0)
+    rough = third.T @ third
+    penalty = _ROUGHNESS * scale * (np.kron(rough, np.eye(count)) + np.kron(np.eye(count), rough))
+    normal += penalty
+    right -= penalty @ coefficients.ravel()
+    # scale: all light; centre: no moment under the Gaussian nearest the core
+    xx, yy, xy = shape
+    at = np.linspace(-basis.radius_px, basis.radius_px, 12 * count + 1)
+    values = basis(at)
+    dx, dy = at, at[:, None]
+    gauss = np.exp(-0.5 * (yy * dx**2 + xx * dy**2 - 2 * xy * dx * dy) / (xx * yy - xy**2))
+    for kernel, free in ((np.ones_like(gauss), 0.0), (gauss * dx, 1.0), (gauss * dy, 1.0)):
+        row = (values.T @ kernel @ values).ravel()
+        row /= np.linalg.norm(row)
+        normal += _CONDITION * scale * np.outer(row, row)
+        right -= _CONDITION * scale * row * free * (row @ coefficients.ravel())
+    return np.asarray(coefficients + np.linalg.solve(normal, right).reshape(count, count))

@@ -1,0 +1,205 @@
+"""Centroiders that fit or weigh with the image of a star: weighted moment, least squares, maximum likelihood."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.centroid.moments import Prepared, collect, measure_moments, prepare
+from startracker.centroid.psf_kernel import fit_stars, group_stars, weighted_moments
+from startracker.centroid.psf_model import PsfModel, load_psf
+from startracker.centroid.psf_shape import frame_psf
+from startracker.centroid.result import Centroids
+from startracker.detection.background import Background
+from startracker.detection.spots import Spots
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings
+
+__all__ = ["least_squares", "maximum_likelihood", "weighted_moment"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_LARGEST_HALF_PX = 8
+_WIDTHS = 2.5
+"""Half width of the window in σ of the star image."""
+_CEILING_SHARE = 0.9
+"""Of a saturated star's highest signal: pixels above it may be saturated, each having its own full well."""
+_FLAT_TOP_ERROR_PX = 0.015
+_MISFIT_SIGMA = 4.0
+
+
+def weighted_moment(
+    image: NDArray[np.float32],
+    background: Background,
+    spots: Spots,
+    settings: CentroidSettings | None = None,
+    gain_e_per_dn: float | None = None,
+) -> Centroids:
+    """Centroids by the first moment under a Gaussian weight that follows the star (Bertin & Arnouts' XWIN).
+
+    The weight has the widths and the orientation of the star image, so that for faint stars nothing is lost against
+    a fit, and the far pixels of the window bring no noise. The moment that the star image itself shows at the position
+    found is taken off (``bias_correction``), bad pixels and borders included.
+
+    Parameters, errors raised and result are those of `startracker.centroid.first_moment`; pixels that are not finite
+    are left out of the sums. A star for which the iteration fails, or whose image is saturated, gets its
+    `first_moment`.
+    """
+    frame = prepare(image, background, settings, gain_e_per_dn)
+    if not len(spots):
+        return Centroids.none()
+    moments, sigmas = measure_moments(frame, spots)
+    psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
+    table = weighted_moments(
+        frame.image,
+        frame.level,
+        frame.noise,
+        psf.table,
+        psf.oversampling,
+        np.array(psf.shape),
+        start[:, 0].copy(),
+        start[:, 1].copy(),
+        halves,
+        ceilings,
+        frame.inverse_gain,
+        frame.settings.bias_correction,
+    )
+    failed = ~np.isfinite(table).all(axis=1) | spots.saturated
+    table[failed] = moments[failed]
+    return collect(table, _widths(psf), spots, max(frame.half, math.ceil(psf.sigma_px)))
+
+
+def least_squares(
+    image: NDArray[np.float32],
+    background: Background,
+    spots: Spots,
+    settings: CentroidSettings | None = None,
+    gain_e_per_dn: float | None = None,
+) -> Centroids:
+    """Centroids by a weighted least-squares fit of the star image, Gauss-Newton in x, y and flux.
+
+    Minimises Σ (d − F p)² / v; v = noise² + F₀ p₀ / gain stays that of the third step, so that no pixel's noise
+    draws weight to itself. Everything else is as `maximum_likelihood` has it.
+    """
+    return _fit(image, background, spots, settings, gain_e_per_dn, reweigh=False)
+
+
+def maximum_likelihood(
+    image: NDArray[np.float32],
+    background: Background,
+    spots: Spots,
+    settings: CentroidSettings | None = None,
+    gain_e_per_dn: float | None = None,
+) -> Centroids:
+    """Centroids of greatest likelihood under Poisson and Gaussian noise, by Fisher scoring in x, y and flux.
+
+    A pixel's electrons plus its background variance are taken for Poisson-distributed (Snyder, Hammoud & White 1993):
+    the score is Σ ∂μ (d − μ) / v(μ) and the Fisher matrix Σ ∂μ ∂μᵀ / v(μ), with μ = F p and v = noise² + μ / gain +
+    (flat-field error × μ)². Its inverse, flux and neighbours marginalised, is the covariance, which thereby is the
+    Cramér–Rao bound (Winick 1986) of the image assumed.
+
+    The star image is the setting ``psf``, or is measured from the frame (`startracker.centroid.psf_shape`). Stars whose
+    windows overlap are fitted together, up to eight. Pixels that are not finite are left out, and so are those of a
+    saturated star within a tenth of its highest. Windows reach 2½ σ, at least ``window_px``.
+
+    The covariance further has the 0.005 px floor; χ² per degree of freedom times over where that is more than
+    four standard deviations above one (an image that is not as assumed); 0.015 px for a saturated star. A
+    star that cannot be fitted gets its `first_moment`.
+
+    Parameters
+    ----------
+    image, background, spots, settings, gain_e_per_dn
+        As for `startracker.centroid.first_moment`.
+
+    Returns
+    -------
+    Centroids
+        Brightest first.
+
+    Raises
+    ------
+    InputError
+        As for `startracker.centroid.first_moment`; a star image that cannot be read; a negative flat-field error.
+    """
+    return _fit(image, background, spots, settings, gain_e_per_dn, reweigh=True)
+
+
+def _fit(
+    image: NDArray[np.float32],
+    background: Background,
+    spots: Spots,
+    settings: CentroidSettings | None,
+    gain_e_per_dn: float | None,
+    *,
+    reweigh: bool,
+) -> Centroids:
+    frame = prepare(image, background, settings, gain_e_per_dn)
+    if not len(spots):
+        return Centroids.none()
+    moments, sigmas = measure_moments(frame, spots)
+    psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
+    x, y = start[:, 0].copy(), start[:, 1].copy()
+    group = group_stars(x, y, (halves + math.ceil(_WIDTHS * psf.sigma_px)).astype(float))
+    fits = fit_stars(
+        frame.image,
+        frame.level,
+        frame.noise,
+        psf.table,
+        psf.oversampling,
+        group,
+        x,
+        y,
+        halves,
+        ceilings,
+        frame.inverse_gain,
+        frame.settings.flat_field_error,
+        reweigh,
+    )
+    misfit = fits[:, 6] / fits[:, 7]
+    inflation = np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)
+    table = fits[:, :6].copy()
+    table[:, 3:] *= inflation[:, None]
+    table[spots.saturated, 3:5] += _FLAT_TOP_ERROR_PX**2
+    failed = ~np.isfinite(table).all(axis=1)
+    table[failed] = moments[failed]
+    # a star measured by its moment counts as apart from its group
+    group[failed] = len(spots) + np.flatnonzero(failed)
+    return collect(table, _widths(psf), spots, frame.half, group)
+
+
+def _start(
+    frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]
+) -> tuple[PsfModel, FloatArray, IntArray, FloatArray]:
+    """Star image, approximate positions (N, 2), half widths of windows (N,), ceilings (N,) in DN."""
+    if not 0.0 <= frame.settings.flat_field_error < 1.0:
+        raise InputError(
+            f"centroid.flat_field_error is {frame.settings.flat_field_error}; it must be from 0 to below 1"
+        )
+    peaks = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
+    start = np.where(np.isfinite(moments[:, :1]), moments[:, :2], peaks)
+    # a moment that neighbours have drawn off is no start
+    astray = (np.abs(start - peaks).max(axis=1) > 1.5) & ~spots.saturated
+    start[astray] = peaks[astray]
+    flat = np.where(spots.saturated, np.ceil(np.sqrt(spots.pixels / math.pi)), 0).astype(np.int64)
+    if frame.settings.psf is None:
+        # as wide as the windows will be; an image longer than the moments took it for is cut off, not wrong
+        wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(flat.max()) + 3.0
+        psf = frame_psf(frame, spots, start, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
+    else:
+        psf = load_psf(frame.settings.psf)
+    # the pixel at the corner of a window whose star has moved by one pixel must lie in the table
+    reach = min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
+    half = min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), reach)
+    halves = np.minimum(half + flat, reach)
+    ceilings = np.full(len(spots), np.inf)
+    level = frame.level[spots.y_peak, spots.x_peak].astype(float)
+    top = frame.image[spots.y_peak, spots.x_peak].astype(float)
+    ceilings[spots.saturated] = (level + _CEILING_SHARE * (top - level))[spots.saturated]
+    return psf, start, halves, ceilings
+
+
+def _widths(psf: PsfModel) -> tuple[float, float]:
+    return math.sqrt(psf.shape[0]), math.sqrt(psf.shape[1])

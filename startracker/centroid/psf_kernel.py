@@ -1,0 +1,366 @@
+"""Kernels of the centroiders that know the star image: its interpolation, the joint fit of neighbours."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
+
+FloatImage = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+FITTED = 8
+"""Columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom."""
+MOST_TOGETHER = 8
+"""Stars fitted jointly at most."""
+
+_ITERATIONS = 25
+_LONGEST_STEP_PX = 0.5
+_CONVERGED_PX = 2e-4
+"""Of the last step; the steps shrink tenfold and more, so that the next would be below 2e-5."""
+_ACCEPTED_PX = 1e-3
+_WEIGHINGS = 3
+_LARGEST_GROWTH = 2.0
+
+
+@njit(cache=True, error_model="numpy")
+def _share(table: FloatArray, oversampling: int, dx: float, dy: float) -> tuple[float, float, float]:
+    """Light in the pixel at (dx, dy) from the star, and its derivatives by dx and dy: bicubic (Keys 1981, a = −½).
+
+    Zero outside the table.
+    """
+    size = table.shape[0]
+    middle = (size - 1) // 2
+    column, row = dx * oversampling + middle, dy * oversampling + middle
+    i, j = math.floor(column), math.floor(row)
+    if i < 1 or j < 1 or i > size - 3 or j > size - 3:
+        return 0.0, 0.0, 0.0
+    t, u = column - i, row - j
+    a0, a1 = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
+    a2, a3 = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
+    d0, d1 = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
+    d2, d3 = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
+    b = (((-0.5 * u + 1.0) * u - 0.5) * u, (1.5 * u - 2.5) * u * u + 1.0,
+         ((-1.5 * u + 2.0) * u + 0.5) * u, (0.5 * u - 0.5) * u * u)  # fmt: skip
+    e = ((-1.5 * u + 2.0) * u - 0.5, (4.5 * u - 5.0) * u, (-4.5 * u + 4.0) * u + 0.5, (1.5 * u - 1.0) * u)
+    value, by_x, by_y = 0.0, 0.0, 0.0
+    for k in range(4):
+        line = table[j - 1 + k]
+        p0, p1, p2, p3 = line[i - 1], line[i], line[i + 1], line[i + 2]
+        across = a0 * p0 + a1 * p1 + a2 * p2 + a3 * p3
+        value += b[k] * across
+        by_x += b[k] * (d0 * p0 + d1 * p1 + d2 * p2 + d3 * p3)
+        by_y += e[k] * across
+    return value, by_x * oversampling, by_y * oversampling
+
+
+@njit(cache=True, error_model="numpy")
+def _factorise(matrix: FloatArray, size: int) -> bool:
+    """Cholesky's factor in place; False when the matrix is not positive definite."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 1e-14 * matrix[i, i]:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
+    """Solution of L Lᵀ z = right, in place."""
+    for i in range(size):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= factor[k, i] * right[k]
+        right[i] /= factor[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
+    """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
+
+    A chain of more than `MOST_TOGETHER` is cut.
+    """
+    n = len(x)
+    group = np.arange(n)
+    members = np.ones(n, np.int64)
+    for i in range(n):
+        for j in range(i):
+            near = max(reach[i], reach[j])
+            if abs(x[i] - x[j]) <= near and abs(y[i] - y[j]) <= near and group[i] != group[j]:
+                keep, drop = group[j], group[i]
+                if members[keep] + members[drop] <= MOST_TOGETHER:
+                    members[keep] += members[drop]
+                    for k in range(n):
+                        if group[k] == drop:
+                            group[k] = keep
+    return group
+
+
+@njit(cache=True, error_model="numpy")
+def _initial_flux(image, level, noise, table, oversampling, x, y, half, ceiling):  # type: ignore[no-untyped-def]
+    """Σ p d / Σ p² over the usable pixels of a star's window."""
+    above, below = 0.0, 0.0
+    cx, cy = round(x), round(y)
+    for j in range(max(cy - half, 0), min(cy + half + 1, image.shape[0])):
+        for i in range(max(cx - half, 0), min(cx + half + 1, image.shape[1])):
+            value = np.float64(image[j, i])
+            if math.isfinite(value) and value < ceiling:
+                p = _share(table, oversampling, i - x, j - y)[0]
+                above += p * (value - level[j, i])
+                below += p * p
+    return above / below if below > 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _fit_group(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    table: FloatArray,
+    oversampling: int,
+    members: IntArray,
+    xs: FloatArray,
+    ys: FloatArray,
+    halves: IntArray,
+    ceilings: FloatArray,
+    inverse_gain: float,
+    flat_error: float,
+    reweigh: bool,
+    out: FloatArray,
+) -> None:
+    """Fit of the stars `members` together, written to their rows of `out`; rows stay NaN where it fails."""
+    height, width = image.shape
+    m = len(members)
+    size = 3 * m
+    x, y, flux = np.empty(m), np.empty(m), np.empty(m)
+    cx, cy, half = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
+    pixels = 0
+    for k in range(m):
+        s = members[k]
+        x[k], y[k], half[k] = xs[s], ys[s], halves[s]
+        cx[k], cy[k] = round(x[k]), round(y[k])
+        flux[k] = _initial_flux(image, level, noise, table, oversampling, x[k], y[k], half[k], ceilings[s])
+        if not flux[k] > 0.0:
+            return
+        pixels += (2 * half[k] + 1) ** 2
+    variances = np.empty(pixels)
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    gradient = np.empty(size)
+    chi2, used, step = 0.0, 0, 1.0
+    for iteration in range(_ITERATIONS):
+        normal[:], right[:] = 0.0, 0.0
+        chi2, used = 0.0, 0
+        for k in range(m):
+            ceiling = ceilings[members[k]]
+            for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
+                for i in range(max(cx[k] - half[k], 0), min(cx[k] + half[k] + 1, width)):
+                    value = np.float64(image[j, i])
+                    usable = math.isfinite(value) and value < ceiling
+                    for other in range(k):
+                        if abs(i - cx[other]) <= half[other] and abs(j - cy[other]) <= half[other]:
+                            usable = False
+                    for other in range(m):
+                        usable = usable and value < ceilings[members[other]]
+                    if not usable:
+                        continue
+                    model = 0.0
+                    for star in range(m):
+                        p, by_x, by_y = _share(table, oversampling, i - x[star], j - y[star])
+                        model += flux[star] * p
+                        gradient[3 * star] = -flux[star] * by_x
+                        gradient[3 * star + 1] = -flux[star] * by_y
+                        gradient[3 * star + 2] = flux[star] * p
+                    if reweigh or iteration < _WEIGHINGS:
+                        light = max(model, 0.0)
+                        variances[used] = (
+                            np.float64(noise[j, i]) ** 2 + light * inverse_gain + (flat_error * light) ** 2
+                        )
+                    weight = 1.0 / variances[used]
+                    residual = value - level[j, i] - model
+                    used += 1
+                    chi2 += weight * residual * residual
+                    for a in range(size):
+                        g = weight * gradient[a]
+                        right[a] += g * residual
+                        for b in range(a + 1):
+                            normal[a, b] += g * gradient[b]
+        if used <= size or not _factorise(normal, size):
+            return
+        if step < _CONVERGED_PX:
+            break
+        _substitute(normal, size, right)
+        longest = 0.0
+        for star in range(m):
+            longest = max(longest, abs(right[3 * star]), abs(right[3 * star + 1]))
+        if not math.isfinite(longest):
+            return
+        short = min(1.0, _LONGEST_STEP_PX / longest) if longest > 0.0 else 1.0
+        for star in range(m):
+            x[star] += short * right[3 * star]
+            y[star] += short * right[3 * star + 1]
+            growth = 1.0 + short * right[3 * star + 2]
+            flux[star] *= min(max(growth, 1.0 / _LARGEST_GROWTH), _LARGEST_GROWTH)
+            if abs(x[star] - cx[star]) > half[star] or abs(y[star] - cy[star]) > half[star]:
+                return
+        step = longest
+    if step > _ACCEPTED_PX:
+        return
+    column = np.empty(size)
+    for star in range(m):
+        row = out[members[star]]
+        row[0], row[1], row[2], row[6], row[7] = x[star], y[star], flux[star], chi2, used - size
+        for axis in range(2):
+            column[:] = 0.0
+            column[3 * star + axis] = 1.0
+            _substitute(normal, size, column)
+            row[3 + axis] = column[3 * star + axis]
+            row[5] = column[3 * star]
+
+
+@njit(cache=True, error_model="numpy")
+def fit_stars(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    table: FloatArray,
+    oversampling: int,
+    group: IntArray,
+    xs: FloatArray,
+    ys: FloatArray,
+    halves: IntArray,
+    ceilings: FloatArray,
+    inverse_gain: float,
+    flat_error: float,
+    reweigh: bool,
+) -> FloatArray:
+    """Fits (N, 8), see `FITTED`, of stars whose approximate positions are given; NaN where a fit fails.
+
+    Parameters
+    ----------
+    table, oversampling
+        Of a `startracker.centroid.psf_model.PsfModel`.
+    group : int array, shape (N,)
+        Stars of equal number are fitted together over the union of their windows.
+    xs, ys : array, shape (N,)
+        Start.
+    halves : int array, shape (N,)
+        Half width of each window.
+    ceilings : array, shape (N,)
+        DN; pixels of that or more are left out.
+    inverse_gain : float
+        DN an electron.
+    flat_error : float
+        Relative standard deviation of the pixels' responses.
+    reweigh : bool
+        True: variances follow the model (Fisher scoring); False: they stay those of the model in the third step.
+
+    Notes
+    -----
+    Parameters of a star: x, y and ln(flux), so that the normal matrix is well scaled.
+    """
+    out = np.full((len(xs), FITTED), np.nan)
+    for index in range(len(xs)):
+        if group[index] == index:
+            members = np.flatnonzero(group == index)
+            _fit_group(
+                image, level, noise, table, oversampling, members, xs, ys, halves, ceilings, inverse_gain, flat_error,
+                reweigh, out,
+            )  # fmt: skip
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def weighted_moments(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    table: FloatArray,
+    oversampling: int,
+    shape: FloatArray,
+    xs: FloatArray,
+    ys: FloatArray,
+    halves: IntArray,
+    ceilings: FloatArray,
+    inverse_gain: float,
+    correct: bool,
+) -> FloatArray:
+    """Gaussian-weighted moments (N, 6): x, y, flux, var x, var y, cov xy; NaN where the iteration fails.
+
+    Parameters
+    ----------
+    shape : array, shape (3,)
+        Variances along x and y and covariance of the weight, px².
+    correct : bool
+        Take off the moment that the star image itself has at the position.
+
+    Notes
+    -----
+    Solves Σ w (k − c)(d − F p) = 0 by Newton's method, w centred on c. The noise of the solution is that of the sum,
+    through the inverse of the sum's derivative by the star's position: exact for fixed w.
+    """
+    height, width = image.shape
+    determinant = shape[0] * shape[1] - shape[2] ** 2
+    ixx, iyy, ixy = shape[1] / determinant, shape[0] / determinant, -shape[2] / determinant
+    out = np.full((len(xs), 6), np.nan)
+    for index in range(len(xs)):
+        x, y, half, ceiling = xs[index], ys[index], halves[index], ceilings[index]
+        cx, cy = round(x), round(y)
+        move = 1.0
+        for _ in range(4 * _ITERATIONS):
+            wd, wp, dx1, dy1, px1, py1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            jxx, jxy, jyx, jyy = 0.0, 0.0, 0.0, 0.0
+            vxx, vyy, vxy = 0.0, 0.0, 0.0
+            for j in range(max(cy - half, 0), min(cy + half + 1, height)):
+                for i in range(max(cx - half, 0), min(cx + half + 1, width)):
+                    value = np.float64(image[j, i])
+                    if not (math.isfinite(value) and value < ceiling):
+                        continue
+                    kx, ky = i - x, j - y
+                    w = math.exp(-0.5 * (ixx * kx * kx + iyy * ky * ky + 2.0 * ixy * kx * ky))
+                    p, by_x, by_y = _share(table, oversampling, kx, ky)
+                    d = value - level[j, i]
+                    v = np.float64(noise[j, i]) ** 2 + max(d, 0.0) * inverse_gain
+                    wd, wp = wd + w * d, wp + w * p
+                    dx1, dy1, px1, py1 = dx1 + w * kx * d, dy1 + w * ky * d, px1 + w * kx * p, py1 + w * ky * p
+                    jxx, jxy = jxx - w * kx * by_x, jxy - w * kx * by_y
+                    jyx, jyy = jyx - w * ky * by_x, jyy - w * ky * by_y
+                    vxx, vyy, vxy = vxx + (w * kx) ** 2 * v, vyy + (w * ky) ** 2 * v, vxy + w * w * kx * ky * v
+            flux = wd / wp
+            cross = jxx * jyy - jxy * jyx
+            if not (flux > 0.0 and math.isfinite(flux) and cross > 0.0):
+                move = np.inf
+                break
+            sx, sy = (dx1 - flux * px1, dy1 - flux * py1) if correct else (dx1, dy1)
+            if move < _CONVERGED_PX:
+                break
+            step_x = (jyy * sx - jxy * sy) / (cross * flux)
+            step_y = (jxx * sy - jyx * sx) / (cross * flux)
+            move = max(abs(step_x), abs(step_y))
+            short = min(1.0, _LONGEST_STEP_PX / move) if move > 0.0 else 1.0
+            x, y = x + short * step_x, y + short * step_y
+            if not (abs(x - cx) <= half and abs(y - cy) <= half):
+                move = np.inf
+                break
+        if not move < _ACCEPTED_PX:
+            continue
+        scale = 1.0 / (cross * flux) ** 2
+        out[index, 0], out[index, 1], out[index, 2] = x, y, flux
+        out[index, 3] = scale * (jyy * jyy * vxx - 2.0 * jyy * jxy * vxy + jxy * jxy * vyy)
+        out[index, 4] = scale * (jyx * jyx * vxx - 2.0 * jyx * jxx * vxy + jxx * jxx * vyy)
+        out[index, 5] = scale * ((jyy * jxx + jxy * jyx) * vxy - jyy * jyx * vxx - jxy * jxx * vyy)
+    return out

@@ -1,0 +1,184 @@
+"""Star images as tables of the light that a pixel gets, by its distance from the star."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+from scipy.special import ndtr
+
+from startracker.errors import InputError
+
+__all__ = ["PsfModel", "gaussian_psf", "load_psf"]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_OVERSAMPLING = 8
+_MOST_OVERSAMPLING = 48
+_SAMPLES_A_SIGMA = 7.0
+"""Keys' interpolation is then good to 1e-4 of the peak."""
+_UNROTATED = 0.02
+"""Correlation below which an ellipse counts as upright: the frame does not tell it, positions do not feel it."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class PsfModel:
+    """Effective point-spread function: share p(dx, dy) of a star's light in the pixel (dx, dy) away from it.
+
+    It holds the integration over the pixel (Anderson & King 2000), so that a star at (x, y) of flux F puts
+    F p(i − x, j − y) into pixel (i, j).
+
+    Parameters
+    ----------
+    table : array, shape (n, n), n odd
+        table[r, c] = p((c − m) / oversampling, (r − m) / oversampling), m = (n − 1) / 2.
+    oversampling : int
+        Points a pixel.
+    shape : (float, float, float)
+        Variances along x and y and covariance of the Gaussian nearest the core, px².
+    """
+
+    table: FloatArray
+    oversampling: int
+    shape: tuple[float, float, float]
+
+    @property
+    def radius_px(self) -> float:
+        """Half width of the table; p counts as zero beyond it."""
+        return float((self.table.shape[0] - 1) / 2 / self.oversampling)
+
+    @cached_property
+    def noise_area_px(self) -> float:
+        """Noise-equivalent area 1 / ∬ p² (King 1983), pixels."""
+        return float(self.oversampling**2 / np.sum(self.table**2))
+
+    @property
+    def sigma_px(self) -> float:
+        """Width of the image along its longer axis."""
+        xx, yy, xy = self.shape
+        major: float = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+        return math.sqrt(major)
+
+    def shares(self, dx: ArrayLike, dy: ArrayLike) -> FloatArray:
+        """p at distances (dx, dy) in pixels, by cubic splines; zero beyond the table."""
+        x, y = np.broadcast_arrays(np.asarray(dx, dtype=float), np.asarray(dy, dtype=float))
+        middle = (self.table.shape[0] - 1) / 2
+        places = [y * self.oversampling + middle, x * self.oversampling + middle]
+        flat = [np.ravel(place) for place in places]
+        return np.asarray(map_coordinates(self.table, flat, order=3, mode="constant")).reshape(x.shape)
+
+    def smeared(self, along_x_px: float, along_y_px: float) -> PsfModel:
+        """The image of a star that moves steadily by this much during the exposure; p refers to its middle."""
+        middle = (self.table.shape[0] - 1) // 2
+        grow = math.ceil(0.5 * max(abs(along_x_px), abs(along_y_px))) * self.oversampling
+        grid = np.arange(-middle - grow, middle + grow + 1) / self.oversampling
+        length = math.hypot(along_x_px, along_y_px)
+        parts = max(1, math.ceil(length))
+        # Gauss-Legendre over each pixel of the path
+        at = np.concatenate([(k + 0.5 + 0.5 * _NODES) / parts - 0.5 for k in range(parts)])
+        weight = np.tile(0.5 * _WEIGHTS / parts, parts)
+        table = sum(
+            w * self.shares(grid - t * along_x_px, (grid - t * along_y_px)[:, None])
+            for t, w in zip(at, weight, strict=True)
+        )
+        xx, yy, xy = self.shape
+        return PsfModel(
+            np.asarray(table),
+            self.oversampling,
+            (xx + along_x_px**2 / 12, yy + along_y_px**2 / 12, xy + along_x_px * along_y_px / 12),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write to a NumPy archive (.npz), which `load_psf` and the setting ``centroid.psf`` read."""
+        with Path(path).open("wb") as file:
+            np.savez_compressed(
+                file, format=_FORMAT, table=self.table, oversampling=self.oversampling, shape=np.array(self.shape)
+            )
+
+
+def load_psf(path: str | Path) -> PsfModel:
+    """A star image saved by `PsfModel.save`; kept in memory until the file changes.
+
+    Raises
+    ------
+    InputError
+        Not such a file.
+    """
+    try:
+        changed = Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise InputError(f"centroid.psf: '{path}' cannot be read: {error.strerror}") from error
+    return _read_psf(str(path), changed)
+
+
+@lru_cache(maxsize=8)
+def _read_psf(path: str, changed: int) -> PsfModel:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            table = np.ascontiguousarray(data["table"], dtype=float)
+            oversampling, shape = int(data["oversampling"]), tuple(float(v) for v in data["shape"])
+            version = int(data["format"])
+    except Exception as error:  # whatever a damaged archive makes NumPy raise
+        raise InputError(f"centroid.psf: '{path}' is not a star image made by PsfModel.save ({error})") from error
+    square = table.ndim == 2 and table.shape[0] == table.shape[1] and table.shape[0] % 2 == 1
+    if version != _FORMAT or not square or oversampling < 1 or len(shape) != 3 or not np.isfinite(table).all():
+        raise InputError(f"centroid.psf: '{path}' is damaged: the table must be square, of odd size and finite")
+    return PsfModel(table, oversampling, (shape[0], shape[1], shape[2]))
+
+
+def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> PsfModel:
+    """An elliptical Gaussian integrated over pixels.
+
+    A product of differences of Φ where the axes are the image's; otherwise the trapezoidal rule over the points of
+    the table, with Euler and Maclaurin's first correction, along one axis and then the other.
+
+    Parameters
+    ----------
+    xx, yy, xy : float
+        Variances and covariance, px².
+    radius_px : float
+        Half width of the table.
+    """
+    determinant = xx * yy - xy * xy
+    if not (xx > 0 and yy > 0 and determinant > 0):
+        raise InputError(f"no Gaussian has the variances {xx}, {yy} and the covariance {xy} px²")
+    narrow = math.sqrt(determinant / max(xx, yy))
+    # even, so that a pixel's borders are points of the table
+    wanted = 2 * math.ceil(0.5 * _SAMPLES_A_SIGMA / narrow)
+    oversampling = min(max(wanted, _LEAST_OVERSAMPLING), _MOST_OVERSAMPLING)
+    middle = math.ceil(radius_px * oversampling) + 2
+    grid = np.arange(-middle, middle + 1) / oversampling
+    if abs(xy) < _UNROTATED * math.sqrt(xx * yy):
+        along_x = ndtr((grid + 0.5) / math.sqrt(xx)) - ndtr((grid - 0.5) / math.sqrt(xx))
+        along_y = ndtr((grid + 0.5) / math.sqrt(yy)) - ndtr((grid - 0.5) / math.sqrt(yy))
+        return PsfModel(along_y[:, None] * along_x, oversampling, (xx, yy, xy))
+    # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
+    fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
+    down = fine[:, None]
+    points = np.exp((xy * fine * down - 0.5 * (yy * fine**2 + xx * down**2)) / determinant)
+    points /= 2.0 * math.pi * math.sqrt(determinant)
+    table = _over_pixel(_over_pixel(points, oversampling).T, oversampling).T
+    cut = (table.shape[0] - len(grid)) // 2
+    table = table[cut : cut + len(grid), cut : cut + len(grid)]
+    return PsfModel(np.ascontiguousarray(table), oversampling, (xx, yy, xy))
+
+
+def _over_pixel(values: FloatArray, oversampling: int) -> FloatArray:
+    """Integral over one pixel along the last axis: the trapezoidal rule with end corrections."""
+    half = oversampling // 2
+    n = values.shape[-1]
+    total = np.cumsum(values, axis=-1)
+    first, last = slice(1, n - 2 * half - 1), slice(2 * half + 1, n - 1)
+    inner = total[..., last] - total[..., first]  # points first+1 … last
+    inner = inner + 0.5 * (values[..., first] - values[..., last])
+    # Euler-Maclaurin: −h/12 (f'(b) − f'(a)), by central differences
+    slope_b = 0.5 * (values[..., 2 * half + 2 :] - values[..., 2 * half : -2])
+    slope_a = 0.5 * (values[..., 2 : n - 2 * half] - values[..., : n - 2 * half - 2])
+    return np.asarray((inner - (slope_b - slope_a) / 12.0) / oversampling)

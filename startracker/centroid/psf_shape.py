@@ -1,0 +1,187 @@
+"""The star image of a frame, measured from its brightest stars: an elliptical Gaussian, or one drawn out by smear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.centroid.bias import SMALLEST_SIGMA_PX
+from startracker.centroid.moments import Prepared
+from startracker.centroid.psf_kernel import fit_stars
+from startracker.centroid.psf_model import PsfModel, gaussian_psf
+from startracker.detection.spots import Spots
+
+__all__ = ["fit_gaussians", "frame_psf"]
+
+FloatImage = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_SHAPE_STARS = 9
+"""Brightest clean stars whose shapes are fitted."""
+_LARGEST_HALF_PX = 8
+_NODES = np.polynomial.legendre.leggauss(3)[0] / 2.0
+_WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
+_STEPS = 15
+_CONVERGED = 1e-3
+_LENGTHS = (0.9, 1.0, 1.1)
+_STREAK_RATIO = 1.5
+"""Ratio of the axes from which a line is tried instead of an ellipse."""
+
+
+@njit(cache=True, error_model="numpy")
+def fit_gaussians(
+    image: FloatImage,
+    level: FloatImage,
+    noise: FloatImage,
+    xs: FloatArray,
+    ys: FloatArray,
+    half: int,
+    xx: float,
+    yy: float,
+    inverse_gain: float,
+) -> FloatArray:
+    """Variances along x and y and covariance (N, 3), px², of pixel-integrated Gaussians fitted to stars; NaN: none.
+
+    Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; pixels are integrated by
+    3×3 Gauss-Legendre nodes. `xx`, `yy` are the start.
+    """
+    height, width = image.shape
+    out = np.full((len(xs), 3), np.nan)
+    gradient, normal, right = np.empty(6), np.empty((6, 6)), np.empty(6)
+    for index in range(len(xs)):
+        cx, cy = round(xs[index]), round(ys[index])
+        x, y, a, b, c = xs[index], ys[index], xx, yy, 0.0
+        flux = -1.0
+        for _ in range(_STEPS):
+            normal[:], right[:] = 0.0, 0.0
+            above, below = 0.0, 0.0
+            determinant = a * b - c * c
+            ia, ib, ic = b / determinant, a / determinant, -c / determinant
+            scale = 1.0 / (2.0 * math.pi * math.sqrt(determinant))
+            for j in range(max(cy - half, 0), min(cy + half + 1, height)):
+                for i in range(max(cx - half, 0), min(cx + half + 1, width)):
+                    value = np.float64(image[j, i])
+                    if not math.isfinite(value):
+                        continue
+                    gradient[:] = 0.0
+                    for s in range(3):
+                        for t in range(3):
+                            u, v = i + _NODES[s] - x, j + _NODES[t] - y
+                            gu, gv = ia * u + ic * v, ic * u + ib * v
+                            p = scale * _WEIGHTS[s] * _WEIGHTS[t] * math.exp(-0.5 * (u * gu + v * gv))
+                            gradient[0] += p * gu
+                            gradient[1] += p * gv
+                            gradient[2] += p
+                            gradient[3] += 0.5 * p * (gu * gu - ia)
+                            gradient[4] += 0.5 * p * (gv * gv - ib)
+                            gradient[5] += p * (gu * gv - ic)
+                    d = value - level[j, i]
+                    light = flux * gradient[2] if flux > 0.0 else max(d, 0.0)
+                    weight = 1.0 / (np.float64(noise[j, i]) ** 2 + light * inverse_gain)
+                    above += weight * gradient[2] * d
+                    below += weight * gradient[2] * gradient[2]
+                    if flux > 0.0:
+                        gradient *= flux
+                        residual = d - gradient[2]
+                        for m in range(6):
+                            right[m] += weight * gradient[m] * residual
+                            for n in range(6):
+                                normal[m, n] += weight * gradient[m] * gradient[n]
+            if flux <= 0.0:
+                flux = above / below
+                if not flux > 0.0:
+                    break
+                continue
+            for m in range(6):
+                normal[m, m] *= 1.0 + 1e-9
+                if not normal[m, m] > 0.0:
+                    normal[m, m] = 1.0
+            step = np.linalg.solve(normal, right)
+            largest = np.abs(step).max()
+            if not math.isfinite(largest):
+                break
+            short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
+            x, y, flux = x + short * step[0], y + short * step[1], flux * math.exp(short * step[2])
+            a, b, c = a + short * step[3], b + short * step[4], c + short * step[5]
+            if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
+                break
+            if largest < _CONVERGED:
+                out[index] = (a, b, c)
+                break
+    return out
+
+
+def frame_psf(
+    frame: Prepared, spots: Spots, positions: FloatArray, sigmas: tuple[float, float], reach_px: float
+) -> PsfModel:
+    """The star image of a frame.
+
+    The median ellipse of the brightest clean stars. Where it is elongated, a round Gaussian moved along a line
+    is taken instead when it leaves the smaller χ² in the same stars: L² = 12 × the difference of the principal
+    variances, then L by the parabola through χ² there and a tenth to either side.
+
+    Parameters
+    ----------
+    positions : array, shape (N, 2)
+        Of the spots, approximate.
+    sigmas : (float, float)
+        Widths along x and y by the moments, for the start and in case no star tells.
+    reach_px : float
+        Least half width of the table.
+    """
+    start = np.maximum(np.square(sigmas), SMALLEST_SIGMA_PX**2)
+    clean = np.flatnonzero(~spots.saturated & ~spots.edge & np.isfinite(positions).all(axis=1))[: 2 * _SHAPE_STARS]
+    near = np.abs(positions[clean, None] - positions[None, :]).max(axis=2) < 2 * _LARGEST_HALF_PX
+    alone = clean[near.sum(axis=1) == 1]
+    clean = (alone if len(alone) >= 3 else clean)[:_SHAPE_STARS]
+    half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
+    x, y = positions[clean].T.copy()
+    shapes = fit_gaussians(frame.image, frame.level, frame.noise, x, y, half, start[0], start[1], frame.inverse_gain)
+    shapes = shapes[np.isfinite(shapes).all(axis=1)]
+    xx, yy, xy = np.median(shapes, axis=0) if len(shapes) else (start[0], start[1], 0.0)
+    if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
+        xx, yy, xy = start[0], start[1], 0.0
+    middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
+    ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
+    minor, major = middle - spread, middle + spread
+    if major < _STREAK_RATIO**2 * minor or not len(shapes):
+        return ellipse
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    window = np.full(len(clean), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
+    length = math.sqrt(12.0 * (major - minor))
+    along, across = length * math.cos(angle), length * math.sin(angle)
+    round_one = gaussian_psf(minor, minor, radius_px=radius)
+    lines = [round_one.smeared(f * along, f * across) for f in _LENGTHS]
+    misfits = [_misfit(frame, model, x, y, window) for model in lines]
+    if min(misfits) > _misfit(frame, ellipse, x, y, window):
+        return ellipse
+    square, slope, _ = np.polyfit(_LENGTHS, misfits, 2)
+    if not square > 0:
+        return lines[int(np.argmin(misfits))]
+    best = min(max(-0.5 * slope / square, 2 * _LENGTHS[0] - _LENGTHS[1]), 2 * _LENGTHS[2] - _LENGTHS[1])
+    return round_one.smeared(best * along, best * across)
+
+
+def _misfit(frame: Prepared, model: PsfModel, x: FloatArray, y: FloatArray, halves: IntArray) -> float:
+    """Median χ² per degree of freedom of stars; one that the image does not fit at all counts against it."""
+    fits = fit_stars(
+        frame.image,
+        frame.level,
+        frame.noise,
+        model.table,
+        model.oversampling,
+        np.arange(len(x)),
+        x,
+        y,
+        halves,
+        np.full(len(x), np.inf),
+        frame.inverse_gain,
+        frame.settings.flat_field_error,
+        True,
+    )
+    return float(np.median(np.nan_to_num(fits[:, 6] / fits[:, 7], nan=1e6)))

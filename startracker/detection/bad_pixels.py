@@ -1,0 +1,95 @@
+"""Bad pixels: found as what stays in place while the sky moves, and left out as not a number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.detection.background import as_image, estimate
+from startracker.errors import InputError
+
+__all__ = ["find_bad_pixels", "mask_pixels"]
+
+_SHARE = 0.75
+_FEWEST_FRAMES = 3
+
+
+def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.float32]:
+    """Image as float32 with NaN at the bad pixels, which every stage leaves out; the image given stays as it is.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        DN.
+    bad_pixels : array_like of bool, shape (H, W), or None
+        True where a pixel is not to be used.
+
+    Raises
+    ------
+    InputError
+        Not an image, or a mask of another shape.
+    """
+    pixels = as_image(image)
+    if bad_pixels is None:
+        return pixels
+    mask = np.asarray(bad_pixels, dtype=np.bool_)
+    if mask.shape != pixels.shape:
+        raise InputError(f"the bad-pixel map is {mask.shape}, the image {pixels.shape}; they must agree")
+    return np.where(mask, np.float32(np.nan), pixels)
+
+
+def find_bad_pixels(
+    frames: Iterable[ArrayLike], sigma: float = 5.0, share: float = _SHARE, tile_px: int = 64
+) -> NDArray[np.bool_]:
+    """Pixels that are off by more than `sigma` times the noise, the same way, in most frames of different pointing.
+
+    A star crosses a pixel in one frame of several; a hot, dead or stuck pixel stays. Bright and dark are counted
+    apart, so that a flickering pixel of both signs needs `share` of one. By chance a good pixel exceeds 5σ with
+    3e-7 a frame: never three times. The frames should be moved by more than a star image from one another; where
+    fewer than a quarter of them show the same sky, no star is taken for a bad pixel.
+
+    Parameters
+    ----------
+    frames : iterable of array_like, shape (H, W)
+        At least three; taken one by one, so that a generator holds but one in memory. Pixels that are not finite in
+        `share` of the frames are bad.
+    sigma : float
+        Threshold, in units of the local noise.
+    share : float
+        Least share of the frames, above 0 and at most 1.
+    tile_px : int
+        As for `estimate`.
+
+    Returns
+    -------
+    bool array, shape (H, W)
+
+    Raises
+    ------
+    InputError
+        Fewer than three frames, frames of different shapes, a share or threshold that cannot be.
+    """
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"share is {share}; it must be above 0 and at most 1")
+    if not sigma > 0.0:
+        raise InputError(f"sigma is {sigma}; it must be positive")
+    bright = dark = np.zeros((0, 0), np.int64)
+    count = 0
+    for frame in frames:
+        pixels = as_image(frame)
+        if count == 0:
+            bright, dark = np.zeros(pixels.shape, np.int64), np.zeros(pixels.shape, np.int64)
+        elif pixels.shape != bright.shape:
+            raise InputError(f"frame {count} is {pixels.shape}, the first {bright.shape}; they must agree")
+        background = estimate(pixels, tile_px)
+        blind = ~np.isfinite(pixels)
+        with np.errstate(invalid="ignore"):
+            bright += blind | (pixels > background.level + sigma * background.noise)
+            dark += blind | (pixels < background.level - sigma * background.noise)
+        count += 1
+    if count < _FEWEST_FRAMES:
+        raise InputError(f"bad pixels need at least {_FEWEST_FRAMES} frames of different pointing; got {count}")
+    fewest = max(2.0, share * count)
+    return (bright >= fewest) | (dark >= fewest)

@@ -1,0 +1,202 @@
+"""Clustering of bright pixels in one pass (Yee 1999, section 2.2)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from startracker.detection.background import Background, as_image
+from startracker.detection.objects import add_pixel, find_runs, join_runs
+from startracker.detection.selection import select_spots
+from startracker.detection.spots import (
+    AT_PEAK,
+    COLUMNS,
+    EDGE,
+    FLUX,
+    PEAK,
+    PEAK_RESIDUAL,
+    PIXELS,
+    SUM_X,
+    SUM_Y,
+    X_PEAK,
+    Y_PEAK,
+    Spots,
+)
+from startracker.errors import InputError
+from startracker.settings import DetectionSettings
+
+__all__ = ["adaptive_radius", "cluster_pixels", "find_clusters", "merge_clusters"]
+
+_LEAST_RADIUS_PX = 2.0
+_LARGEST_RADIUS_PX = 64.0
+_LARGE_QUANTILE = 0.9
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+
+def find_clusters(
+    image: FloatImage,
+    background: Background,
+    settings: DetectionSettings,
+    saturation_dn: float | None = None,
+) -> Spots:
+    """Star candidates by clustering: every bright pixel joins the nearest cluster within τ, or founds one.
+
+    Pixels above background + `threshold_sigma` × noise are met once, in reading order. One that lies within τ of the
+    running centre of a cluster joins the nearest such, whose centre moves; else it becomes a new cluster (thesis
+    section 2.2). Two things the thesis' conclusion asks for are added: τ is chosen for each frame (`adaptive_radius`),
+    not by trial; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
+    merged. Those of fewer than `min_pixels` are dropped (the thesis: 10).
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        DN. Values that are not finite belong to no cluster.
+    background : Background
+        Of the same shape.
+    settings : DetectionSettings
+        Threshold, limits, `cluster_radius_px`.
+    saturation_dn : float, optional
+        DN at and above which a pixel is saturated; None: a flat top at the highest value.
+
+    Returns
+    -------
+    Spots
+        Brightest first, as every detector's. The thesis sorts by the number of pixels: its order is
+        ``np.argsort(-spots.pixels, kind="stable")``.
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, radius not positive.
+    """
+    pixels = as_image(image)
+    level, noise = background.level, background.noise
+    if pixels.shape != level.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {level.shape}; make it anew")
+    radius = settings.cluster_radius_px
+    if radius is not None and not 0.0 < radius < math.inf:
+        raise InputError(f"detection.cluster_radius_px is {radius}; it must be a positive number of pixels")
+    runs = find_runs(pixels, level, noise, np.float32(settings.threshold_sigma))
+    tau = adaptive_radius(runs, settings.max_pixels) if radius is None else radius
+    saturation = np.inf if saturation_dn is None else float(saturation_dn)
+    table = merge_clusters(cluster_pixels(runs, tau, pixels, level, np.float32(saturation)), tau)
+    return select_spots(table, settings, saturation_dn is not None, pixels, background)
+
+
+def adaptive_radius(runs: IntArray, max_pixels: int) -> float:
+    """τ, pixels: what holds nine in ten of the frame's bright spots whole, at least 2 px.
+
+    A spot is a set of connected pixels, at most `max_pixels`; its larger side (columns or rows) is as far as a pixel
+    can be from the running centre of its cluster.
+    """
+    number, count = join_runs(runs)
+    if count == 0:
+        return _LEAST_RADIUS_PX
+    size = np.bincount(number, weights=runs[:, 2] - runs[:, 1], minlength=count)
+    first, last = np.full((2, count), np.iinfo(np.int64).max), np.full((2, count), -1)
+    for axis, (low, high) in enumerate(((runs[:, 1], runs[:, 2] - 1), (runs[:, 0], runs[:, 0]))):
+        np.minimum.at(first[axis], number, low)
+        np.maximum.at(last[axis], number, high)
+    side = (last - first).max(axis=0)[(size > 1) & (size <= max_pixels)] + 1.0
+    if not len(side):
+        return _LEAST_RADIUS_PX
+    return min(max(_LEAST_RADIUS_PX, float(np.quantile(side, _LARGE_QUANTILE))), _LARGEST_RADIUS_PX)
+
+
+@njit(cache=True, error_model="numpy")
+def cluster_pixels(runs: IntArray, tau: float, image: FloatImage, level: FloatImage, saturation: float) -> FloatArray:
+    """Table of clusters (see `select_spots`) of the pixels in runs.
+
+    The centre that pixels are compared with is the mean of the cluster's pixels, each counting alike, as in the thesis.
+    A grid of cells of side τ over the columns, of the rows still within reach, keeps the search short.
+    """
+    height, width = image.shape
+    table = np.zeros((64, COLUMNS))
+    centre = np.zeros((64, 2))
+    following = np.full(64, -1)  # chain of clusters in a cell of columns
+    cells = int(width / tau) + 2
+    head = np.full(cells, -1)
+    cell_of = np.zeros(64, np.int64)
+    count, found = 0, 0
+    for index in range(len(runs)):
+        y = runs[index, 0]
+        for x in range(runs[index, 1], runs[index, 2]):
+            cell = int(x / tau)
+            best, found = tau * tau, -1
+            for c in range(max(cell - 1, 0), min(cell + 2, cells)):
+                previous, other = -1, head[c]
+                while other >= 0:
+                    after = following[other]
+                    dy = y - centre[other, 1]
+                    if dy > tau:  # no later pixel reaches it: rows only grow
+                        if previous < 0:
+                            head[c] = after
+                        else:
+                            following[previous] = after
+                    else:
+                        distance = (x - centre[other, 0]) ** 2 + dy * dy
+                        if distance < best or (distance == best and found < 0):
+                            best, found = distance, other
+                        previous = other
+                    other = after
+            if found < 0:
+                if count == len(table):
+                    table = np.concatenate((table, np.zeros_like(table)))
+                    centre = np.concatenate((centre, np.zeros_like(centre)))
+                    following = np.concatenate((following, np.full(count, -1)))
+                    cell_of = np.concatenate((cell_of, np.zeros(count, np.int64)))
+                found = count
+                count += 1
+                cell_of[found] = -1
+            row = table[found]
+            add_pixel(row, x, y, image[y, x], level[y, x], saturation)
+            if x == 0 or y == 0 or x == width - 1 or y == height - 1:
+                row[EDGE] = 1.0
+            centre[found, 0] += (x - centre[found, 0]) / row[PIXELS]
+            centre[found, 1] += (y - centre[found, 1]) / row[PIXELS]
+            moved = int(centre[found, 0] / tau)
+            if moved != cell_of[found]:
+                if cell_of[found] >= 0:
+                    previous, other = -1, head[cell_of[found]]
+                    while other != found:
+                        previous, other = other, following[other]
+                    if previous < 0:
+                        head[cell_of[found]] = following[found]
+                    else:
+                        following[previous] = following[found]
+                following[found] = head[moved]
+                head[moved] = found
+                cell_of[found] = moved
+    return table[:count]
+
+
+def merge_clusters(table: FloatArray, tau: float) -> FloatArray:
+    """Table in which clusters whose centres are within τ are one, the fainter added to the brighter."""
+    if len(table) < 2:
+        return table
+    signal = np.where(table[:, FLUX] > 0, table[:, FLUX], np.inf)
+    centre = np.column_stack([table[:, SUM_X], table[:, SUM_Y]]) / signal[:, None]
+    pairs = cKDTree(centre).query_pairs(tau, output_type="ndarray")
+    if not len(pairs):
+        return table
+    link = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(table), len(table)))
+    count, label = connected_components(link, directed=False)
+    merged = np.zeros((count, COLUMNS))
+    np.add.at(merged, label, table)
+    merged[:, EDGE] = np.minimum(merged[:, EDGE], 1.0)
+    # in the order of rising peaks the highest writes last; of equal ones the first in reading order
+    order = np.lexsort((-table[:, X_PEAK], -table[:, Y_PEAK], table[:, PEAK]))
+    for column in (X_PEAK, Y_PEAK, PEAK, PEAK_RESIDUAL):
+        merged[label[order], column] = table[order, column]
+    top = table[:, PEAK] == merged[label, PEAK]
+    merged[:, AT_PEAK] = np.bincount(label, weights=np.where(top, table[:, AT_PEAK], 0.0), minlength=count)
+    return merged

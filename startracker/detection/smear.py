@@ -1,0 +1,109 @@
+"""The frame's own motion: streaks that all fit one rotation of the camera are stars, the odd ones out are not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["common_motion", "elongations"]
+
+_TRIED = 14
+"""Brightest streaks of which every pair proposes a motion."""
+_TOLERANCE_SHARE = 0.12
+_TOLERANCE_PX = 1.0
+_FEWEST = 4
+_AGREEING = 0.6
+_SHORTEST_PX = 10.0
+"""Shorter lines are left to the limit on the axis ratio; leaves and twigs, which point anywhere, are short."""
+
+FloatArray = NDArray[np.float64]
+
+
+def elongations(variance_x: FloatArray, variance_y: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Length along x and y (N, 2), pixels, of the even line that widens round images to these second moments.
+
+    A line of length L adds L²/12 along itself. Which of its ends came first is unknown: the sign means nothing.
+    """
+    half = np.hypot(0.5 * (variance_x - variance_y), covariance)
+    angle = 0.5 * np.arctan2(2.0 * covariance, variance_x - variance_y)
+    length = np.sqrt(24.0 * half)
+    return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
+
+
+def common_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
+    """Motion (a, b, c) that most streaks share, or None where fewer than four or than 0.6 of the brightest do, or
+    where it is under 10 px in the middle of them.
+
+    A camera that turns moves the image at (x, y) by (a − c y, b + c x): two shifts and a turn about the line of
+    sight (narrow field). Every pair of the brightest streaks, with either sign, proposes one by least squares; the
+    one that most streaks fit, to 12 % of the length and 1 px, is taken and fitted to them again.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Centres, brightest first, about the middle of the image.
+    lines : (N, 2)
+        From `elongations`.
+    """
+    count = len(xy)
+    if count < _FEWEST:
+        return None
+    tried = min(count, _TRIED)
+    best, motion = _search(xy, lines, tried)
+    if best < _FEWEST:
+        return None
+    for _ in range(2):
+        expected = motion_at(xy, motion)
+        sign = np.where((expected * lines).sum(axis=1) < 0.0, -1.0, 1.0)
+        fits = agrees(lines, expected)
+        if np.count_nonzero(fits[:tried]) < max(_FEWEST, _AGREEING * tried):
+            return None
+        motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
+    return motion if np.median(np.hypot(*motion_at(xy[:tried], motion).T)) >= _SHORTEST_PX else None
+
+
+def motion_at(xy: FloatArray, motion: FloatArray) -> FloatArray:
+    """Streak (N, 2) that a motion draws at each place."""
+    a, b, c = motion
+    return np.column_stack([a - c * xy[:, 1], b + c * xy[:, 0]])
+
+
+def agrees(lines: FloatArray, expected: FloatArray) -> NDArray[np.bool_]:
+    """Which streaks are as expected, either way round."""
+    limit = _TOLERANCE_PX + _TOLERANCE_SHARE * np.hypot(*expected.T)
+    apart = np.minimum(np.hypot(*(lines - expected).T), np.hypot(*(lines + expected).T))
+    return np.asarray(apart <= limit)
+
+
+def _fit(xy: FloatArray, lines: FloatArray) -> FloatArray:
+    ones, zeros = np.ones(len(xy)), np.zeros(len(xy))
+    design = np.concatenate([np.column_stack([ones, zeros, -xy[:, 1]]), np.column_stack([zeros, ones, xy[:, 0]])])
+    return np.asarray(np.linalg.lstsq(design, lines.T.reshape(-1), rcond=None)[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatArray]:
+    best, most = np.zeros(3), 0
+    smallest = np.inf
+    for first in range(tried):
+        for second in range(first + 1, tried):
+            for sign in (1.0, -1.0):
+                # least squares of two points: the turn from their differences, the shift from their means
+                x, y = xy[second, 0] - xy[first, 0], xy[second, 1] - xy[first, 1]
+                u = sign * lines[second, 0] - lines[first, 0]
+                v = sign * lines[second, 1] - lines[first, 1]
+                c = (x * v - y * u) / max(x * x + y * y, 1e-12)
+                a = 0.5 * (lines[first, 0] + sign * lines[second, 0] + c * (xy[first, 1] + xy[second, 1]))
+                b = 0.5 * (lines[first, 1] + sign * lines[second, 1] - c * (xy[first, 0] + xy[second, 0]))
+                count, total = 0, 0.0
+                for k in range(len(xy)):
+                    p, q = a - c * xy[k, 1], b + c * xy[k, 0]
+                    limit = _TOLERANCE_PX + _TOLERANCE_SHARE * np.hypot(p, q)
+                    apart = min(np.hypot(lines[k, 0] - p, lines[k, 1] - q), np.hypot(lines[k, 0] + p, lines[k, 1] + q))
+                    if apart <= limit:
+                        count += 1
+                        total += apart
+                if count > most or (count == most and total < smallest):
+                    best[0], best[1], best[2], most, smallest = a, b, c, count, total
+    return most, best

@@ -1,0 +1,343 @@
+"""Plate constants (Yee 1999, section 2.4): a linear map from image to standard coordinates, and the image's centre.
+
+Standard coordinates are the gnomonic projection of the sky on the plane that touches it at the centre, ξ east and η
+north. They are linear in the coordinates of the image where that is a plane, whatever its scale, rotation, parity and
+shear; the centre is where the map of the origin falls on (0, 0), and follows by iteration.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.errors import InputError
+from startracker.estimation.result import Estimate, check_directions
+
+__all__ = ["Plate", "first_center_deg", "plate_constants", "solve_plate"]
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 50
+_SETTLED_RAD = 1e-13
+_LINE = 1e-6
+"""Ratio of the second moments across and along below which stars are in a line, and a plate cannot be solved for."""
+_SLENDER = 1e-3
+"""The same ratio below which the attitude is taken from scale and rotation alone: the shear would be noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A photograph's plate constants.
+
+    Parameters
+    ----------
+    center_deg : array, shape (2,)
+        Right ascension and declination of the image's origin.
+    tangent_deg : array, shape (2,)
+        Where the standard coordinates touch the sky: the centre before the last iteration.
+    matrix, offset : array, shape (2, 2), (2,)
+        (ξ, η) = matrix @ (x, y) + offset, in radians; negative determinant where the picture is as seen in the sky
+        with y up.
+    residual_deg : array, shape (M, 2)
+        Computed minus catalogued right ascension and declination of each star.
+    iterations : int
+    """
+
+    center_deg: FloatArray
+    tangent_deg: FloatArray
+    matrix: FloatArray
+    offset: FloatArray
+    residual_deg: FloatArray
+    iterations: int
+
+    @property
+    def constants(self) -> FloatArray:
+        """Yee's a, b, c, d, e, f (6,): ξ − x = ax + by + c, η − y = dx + ey + f (eqs. 2.8, 2.9)."""
+        (a, b), (d, e) = self.matrix - np.eye(2)
+        return np.array([a, b, self.offset[0], d, e, self.offset[1]])
+
+    def sky_deg(self, xy: ArrayLike) -> FloatArray:
+        """Right ascension in [0, 360) and declination (..., 2) of points (..., 2) of the image, degrees."""
+        standard = np.asarray(xy, dtype=float) @ self.matrix.T + self.offset
+        return _from_standard(standard, self.tangent_deg)
+
+
+def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 3600.0) -> Plate:
+    """Centre and plate constants of a photograph from identified stars (Yee 1999, section 2.4.3).
+
+    Parameters
+    ----------
+    xy : array_like, shape (M, 2)
+        Centroids, the origin at the centre of the image; any unit, any orientation, M ≥ 3 not in a line.
+    sky_deg : array_like, shape (M, 2)
+        Right ascension and declination of each, degrees.
+    tolerance_deg : float
+        The iteration ends when neither coordinate of the centre moves by more.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, values that are not finite, fewer than three stars, stars in a line or 90° from the
+        centre, an iteration that does not settle.
+    """
+    image, sky = np.array(xy, dtype=float), np.array(sky_deg, dtype=float)
+    if image.ndim != 2 or image.shape[1] != 2 or image.shape != sky.shape:
+        raise InputError(f"image and sky coordinates must both be (M, 2); got {image.shape} and {sky.shape}")
+    if len(image) < 3:
+        raise InputError(f"plate constants need three stars; got {len(image)}")
+    if not (np.isfinite(image).all() and np.isfinite(sky).all()):
+        raise InputError("image and sky coordinates must be finite")
+    design = np.column_stack([image, np.ones(len(image))])
+    moments = np.linalg.eigvalsh(np.cov(image.T))
+    if not moments[0] > _LINE * moments[1]:
+        raise InputError("plate constants need three stars that are not in a line")
+    center = first_center_deg(image, sky)
+    iterations = 0
+    for _ in range(_ROUNDS):
+        iterations += 1
+        tangent = center
+        standard = _to_standard(sky, tangent)
+        solution = np.linalg.lstsq(design, standard, rcond=None)[0]
+        center = _from_standard(solution[2], tangent)
+        moved = np.abs(center - tangent)
+        moved[0] = min(moved[0], 360.0 - moved[0])
+        if moved.max() <= tolerance_deg:
+            break
+    else:
+        raise InputError(f"the centre still moves by {moved.max():.3g}° after {_ROUNDS} iterations: check the stars")
+    computed = _from_standard(design @ solution, tangent)
+    residual = computed - sky
+    residual[:, 0] = (residual[:, 0] + 180.0) % 360.0 - 180.0
+    return Plate(center, tangent, solution[:2].T.copy(), solution[2].copy(), residual, iterations)
+
+
+def first_center_deg(xy: FloatArray, sky_deg: FloatArray) -> FloatArray:
+    """Where the iteration starts (2,), degrees: each coordinate fitted linearly to x and to y, the two means taken.
+
+    Right ascensions are unwrapped about their circular mean. Where a line fits the sky badly, near the poles, the mean
+    direction of the stars takes its place.
+    """
+    ra, dec = np.radians(sky_deg[:, 0]), np.radians(sky_deg[:, 1])
+    vectors = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    mean = vectors.mean(axis=0)
+    middle = math.degrees(math.atan2(mean[1], mean[0]))
+    unwrapped = middle + (sky_deg[:, 0] - middle + 180.0) % 360.0 - 180.0
+    at_zero = [
+        np.mean([np.polynomial.Polynomial.fit(axis, values, 1)(0.0) for axis in xy.T if np.ptp(axis) > 0])
+        for values in (unwrapped, sky_deg[:, 1])
+    ]
+    guess = np.array([at_zero[0] % 360.0, at_zero[1]])
+    east = np.radians(guess)
+    towards = np.array(
+        [math.cos(east[1]) * math.cos(east[0]), math.cos(east[1]) * math.sin(east[0]), math.sin(east[1])]
+    )
+    if abs(guess[1]) > 85.0 or (vectors @ towards).min() < 0.2:
+        return np.array([middle % 360.0, math.degrees(math.atan2(mean[2], math.hypot(mean[0], mean[1])))])
+    return guess
+
+
+def _to_standard(sky_deg: FloatArray, tangent_deg: FloatArray) -> FloatArray:
+    """Eqs. 2.16 and 2.17."""
+    turn, dec = np.radians(sky_deg[:, 0] - tangent_deg[0]), np.radians(sky_deg[:, 1])
+    sine, cosine = math.sin(math.radians(tangent_deg[1])), math.cos(math.radians(tangent_deg[1]))
+    depth = sine * np.sin(dec) + cosine * np.cos(dec) * np.cos(turn)
+    if not (depth > 0.0).all():
+        raise InputError("plate constants need stars less than 90° from the centre of the image")
+    return np.column_stack(
+        [np.cos(dec) * np.sin(turn) / depth, (cosine * np.sin(dec) - sine * np.cos(dec) * np.cos(turn)) / depth]
+    )
+
+
+def _from_standard(standard: FloatArray, tangent_deg: FloatArray) -> FloatArray:
+    """Eqs. 2.18 and 2.19, right for every quadrant."""
+    xi, eta = standard[..., 0], standard[..., 1]
+    sine, cosine = math.sin(math.radians(tangent_deg[1])), math.cos(math.radians(tangent_deg[1]))
+    inward = cosine - eta * sine
+    ra = tangent_deg[0] + np.degrees(np.arctan2(xi, inward))
+    dec = np.degrees(np.arctan2(sine + eta * cosine, np.hypot(xi, inward)))
+    return np.stack([ra % 360.0, dec], axis=-1)
+
+
+def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude by plate constants (Yee 1999, section 2.4), on the sphere.
+
+    The image plane is laid where the weighted mean of the observed directions touches the sphere, which keeps the
+    centre inside the stars; the fit is weighted by 1/σ². The centre iterates until it stands still. Of the plate's
+    2 × 2 matrix the attitude takes the nearest rotation; scale and shear, which plate constants leave free, are
+    dropped: indifference to the focal length, paid with some accuracy. Two stars, or stars nearly in a line,
+    leave a scale and a rotation alone (four constants).
+
+    Parameters
+    ----------
+    observed, reference : array_like, shape (M, 3)
+        Directions in the camera and in the catalogue's frame, M ≥ 2; normalised here.
+    sigma_rad : array_like, shape (M,)
+        Standard deviation of each observed direction about each cross axis, radians.
+
+    Returns
+    -------
+    Estimate
+        With the covariance of these linear fits, rad²: never below that of `wahba_svd`.
+
+    Raises
+    ------
+    InputError
+        See `startracker.estimation.result.check_directions`; also for stars 78° or more from their mean direction,
+        which no plane holds, and stars that fit no plate.
+    """
+    b, r, sigma = check_directions(observed, reference, sigma_rad)
+    code, matrix, covariance = _plate_attitude(b, r, sigma)
+    if code == 1:
+        raise InputError("plate constants need directions within 78° of their mean; use another estimator")
+    if code == 2:
+        raise InputError("the reference directions are no plate of the observed ones: check the identification")
+    return Estimate(matrix, covariance)
+
+
+@njit(cache=True, error_model="numpy")
+def _tangent_axes(mean: FloatArray) -> FloatArray:
+    """Rows: two axes across a direction (3,) and the direction itself, right-handed."""
+    out = np.empty((3, 3))
+    out[2] = mean / math.sqrt((mean**2).sum())
+    smallest = np.argmin(np.abs(mean))
+    out[0] = -out[2, smallest] * out[2]
+    out[0, smallest] += 1.0
+    out[0] /= math.sqrt((out[0] ** 2).sum())
+    out[1, 0] = out[2, 1] * out[0, 2] - out[2, 2] * out[0, 1]
+    out[1, 1] = out[2, 2] * out[0, 0] - out[2, 0] * out[0, 2]
+    out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _project(axes: FloatArray, v: FloatArray, out: FloatArray) -> bool:
+    """Gnomonic coordinates (M, 2) of directions (M, 3); whether all are well before the plane."""
+    for i in range(len(v)):
+        depth = axes[2, 0] * v[i, 0] + axes[2, 1] * v[i, 1] + axes[2, 2] * v[i, 2]
+        if depth < 0.2:
+            return False
+        for k in range(2):
+            out[i, k] = (axes[k, 0] * v[i, 0] + axes[k, 1] * v[i, 1] + axes[k, 2] * v[i, 2]) / depth
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _plate_attitude(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[int, FloatArray, FloatArray]:
+    """0, or what was wrong; attitude; covariance."""
+    m = len(b)
+    weight = (sigma.min() / sigma) ** 2
+    weight /= weight.sum()
+    mean_b, mean_r = np.zeros(3), np.zeros(3)
+    for i in range(m):
+        mean_b += weight[i] * b[i]
+        mean_r += weight[i] * r[i]
+    nothing = np.zeros((3, 3))
+    if not ((mean_b**2).sum() > 1e-6 and (mean_r**2).sum() > 1e-6):
+        return 1, nothing, nothing
+    axes_b, axes_r = _tangent_axes(mean_b), _tangent_axes(mean_r)
+    x, sky = np.empty((m, 2)), np.empty((m, 2))
+    if not _project(axes_b, b, x):
+        return 1, nothing, nothing
+    middle = np.zeros(2)
+    for i in range(m):
+        middle += weight[i] * x[i]
+    sxx, sxy, syy = 0.0, 0.0, 0.0
+    for i in range(m):
+        p, q = x[i, 0] - middle[0], x[i, 1] - middle[1]
+        sxx += weight[i] * p * p
+        sxy += weight[i] * p * q
+        syy += weight[i] * q * q
+    det, total = sxx * syy - sxy**2, sxx + syy
+    full = det > _SLENDER * total**2
+    # rows of the fit: the map's columns from the stars' shifts, per star
+    along = np.empty((m, 2))
+    for i in range(m):
+        p, q = x[i, 0] - middle[0], x[i, 1] - middle[1]
+        if full:
+            along[i, 0] = weight[i] * (syy * p - sxy * q) / det
+            along[i, 1] = weight[i] * (sxx * q - sxy * p) / det
+        else:
+            along[i, 0], along[i, 1] = weight[i] * p / total, weight[i] * q / total
+    t = np.empty((2, 2))
+    offset = np.empty(2)
+    last = np.inf
+    for _ in range(_ROUNDS):
+        if not _project(axes_r, r, sky):
+            return 2, nothing, nothing
+        t[:] = 0.0
+        centre = np.zeros(2)
+        for i in range(m):
+            centre += weight[i] * sky[i]
+        for i in range(m):
+            u, v = sky[i, 0] - centre[0], sky[i, 1] - centre[1]
+            if full:
+                t[0, 0] += along[i, 0] * u
+                t[0, 1] += along[i, 1] * u
+                t[1, 0] += along[i, 0] * v
+                t[1, 1] += along[i, 1] * v
+            else:
+                t[0, 0] += along[i, 0] * u + along[i, 1] * v
+                t[1, 0] += along[i, 0] * v - along[i, 1] * u
+        if not full:
+            t[1, 1], t[0, 1] = t[0, 0], -t[1, 0]
+        offset[0] = centre[0] - t[0, 0] * middle[0] - t[0, 1] * middle[1]
+        offset[1] = centre[1] - t[1, 0] * middle[0] - t[1, 1] * middle[1]
+        size = math.sqrt(offset[0] ** 2 + offset[1] ** 2)
+        if size < _SETTLED_RAD or (size < 1e-9 and size >= 0.5 * last):
+            break
+        last = size
+        axes_r = _tangent_axes(axes_r[2] + offset[0] * axes_r[0] + offset[1] * axes_r[1])
+    if not size < 1e-7:
+        return 2, nothing, nothing
+    swing, reach = t[1, 0] - t[0, 1], t[0, 0] + t[1, 1]
+    length = math.hypot(swing, reach)
+    # a mirror image, or no image at all, turns nowhere
+    if not (length > 0.1 and t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0] > 0.0):
+        return 2, nothing, nothing
+    c, s = reach / length, swing / length
+    turned = axes_b.copy()
+    turned[0], turned[1] = c * axes_b[0] - s * axes_b[1], s * axes_b[0] + c * axes_b[1]
+    matrix = turned.T @ axes_r
+    inner = _plate_covariance(x, sigma, weight, along, middle, full)
+    return 0, matrix, axes_b.T @ inner @ axes_b
+
+
+@njit(cache=True, error_model="numpy")
+def _plate_covariance(
+    x: FloatArray, sigma: FloatArray, weight: FloatArray, along: FloatArray, middle: FloatArray, full: bool
+) -> FloatArray:
+    """Covariance (3, 3) of the rotation vector in the plane's axes.
+
+    The fit reads shift and turn as linear functions F of the stars' shifts m in the plane. A rotation δ shifts a star
+    by G δ, G = [[−xy, 1 + x², −y], [−(1 + y²), xy, x]]; so δ̂ = (F G)⁻¹ F m. Isotropic errors σ of a direction become
+    σ² (1 + x² + y²) (I + p pᵀ), p = (x, y), in the plane.
+    """
+    jacobian, noise = np.zeros((3, 3)), np.zeros((3, 3))
+    f = np.empty((3, 2))
+    g = np.empty((2, 3))
+    spread = np.empty((2, 2))
+    for i in range(len(x)):
+        p, q = x[i, 0], x[i, 1]
+        level = weight[i] - along[i, 0] * middle[0] - along[i, 1] * middle[1]
+        if full:
+            f[0, 0], f[0, 1] = 0.0, -level
+            f[1, 0], f[1, 1] = level, 0.0
+            f[2, 0], f[2, 1] = -0.5 * along[i, 1], 0.5 * along[i, 0]
+        else:
+            skew = along[i, 0] * middle[1] - along[i, 1] * middle[0]
+            f[0, 0], f[0, 1] = skew, -level
+            f[1, 0], f[1, 1] = level, skew
+            f[2, 0], f[2, 1] = -along[i, 1], along[i, 0]
+        g[0, 0], g[0, 1], g[0, 2] = -p * q, 1.0 + p * p, -q
+        g[1, 0], g[1, 1], g[1, 2] = -(1.0 + q * q), p * q, p
+        widen = sigma[i] ** 2 * (1.0 + p * p + q * q)
+        spread[0, 0], spread[1, 1] = widen * (1.0 + p * p), widen * (1.0 + q * q)
+        spread[0, 1] = spread[1, 0] = widen * p * q
+        jacobian += f @ g
+        noise += f @ spread @ f.T
+    inverse = np.linalg.inv(jacobian)
+    return inverse @ noise @ inverse.T

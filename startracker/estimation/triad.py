@@ -1,0 +1,59 @@
+"""Attitude from two directions (Black 1964)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.estimation.kernels import cross, most_telling_pair, pair_frame, pair_rotation
+from startracker.estimation.result import Estimate, check_directions
+
+__all__ = ["triad"]
+
+FloatArray = NDArray[np.float64]
+
+
+def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
+    """Attitude by TRIAD (Black 1964, AIAA J. 2, 1350), from the two stars that tell most.
+
+    The first star is laid on its image exactly, the second only on the great circle: A = M_b M_rᵀ with the columns of
+    M the first direction, the pole of the two and what completes them. Of all ordered pairs, the better measured star
+    first, that with the smallest trace of the covariance is taken; the other stars are not used. (The symmetric
+    variant, midpoint on midpoint, is `star_pair`.)
+
+    Parameters
+    ----------
+    observed, reference : array_like, shape (M, 3)
+        Directions in the camera and in the catalogue's frame, M ≥ 2; normalised here.
+    sigma_rad : array_like, shape (M,)
+        Standard deviation of each observed direction about each cross axis, radians.
+
+    Returns
+    -------
+    Estimate
+        Covariance to first order, with θ the separation (Shuster & Oh 1981): σ₁² about both axes across the first
+        star; (σ₂² + σ₁² cos²θ)/sin²θ about it; correlated with the axis from it towards the second by σ₁² cot θ.
+
+    Raises
+    ------
+    InputError
+        See `startracker.estimation.result.check_directions`.
+    """
+    b, r, sigma = check_directions(observed, reference, sigma_rad)
+    return Estimate(*_triad(b, r, sigma))
+
+
+@njit(cache=True, error_model="numpy")
+def _triad(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    first, second = most_telling_pair(b, sigma)
+    x, y, z = cross(b[first], b[second])
+    sine = np.sqrt(x * x + y * y + z * z)
+    cosine = (b[first] * b[second]).sum()
+    one, two = sigma[first] ** 2, sigma[second] ** 2
+    inner = np.zeros((3, 3))
+    inner[0, 0] = (two + one * cosine**2) / sine**2
+    inner[1, 1] = inner[2, 2] = one
+    inner[0, 2] = inner[2, 0] = one * cosine / sine
+    frame = pair_frame(b[first], b[second])
+    return pair_rotation(b, r, first, second), frame @ inner @ frame.T

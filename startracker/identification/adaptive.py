@@ -1,0 +1,254 @@
+"""The default identification: triangles, brightest stars first, under assumptions that widen by turns.
+
+What a frame needs is not known beforehand: a good one is solved by its first triangle within the stated errors,
+another has false stars, errors of pixels, or a focal length a percent off. So every assumption gets a few triangles in
+the first turn and more in later ones; the first identification beyond doubt ends it.
+
+From Van Bezooijen 1989 it has the match of pairs, from Mortari, Samaan, Bruccoleri & Junkins 2004 the triangle with
+confirming stars, and from Lang et al. 2010 the acceptance by the odds of the whole field.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import combinations
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.identification.bayes_factor import count_table
+from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan
+from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.triangles import (
+    PAIR_SIGMAS,
+    Finds,
+    Limits,
+    Pairs,
+    Stars,
+    search_triangles,
+    triangle_costs,
+)
+from startracker.identification.verification import MOST_EXTRA, focal_slopes
+from startracker.settings import IdentificationSettings
+from startracker.solution import Status
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+TIGHT, MIDDLE, WIDE = 2.2, 7.0, 16.0
+"""Multiples of the stated errors: 0.15 px stated becomes 0.33, 1 and 2.4 px."""
+FOCAL_RANGE = 0.025
+SHORT_SIDES = 0.6
+"""Share of the field's diagonal up to which pairs are listed: of a triangle the two shorter sides are looked up."""
+
+
+class _Turn(NamedTuple):
+    """One turn of a search.
+
+    Parameters
+    ----------
+    assumption : str
+        What is taken for true, in words.
+    multiple : float
+        Of the stated errors.
+    focal_range : float
+        Largest relative error of the focal length.
+    chance_hits : float
+        How often chance may let a triangle pass on to verification.
+    fewest : int
+        Stars below which it could never be accepted.
+    triangles : int
+        Looked up under this assumption by the end of the turn, at most.
+    work : float
+        Nanoseconds at most, about.
+    """
+
+    assumption: str
+    multiple: float
+    focal_range: float
+    chance_hits: float
+    fewest: int
+    triangles: int
+    work: float
+
+
+_STATED = _Turn("errors as stated", TIGHT, 0.0, 0.02, 3, 12, 5e6)
+_THREE = _Turn("errors three times as large", MIDDLE, 0.0, 0.005, 5, 4, 5e6)
+_FOCAL = _Turn(f"focal length off by up to {FOCAL_RANGE:.1%}", TIGHT, FOCAL_RANGE, 0.01, 5, 6, 5e6)
+_SEVEN = _Turn("errors seven times as large", WIDE, 0.0, 0.001, 8, 2, 20e6)
+_TURNS = (
+    _STATED,
+    _THREE,
+    _FOCAL,
+    _SEVEN,
+    _STATED._replace(triangles=60, work=20e6),
+    _THREE._replace(triangles=24, work=20e6),
+    _STATED._replace(triangles=20000, work=150e6),
+    _THREE._replace(triangles=60, work=20e6),
+    _FOCAL._replace(triangles=20, work=10e6),
+    _SEVEN._replace(triangles=10, work=30e6),
+)
+_FAINTER: WeakKeyDictionary[PairList, NDArray[np.float32]] = WeakKeyDictionary()
+_MOST_TRIPLES = 20000
+_CROWDED, _FEWER_TRIPLES = 40, 1500
+_MOST_STARS = 120
+_BRIGHT = 9
+_BLOCKS = np.array([5, 7])
+_LEAST_SIDE = 0.12
+_MOST_FINDS = 12
+
+
+def adaptive(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """Identify observed stars, lost in space or around a prior attitude.
+
+    Parameters
+    ----------
+    observed : Observed
+        Brightest first.
+    guide : GuideDatabase
+        As the observer sees it.
+    settings : IdentificationSettings
+        Its `false_alarm_rate`, `min_stars` and `magnitude_tolerance`; a `separation_tolerance_deg` sets the one
+        tolerance that is tried.
+    prior : Prior, optional
+        Confines guide stars and attitudes.
+
+    Returns
+    -------
+    Identification
+        Status, reason and pairs. Never raises for what was observed.
+    """
+    settings = settings or IdentificationSettings()
+    least = max(settings.min_stars, 3)
+    if len(observed) < least:
+        reason = f"{len(observed)} stars seen, {least} are needed"
+        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+    bench = Bench(settings, prior, len(observed))
+    stars = Stars(
+        observed.vectors,
+        focal_slopes(observed.vectors),
+        observed.sigma_rad,
+        magnitudes_or_nan(observed),
+        count_table(len(observed), 2 * len(observed) + MOST_EXTRA),
+    )
+    near = (
+        guide.pairs_within(SHORT_SIDES)
+        if prior is None
+        else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
+    )
+    pairs = _kernel_pairs(near, guide)
+    triangles = _Triangles(observed.vectors, 2.0 * guide.half_diagonal_rad)
+    finds = _no_finds(len(observed))
+    count, kept = 0, 0
+    done: dict[str, int] = {}
+    for turn in _turns(settings, observed):
+        start = done.get(turn.assumption, 0)
+        if start >= min(turn.triangles, len(triangles)) or len(observed) < turn.fewest:
+            continue
+        limits = _limits(bench, observed, turn)
+        count, looked, found = search_triangles(
+            triangles.part(start, turn.triangles), stars, guide.view, pairs, limits, finds, count
+        )
+        done[turn.assumption] = start + looked
+        bench.note(f"{turn.assumption}: {looked} triangles, {found} alike in the sky, {count - kept} worth a look")
+        kept = count
+        for row in range(count):
+            bench.add(hypothesis_of(tuple(column[row] for column in finds)))
+        if bench.surely:
+            break
+        everything = turn.multiple == TIGHT and start + looked >= len(triangles)
+        if everything and bench.standing and bench.log_chance < bench.limit:
+            break
+    return bench.judge(observed)
+
+
+def _turns(settings: IdentificationSettings, observed: Observed) -> tuple[_Turn, ...]:
+    """Assumptions in the order in which they are tried."""
+    if settings.separation_tolerance_deg is None:
+        return _TURNS
+    # the user's tolerance is that of a separation
+    error = math.radians(settings.separation_tolerance_deg) / (PAIR_SIGMAS * math.sqrt(2.0))
+    multiple = error / float(np.median(observed.sigma_rad))
+    return (_TURNS[6]._replace(assumption="separations within the tolerance given", multiple=multiple),)
+
+
+def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
+    prior, matrix, cosine = bench.prior, np.eye(3), -2.0
+    if prior is not None:
+        slack = prior.radius_rad + 6.0 * turn.multiple * float(observed.sigma_rad.max()) + turn.focal_range
+        matrix, cosine = np.ascontiguousarray(prior.attitude.as_matrix()), math.cos(min(slack, math.pi))
+    tolerance, sure = bench.settings.magnitude_tolerance, bench.sure_evidence
+    return Limits(
+        turn.multiple,
+        turn.focal_range,
+        tolerance,
+        turn.chance_hits,
+        sure,
+        turn.work,
+        np.ascontiguousarray(matrix),
+        cosine,
+    )
+
+
+def _kernel_pairs(pairs: PairList, guide: GuideDatabase) -> Pairs:
+    if pairs not in _FAINTER:
+        _FAINTER[pairs] = (guide.v_mag[pairs.first] - guide.v_mag[pairs.second]).astype(np.float32)
+    return Pairs(pairs.first, pairs.second, pairs.separation_rad, _FAINTER[pairs])
+
+
+@lru_cache(maxsize=128)
+def _triples(n: int) -> tuple[IntArray, IntArray]:
+    """Triples (T, 3) of the brightest few of n stars, and of all the others, as many as are ever looked up."""
+    few = np.array(list(combinations(range(min(n, _BRIGHT)), 3)), dtype=np.int64)
+    few = few[np.argsort(few[:, 2], kind="stable")]
+    rest = np.array([(i, j, k) for k in range(_BRIGHT, n) for j in range(1, k) for i in range(j)], dtype=np.int64)
+    most = _MOST_TRIPLES if n > _CROWDED else _FEWER_TRIPLES
+    if len(rest) > most:  # the brighter may all be false: any of them, the same every time
+        rest = rest[np.sort(np.random.default_rng(n).permutation(len(rest))[:most])]
+    return few, rest.reshape(-1, 3)
+
+
+class _Triangles:
+    """Triangles of one frame's stars in the order in which they are looked up: bright ones first, of those the small.
+
+    The fewer guide pairs have a side's length the quicker it is looked up, and small triangles agree by chance more
+    seldom; very small ones say little of the attitude and come last.
+    """
+
+    def __init__(self, vectors: FloatArray, diagonal_rad: float) -> None:
+        few, self._rest = _triples(min(len(vectors), _MOST_STARS))
+        self._vectors, self._least_rad = vectors, _LEAST_SIDE * diagonal_rad
+        block = np.searchsorted(_BLOCKS, few[:, 2])
+        self._few = few[np.lexsort((self._cost(few), block))]
+        self._all: IntArray | None = None
+
+    def __len__(self) -> int:
+        return len(self._few) + len(self._rest)
+
+    def part(self, start: int, stop: int) -> IntArray:
+        if stop <= len(self._few):
+            return self._few[start:stop]
+        if self._all is None:
+            order = np.argsort(self._cost(self._rest), kind="stable")
+            self._all = np.concatenate([self._few, self._rest[order]])
+        return self._all[start:stop]
+
+    def _cost(self, triples: IntArray) -> FloatArray:
+        return np.asarray(triangle_costs(triples, self._vectors, self._least_rad))
+
+
+def _no_finds(n: int) -> Finds:
+    h = _MOST_FINDS
+    return Finds(
+        np.full(h, -np.inf), np.empty((h, 3, 3)), np.zeros(h), np.ones(h), np.zeros(h, np.int64),
+        np.full((h, n), -1, np.int64),
+    )  # fmt: skip

@@ -1,0 +1,275 @@
+"""How much more likely the observed stars are on the sky than anywhere at random: the Bayes factor of an attitude.
+
+Null hypothesis: each of the n observed stars lies anywhere on the image, density 1/A. Hypothesis: the camera has some
+attitude, all of SO(3) alike; each star is a distractor with probability d, density 1/A, and otherwise one of the K
+brightest guide stars of the field, each with a Gaussian of width σ about its place and a magnitude near the guide
+star's. σ, d, K and the magnitudes' scatter are unknown and averaged over a grid. The integral over the attitudes near
+one is Laplace's, (2π)^(3/2) |N|^(−1/2) / (8π²) with N the normal matrix: the price of having searched everywhere.
+
+As the average of likelihood ratios the factor B has mean one under the null hypothesis, so that B ≥ t happens by
+chance with probability 1/t at most (Markov), however many attitudes were looked at. It is less by far: that
+probability is the mean of 1/B over those skies of the hypothesis that have B ≥ t, that is, at most p/t with p the
+largest density of ln B over skies with n stars. A star more or less changes ln B by some ten, and there may be any
+number of true ones among the n, which spreads ln B the more the larger n is (`largest_density`).
+
+Sources: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, section 2.3 (the mixture); MacKay 2003, Information
+Theory, Inference, and Learning Algorithms, ch. 27 (Laplace's method); the bound on chance is ours.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SCALES = np.array([0.4, 0.7, 1.25, 2.2, 4.0, 7.0, 12.5, 22.0])
+"""Widths averaged over, in units of the stated errors."""
+SEEN = ((0.5, 0.1), (0.65, 0.15), (0.8, 0.25), (0.9, 0.3), (0.97, 0.2))
+"""Probabilities that a guide star is seen, and their weights."""
+DISTRACTORS = ((0.3, 0.2), (1.0, 0.2), (3.0, 0.2), (8.0, 0.15), (20.0, 0.1), (60.0, 0.1), (150.0, 0.05))
+"""Mean numbers of distractors, and their weights."""
+SCALE_LOG_PRIOR = np.log(np.array([0.1, 0.15, 0.2, 0.2, 0.15, 0.1, 0.06, 0.04]))
+SCATTERS_MAG = np.array([0.12, 0.35])
+"""Scatters of the magnitudes averaged over: a calibrated instrument, and any."""
+_WIDE_MAG, _WIDE_SHARE, _FLOOR = 1.5, 0.2, 1e-3
+_SAMPLE = 24
+_LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)
+_ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
+
+
+def largest_density(n: int) -> float:
+    """Bound on the density of ln B, per nat, over skies of the hypothesis that show `n` stars.
+
+    0.2/n, at least 0.012: half as much again as skies drawn from the hypothesis have
+    (tests/statistical/test_false_alarms).
+    """
+    return max(0.2 / max(n, 3), 0.012)
+
+
+@njit(cache=True, error_model="numpy")
+def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: FloatArray) -> FloatArray:
+    """Logarithms (scatters, N) of how much better each star's magnitude fits its guide star than any of the field.
+
+    A core of the given scatter and wide wings (colour, variability, saturation, blends). The zero point is the median
+    over the matched stars; the star that gains most pays for it. Zero for fewer than three stars.
+
+    Parameters
+    ----------
+    magnitude : (N,)
+        Observed, on the instrument's own zero point; NaN: not known.
+    matched : (N,)
+        Position in `field_v` of each star's guide star, or −1.
+    field_v : (K,)
+        V of the guide stars of the field.
+    """
+    out = np.zeros((len(SCATTERS_MAG), len(magnitude)))
+    seen = np.flatnonzero(matched >= 0)
+    if len(seen) < 3:
+        return out
+    difference = np.empty(len(seen))
+    for k in range(len(seen)):
+        difference[k] = magnitude[seen[k]] - field_v[matched[seen[k]]]
+    zero = np.median(difference)
+    if not math.isfinite(zero):
+        return out
+    stride = max(1, len(field_v) // _SAMPLE)
+    wide_height = _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI)
+    for s in range(len(SCATTERS_MAG)):
+        width = SCATTERS_MAG[s]
+        height = (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI)
+        most = 0.0
+        for k in range(len(seen)):
+            d = difference[k] - zero
+            likely = height * math.exp(-0.5 * (d / width) ** 2) + wide_height * math.exp(-0.5 * (d / _WIDE_MAG) ** 2)
+            anyhow, count = 0.0, 0
+            for g in range(0, len(field_v), stride):
+                d = magnitude[seen[k]] - zero - field_v[g]
+                wide = wide_height * math.exp(-0.5 * (d / _WIDE_MAG) ** 2)
+                anyhow += height * math.exp(-0.5 * (d / width) ** 2) + wide
+                count += 1
+            out[s, seen[k]] = math.log((likely + _FLOOR) / (anyhow / count + _FLOOR))
+            most = max(most, out[s, seen[k]])
+        out[s, seen[0]] -= most
+    return out
+
+
+class CountTable(NamedTuple):
+    """What the numbers of stars say, for n observed ones.
+
+    Parameters
+    ----------
+    log_weight : (n + 1, depths + 1)
+        ln of the probability that M given ones of D guide stars within the depth are seen, as M given ones of the n,
+        and nothing else but distractors; −inf where M > D.
+    log_total : (depths + 1,)
+        ln of the probability of n stars, summed over all depths up to each.
+    """
+
+    log_weight: FloatArray
+    log_total: FloatArray
+
+
+@lru_cache(maxsize=256)
+def count_table(n: int, depths: int) -> CountTable:
+    """Table for `n` observed stars and up to `depths` guide stars of the field.
+
+    Each guide star within the depth D is seen with probability p, Poisson-many distractors (mean λ) besides; p and λ
+    are averaged over `SEEN` and `DISTRACTORS`: an ordered list of n stars with M given matches has the weight
+    e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!.
+    """
+    m = np.arange(n + 1)[:, None]
+    d = np.arange(depths + 1)[None, :]
+    ways = gammaln(n + 1) - gammaln(n - m + 1)  # ordered choices of M of the n observed stars
+    with np.errstate(divide="ignore", invalid="ignore"):
+        choose = np.where(m <= d, gammaln(d + 1) - gammaln(m + 1) - gammaln(np.maximum(d - m, 0) + 1), -np.inf)
+        total = np.full((n + 1, depths + 1), -np.inf)
+        for p, p_weight in SEEN:
+            for distractors, weight in DISTRACTORS:
+                term = math.log(p_weight * weight) - distractors + (n - m) * math.log(distractors) + m * math.log(p)
+                total = np.logaddexp(total, np.where(m <= d, term + (d - m) * math.log1p(-p), -np.inf))
+        log_weight = total - gammaln(n + 1)
+        each = np.logaddexp.reduce(log_weight + choose + ways, axis=0)
+    log_total = np.logaddexp.accumulate(np.where(d[0] > 0, each, -np.inf))
+    return CountTable(log_weight, log_total)
+
+
+@njit(cache=True, error_model="numpy")
+def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
+    """ln of the likelihood ratio of the matches at hand, averaged over how deep the image reaches and what is missing.
+
+    Of the matches with guide stars within a depth the M best are taken: other choices would only add.
+
+    Parameters
+    ----------
+    gain : (m,)
+        ln of A times the density of each matched star's place and magnitude, largest first.
+    rank : (m,)
+        Place of its guide star in the field's order of brightness, from 0.
+    in_field : int
+        Guide stars of the field, K.
+    counts : CountTable
+    """
+    highest, total = -math.inf, 0.0
+    for depth in range(1, in_field + 1):
+        value, cumulative, m = counts.log_weight[0, depth], 0.0, 0
+        for k in range(len(gain)):
+            if rank[k] < depth:
+                m += 1
+                cumulative += gain[k]
+                value = max(value, cumulative + counts.log_weight[m, depth])
+        if value > highest:
+            total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
+            highest = value
+        else:
+            total += math.exp(value - highest)
+    average: float = highest + math.log(total) - counts.log_total[in_field]
+    return average
+
+
+@njit(cache=True, error_model="numpy")
+def log_determinant(matrix: FloatArray) -> float:
+    """ln of the determinant of a symmetric positive definite matrix (Cholesky); −inf where it is not."""
+    n = matrix.shape[0]
+    lower = np.zeros((n, n))
+    total = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not rest > 0.0:
+                    return -math.inf
+                lower[i, i] = math.sqrt(rest)
+                total += math.log(rest)
+            else:
+                lower[i, j] = rest / lower[j, j]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def log_bayes_factor(
+    distance: FloatArray,
+    rank: IntArray,
+    sigma: FloatArray,
+    information: FloatArray,
+    log_ratio: FloatArray,
+    in_field: int,
+    area: float,
+    focal_sigma: float,
+    counts: CountTable,
+) -> tuple[float, float]:
+    """ln B of an attitude, and which multiple of the stated errors explains it best.
+
+    Parameters
+    ----------
+    distance : (N,)
+        From each observed star to its guide star, rad; inf where it has none.
+    rank : (N,)
+        Place of that guide star in the field's order of brightness; anything where it has none.
+    sigma : (N,)
+        Stated standard error on one axis, rad.
+    information : (3, 3) or (4, 4)
+        Normal matrix of attitude (and focal length) at the stated errors.
+    log_ratio : (scatters, N)
+        Of `log_magnitude_ratios`.
+    in_field : int
+        Guide stars of the field, K.
+    area : float
+        Of the image, sr.
+    focal_sigma : float
+        Standard deviation of the logarithm of the focal length beforehand, where that is fitted too.
+    counts : CountTable
+        For N stars and at least as many guide stars as the field has.
+    """
+    seen = np.flatnonzero(distance < np.inf)
+    if len(seen) < 3 or in_field < 1:
+        return -math.inf, 1.0
+    unknowns = information.shape[0]
+    base = np.empty(len(seen))
+    square = np.empty(len(seen))
+    for k in range(len(seen)):
+        base[k] = math.log(area / (2.0 * math.pi * sigma[seen[k]] ** 2))
+        square[k] = 0.5 * (distance[seen[k]] / sigma[seen[k]]) ** 2
+    # the width that fits best, without magnitudes
+    values = np.empty(len(SCALES))
+    volumes = np.empty(len(SCALES))
+    gain = np.empty(len(seen))
+    normal = np.empty_like(information)
+    order = np.argsort(square)
+    places = rank[seen[order]]
+    for s in range(len(SCALES)):
+        normal[:] = information / SCALES[s] ** 2
+        if unknowns == 4:
+            normal[3, 3] += 1.0 / focal_sigma**2
+        volumes[s] = 0.5 * unknowns * math.log(2.0 * math.pi) - 0.5 * log_determinant(normal) - _LOG_SPHERE_OF_ROTATIONS
+        if unknowns == 4:
+            volumes[s] -= math.log(focal_sigma * _ROOT_TWO_PI)
+        for k in range(len(seen)):
+            gain[k] = base[order[k]] - 2.0 * math.log(SCALES[s]) - square[order[k]] / SCALES[s] ** 2
+        values[s] = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(gain, places, in_field, counts)
+    best = int(np.argmax(values))
+    # what lies beside the best adds the most; what is left out could only make B larger
+    highest, total = -math.inf, 0.0
+    for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
+        for scatter in range(len(SCATTERS_MAG)):
+            for k in range(len(seen)):
+                gain[k] = base[k] - 2.0 * math.log(SCALES[s]) - square[k] / SCALES[s] ** 2 + log_ratio[scatter, seen[k]]
+            order = np.argsort(-gain)
+            value = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(gain[order], rank[seen[order]], in_field, counts)
+            if value > highest:
+                total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
+                highest = value
+            else:
+                total += math.exp(value - highest)
+    if not highest > -math.inf:
+        return -math.inf, SCALES[best]
+    return highest + math.log(total / len(SCATTERS_MAG)), SCALES[best]

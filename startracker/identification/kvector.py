@@ -1,0 +1,81 @@
+"""The k-vector: ranges of a sorted list in constant time (Mortari 1997; Mortari & Neta 2000, AAS 00-128).
+
+A straight line through the sorted values is cut into as many steps as there are values, and for each step is noted how
+many values lie below it. A range then starts and ends a few values away from where the line says, however long the
+list; those few are gone through one by one, so that the answer is `numpy.searchsorted`'s to the last value.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["KVector", "find_range", "k_vector"]
+
+FloatArray = NDArray[np.float64]
+
+
+class KVector(NamedTuple):
+    """Index of ascending values.
+
+    Parameters
+    ----------
+    values : (n,)
+        Ascending.
+    below : int32 (n + 1,)
+        Values below ``start + k * step``.
+    start, step : float
+        The line.
+    """
+
+    values: FloatArray
+    below: NDArray[np.int32]
+    start: float
+    step: float
+
+
+def k_vector(values: FloatArray) -> KVector:
+    """Index of ascending, finite values (n,)."""
+    ascending = np.ascontiguousarray(values, dtype=np.float64)
+    n = len(ascending)
+    if n == 0:
+        return KVector(ascending, np.zeros(1, np.int32), 0.0, 1.0)
+    start = float(ascending[0])
+    step = (float(ascending[-1]) - start) / n
+    if not step > 0.0:
+        step = 1.0
+    below = np.searchsorted(ascending, start + step * np.arange(n + 1), side="left").astype(np.int32)
+    return KVector(ascending, below, start, step)
+
+
+@njit(cache=True, error_model="numpy")
+def _first_from(index: KVector, value: float) -> int:
+    """Position of the first value that is not below `value`."""
+    n = len(index.values)
+    if n == 0 or value <= index.values[0]:
+        return 0
+    if value > index.values[n - 1]:
+        return n
+    at = int(index.below[min(max(int((value - index.start) / index.step), 0), n)])
+    # the step's own rounding can put the line a value off on either side
+    while at > 0 and index.values[at - 1] >= value:
+        at -= 1
+    while at < n and index.values[at] < value:
+        at += 1
+    return at
+
+
+@njit(cache=True, error_model="numpy")
+def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
+    """Half-open range of the positions whose values are ≥ `low` and ≤ `high`."""
+    first = _first_from(index, low)
+    last = first
+    n = len(index.values)
+    if high >= low and n > 0:
+        last = max(_first_from(index, high), first)
+        while last < n and index.values[last] <= high:  # equal to the limit
+            last += 1
+    return first, last

@@ -1,0 +1,80 @@
+"""The last fit of a field whose focal length was not known: all stars, weighed, and what the lens shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.guide import GuideDatabase
+from startracker.identification.free_scale import FreeFit
+from startracker.identification.hypothesis import nearest_unique
+from startracker.lens import PARAMETERS, only
+from startracker.lens_fit import Matches, fit_jointly, noise_floor, significant
+
+__all__ = ["last_fit"]
+
+FloatArray = NDArray[np.float64]
+
+_REJECT_SIGMAS = 3.7
+"""A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""
+_STATED_PX = 0.15
+"""Of centroids that come without an error; the residuals tell the rest."""
+_FEWEST = 12
+_LENS = ("f", "k1", "k2", "k3", "p1", "p2")
+"""No principal point: one field hardly tells it from a turn of the camera, and through a distorting lens a shift by c
+has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so that these take its place."""
+
+
+def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase) -> FreeFit:
+    """Fit with every star of the field, weighed by its own error, and every lens parameter that is significant.
+
+    The same rule of rejection as with a known camera (`startracker.refine`); what was accepted stays where this
+    leaves much fewer stars.
+
+    Parameters
+    ----------
+    fit : FreeFit
+        Accepted.
+    xy : (N, 2)
+        Centroids, brightest first.
+    variance_px2 : (N,), optional
+        On one axis; None: all alike.
+    guide : GuideDatabase
+        Stars as deep as the image; the first of those that the fit's pairs name.
+    """
+    if len(fit.pairs) < _FEWEST:
+        return fit
+    own = np.full(len(xy), _STATED_PX**2) if variance_px2 is None else variance_px2
+    off = xy[fit.pairs[:, 0]] - fit.camera.project(guide.directions[fit.pairs[:, 1]] @ fit.matrix.T)
+    pairs, floor = fit.pairs, noise_floor(off, own[fit.pairs[:, 0]])
+    camera, matrix = fit.camera, fit.matrix
+    names = tuple(n for n in PARAMETERS["pinhole" if camera.projection == "pinhole" else "fisheye"] if n in _LENS)
+    best = fit
+    for round_ in range(4):
+        sigma = np.sqrt(own + floor**2)
+        matches = Matches(xy[pairs[:, 0]], guide.directions[pairs[:, 1]], sigma[pairs[:, 0]])
+        if round_ == 0:
+            full = fit_jointly(camera, [matrix], [matches], names, enough=1e-3)
+            if full is None:
+                return best
+            names = significant(full)
+            camera = only(full.camera, names)
+        joint = fit_jointly(camera, [matrix], [matches], names, enough=1e-4)
+        if joint is None:
+            return best
+        camera, matrix = joint.camera, joint.matrices[0]
+        inflation = max(joint.chi2 / joint.freedom, 1e-12)
+        covariance = joint.covariance[len(names) :, len(names) :] * inflation
+        rms = float(np.sqrt(np.mean(joint.residuals[0] ** 2)))
+        best = replace(best, camera=camera, matrix=matrix, pairs=pairs, covariance=covariance, rms_px=rms)
+        floor = noise_floor(joint.residuals[0], own[pairs[:, 0]], len(joint.covariance))
+        index, _, places = guide.in_field(matrix, 3.0, camera)
+        near, _ = nearest_unique(xy, places, _REJECT_SIGMAS * np.sqrt(own + floor**2))
+        seen = np.flatnonzero(near >= 0)
+        matched = np.stack([seen, index[near[seen]]], axis=1)
+        if np.array_equal(matched, pairs) or len(matched) < 0.8 * len(fit.pairs):
+            break
+        pairs = matched
+    return best

@@ -1,0 +1,99 @@
+"""Identification by patterns of four stars, found by their shape in a hash table.
+
+1. Sets of four of the brightest observed stars are taken one after another, the faintest star changing last, so that a
+   false star among the bright ones is soon left behind.
+2. The shape's bins, and all neighbouring ones within the tolerance, are looked up (`pattern_table`). What agrees in
+   all six edges, in the size within the range of the focal length, and in its sense (mirror images are refused) gives
+   an attitude.
+3. A candidate whose other stars fall upon guide stars more often than chance would have it is checked against all
+   stars of the field and accepted by probability (`hypothesis`).
+
+Tolerances are those of the stated errors first, then three and ten times as large. The work is bounded. The method is
+that of tetra3's documentation (Pettersson 2019, ESA) after Brown, Stubis & Cahoy 2017 (TETRA).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from startracker.catalog.guide import GuideDatabase
+from startracker.identification.hypothesis import SCALES, Bench, verify
+from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
+from startracker.identification.pattern_table import pattern_table
+from startracker.settings import IdentificationSettings
+from startracker.solution import Status
+
+__all__ = ["pattern_hash"]
+
+FOCAL_RANGE = 0.025
+MOST_STARS = 40
+_WORK_NS = {1.0: 3e6, 3.0: 3e6, 10.0: 5e6}
+_ROOM = 8
+_MOST_VERIFIED = 24
+_PASSING, _STRONG = -1.0, -8.0
+_FEW_STARS = 10
+"""Stars up to which a pattern is looked into even where no other star agrees: it may be all that is true."""
+
+
+def pattern_hash(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """Identify observed stars, lost in space or around a prior attitude.
+
+    Parameters
+    ----------
+    observed : Observed
+        Brightest first; sets of the brightest are tried first. The focal length may be 2.5 % wrong.
+    guide : GuideDatabase
+        As the observer sees it. Its table of patterns is made once and kept in the user's cache folder.
+    settings : IdentificationSettings
+        `min_stars` and `false_alarm_rate`.
+    prior : Prior, optional
+        Attitudes outside it are dropped.
+
+    Returns
+    -------
+    Identification
+        Status, reason and pairs. Never raises for what was observed.
+    """
+    settings = settings or IdentificationSettings()
+    least = max(settings.min_stars, 4)
+    if len(observed) < least:
+        reason = f"{len(observed)} stars seen, {least} are needed for a pattern"
+        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+    bench = Bench(settings, prior, len(observed))
+    table, sky = pattern_table(guide), guide.view
+    vectors, sigma = np.ascontiguousarray(observed.vectors), observed.sigma_rad
+    finds = PatternFinds(np.empty(_ROOM), np.empty((_ROOM, 3, 3)), np.empty(_ROOM))
+    known = np.empty((0, 3, 3))
+    for scale in SCALES:
+        stars, work, looked = np.arange(4), _WORK_NS[scale], 0
+        while work > 0.0 and stars[3] < min(len(observed), MOST_STARS) and len(known) < _MOST_VERIFIED:
+            plan = _plan(scale, work, observed, prior)
+            count, patterns, work = search_patterns(vectors, sigma, table, sky, plan, stars, known, finds)
+            looked += patterns
+            for k in np.argsort(finds.score[:count]):
+                focal = float(finds.focal[k])
+                bench.add(verify(finds.matrix[k], observed, guide, SCALES[-1], None if focal == 1.0 else focal))
+                known = np.concatenate([known, finds.matrix[k : k + 1]])
+            if bench.surely:
+                break
+        bench.note(f"errors {scale:g} times as stated: {looked} patterns looked up, {len(known)} attitudes checked")
+        if bench.standing and bench.log_chance <= bench.limit:
+            break
+    return bench.judge(observed)
+
+
+def _plan(scale: float, work: float, observed: Observed, prior: Prior | None) -> Plan:
+    matrix, cosine = np.eye(3), -2.0
+    if prior is not None:
+        slack = prior.radius_rad * 1.05 + 10.0 * scale * float(observed.sigma_rad.max()) + FOCAL_RANGE
+        matrix, cosine = np.ascontiguousarray(prior.attitude.as_matrix()), math.cos(min(slack, math.pi))
+    passing = 0.0 if len(observed) <= _FEW_STARS else _PASSING
+    return Plan(scale, FOCAL_RANGE, MOST_STARS, work, passing, _STRONG, matrix, cosine)

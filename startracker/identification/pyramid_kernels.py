@@ -1,0 +1,241 @@
+"""Kernels of the pyramid: triangles of guide stars over the k-vector, and the fourth star that confirms one."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.catalog.sky_view import SkyView
+from startracker.catalog.voxels import stars_in_cone
+from startracker.estimation.kernels import pair_rotation
+from startracker.identification.kvector import KVector, find_range
+
+__all__ = ["MOST_FINDS", "Seen", "search_pyramids", "smart_triples"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST_FINDS = 6
+"""Triangles of guide stars kept for one observed triangle, best confirmed first."""
+_GATE_SIGMAS = 4.5
+_ABERRATION = 1.1e-4  # rad a radian of separation, and a little for rounding
+_MOST_CONFIRMING = 24
+_MOST_SILENT = 8  # stars looked at without a confirming one, after which a triangle is dropped
+_SLENDEREST = 4.0  # smallest height of a triangle, in standard errors: below it its sense is noise and its turn unknown
+
+
+class Seen(NamedTuple):
+    """Observed stars as the kernels take them.
+
+    Parameters
+    ----------
+    vectors : (N, 3)
+    sigma : (N,)
+        Standard errors assumed, rad.
+    separation, tolerance : (n, n)
+        Of the stars that make triangles, rad.
+    """
+
+    vectors: FloatArray
+    sigma: FloatArray
+    separation: FloatArray
+    tolerance: FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def smart_triples(n: int) -> IntArray:
+    """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
+
+    Successive triples share few stars, so that one false star spoils few of them in a row (Mortari et al. 2004).
+    """
+    out = np.empty((n * (n - 1) * (n - 2) // 6, 3), np.int64)
+    count = 0
+    for dj in range(1, n - 1):
+        for dk in range(1, n - dj):
+            for i in range(n - dj - dk):
+                out[count, 0], out[count, 1], out[count, 2] = i, i + dj, i + dj + dk
+                count += 1
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _chord(a: FloatArray, b: FloatArray) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, error_model="numpy")
+def _triple(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _confirming(
+    seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
+) -> tuple[int, int]:
+    """Further observed stars at the right separations from all three corners of a triangle of guide stars, and steps.
+
+    The three pair lists meet at the star that lies where the triangle's attitude puts it: it is looked up there, and
+    the separations are checked then.
+    """
+    hits, looked, steps = 0, 0, 0
+    apart, limit = np.empty(3), np.empty(3)
+    three = seen.sigma[corners[0]] + seen.sigma[corners[1]] + seen.sigma[corners[2]]
+    shortest = min(
+        seen.separation[corners[0], corners[1]],
+        seen.separation[corners[0], corners[2]],
+        seen.separation[corners[1], corners[2]],
+    )
+    for e in range(len(seen.vectors)):
+        if e == corners[0] or e == corners[1] or e == corners[2]:
+            continue
+        if looked >= wanted:
+            break
+        looked += 1
+        if hits == 0 and looked > _MOST_SILENT:
+            break
+        v = seen.vectors[e]
+        far = 0.0
+        for m in range(3):
+            apart[m] = _chord(v, seen.vectors[corners[m]])
+            limit[m] = _GATE_SIGMAS * math.hypot(seen.sigma[e], seen.sigma[corners[m]]) + _ABERRATION * apart[m]
+            far = max(far, apart[m])
+        # the triangle's turn is known to its errors over its side, and swings what is far from it
+        gate = _GATE_SIGMAS * (seen.sigma[e] + three / 3.0 * (1.0 + far / shortest))
+        x = rotation[0, 0] * v[0] + rotation[1, 0] * v[1] + rotation[2, 0] * v[2]
+        y = rotation[0, 1] * v[0] + rotation[1, 1] * v[1] + rotation[2, 1] * v[2]
+        z = rotation[0, 2] * v[0] + rotation[1, 2] * v[1] + rotation[2, 2] * v[2]
+        steps += 2
+        for star in stars_in_cone(x, y, z, 1.0 - 0.5 * gate * gate, sky.directions, sky.grid):
+            steps += 1
+            right = star != guides[0] and star != guides[1] and star != guides[2]
+            for m in range(3):
+                # chords differ by no more than the angles do
+                if not right or abs(_chord(sky.directions[star], sky.directions[guides[m]]) - apart[m]) > limit[m]:
+                    right = False
+                    break
+            if right:
+                hits += 1
+                break
+    return hits, steps
+
+
+@njit(cache=True, error_model="numpy")
+def search_pyramids(
+    seen: Seen,
+    triples: IntArray,
+    start: int,
+    stop: int,
+    first: IntArray,
+    second: IntArray,
+    index: KVector,
+    sky: SkyView,
+    least: int,
+    budget: int,
+    head: IntArray,
+) -> tuple[int, int, int, FloatArray, IntArray, int]:
+    """Go through the triples from `start` until one has a triangle of guide stars that a fourth star confirms.
+
+    Parameters
+    ----------
+    first, second : (L,)
+        Guide stars of each pair, in the order of `index`.
+    least : int
+        Confirming stars that a triangle must have.
+    budget : int
+        Steps (pairs and triangles looked at) after which to give up.
+    head : (G,)
+        Scratch, −1 throughout; left so.
+
+    Returns
+    -------
+    Triple to go on from; that of the finds; finds; their attitudes (MOST_FINDS, 3, 3); confirming stars of each, most
+    first; budget left. No finds: none was confirmed up to `stop`.
+    """
+    matrices = np.empty((MOST_FINDS, 3, 3))
+    confirmed = np.zeros(MOST_FINDS, np.int64)
+    corners, guides = np.empty(3, np.int64), np.empty(3, np.int64)
+    observed, reference = np.empty((3, 3)), np.empty((3, 3))
+    chain, partner = np.empty(1024, np.int64), np.empty(1024, np.int64)
+    for t in range(start, stop):
+        if budget <= 0:
+            return t, t, 0, matrices, confirmed, budget
+        corners[:] = triples[t]
+        i, j, k = corners
+        for m in range(3):
+            observed[m] = seen.vectors[corners[m]]
+        sense = _triple(observed[0], observed[1], observed[2])
+        longest = max(seen.separation[i, j], seen.separation[i, k], seen.separation[j, k])
+        widest = max(seen.sigma[i], seen.sigma[j], seen.sigma[k])
+        if abs(sense) < _SLENDEREST * widest * longest:
+            continue
+        low_ij, high_ij = find_range(
+            index, seen.separation[i, j] - seen.tolerance[i, j], seen.separation[i, j] + seen.tolerance[i, j]
+        )
+        low_ik, high_ik = find_range(
+            index, seen.separation[i, k] - seen.tolerance[i, k], seen.separation[i, k] + seen.tolerance[i, k]
+        )
+        budget -= high_ij - low_ij + high_ik - low_ik
+        # partners of each guide star over i–j, as chains
+        if 2 * (high_ij - low_ij) > len(chain):
+            chain, partner = np.empty(4 * (high_ij - low_ij), np.int64), np.empty(4 * (high_ij - low_ij), np.int64)
+        count = 0
+        for p in range(low_ij, high_ij):
+            a, b = first[p], second[p]
+            partner[count], chain[count], head[a] = b, head[a], count
+            partner[count + 1], chain[count + 1], head[b] = a, head[b], count + 1
+            count += 2
+        shortest_jk = 2.0 * math.sin(0.5 * max(seen.separation[j, k] - seen.tolerance[j, k], 0.0))
+        longest_jk = 2.0 * math.sin(0.5 * min(seen.separation[j, k] + seen.tolerance[j, k], math.pi))
+        shortest_jk, longest_jk = shortest_jk**2, longest_jk**2
+        finds = 0
+        confirmed[:] = 0
+        for p in range(low_ik, high_ik):
+            for turn in range(2):
+                a, c = (first[p], second[p]) if turn == 0 else (second[p], first[p])
+                link = head[a]
+                while link >= 0:
+                    b = partner[link]
+                    link = chain[link]
+                    budget -= 1
+                    chord = 0.0
+                    for axis in range(3):
+                        chord += (sky.directions[b, axis] - sky.directions[c, axis]) ** 2
+                    if b == c or chord < shortest_jk or chord > longest_jk:
+                        continue
+                    if _triple(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
+                        continue
+                    guides[0], guides[1], guides[2] = a, b, c
+                    for m in range(3):
+                        reference[m] = sky.directions[guides[m]]
+                    # laid on by its longest side
+                    if longest == seen.separation[i, j]:
+                        rotation = pair_rotation(observed, reference, 0, 1)
+                    elif longest == seen.separation[i, k]:
+                        rotation = pair_rotation(observed, reference, 0, 2)
+                    else:
+                        rotation = pair_rotation(observed, reference, 1, 2)
+                    hits, steps = _confirming(seen, sky, rotation, corners, guides, _MOST_CONFIRMING)
+                    budget -= steps + 20
+                    if hits < least:
+                        if budget <= 0:
+                            break
+                        continue
+                    slot = min(finds, MOST_FINDS - 1)
+                    if finds == MOST_FINDS and hits <= confirmed[slot]:
+                        continue
+                    while slot > 0 and confirmed[slot - 1] < hits:
+                        confirmed[slot], matrices[slot] = confirmed[slot - 1], matrices[slot - 1]
+                        slot -= 1
+                    confirmed[slot], matrices[slot] = hits, rotation
+                    finds = min(finds + 1, MOST_FINDS)
+        for p in range(low_ij, high_ij):
+            head[first[p]] = -1
+            head[second[p]] = -1
+        if finds > 0:
+            return t + 1, t, finds, matrices, confirmed, budget
+    return stop, stop, 0, matrices, confirmed, budget

@@ -1,0 +1,444 @@
+"""Kernels that find triangles of observed stars in the sky, and check at once what each would mean.
+
+For an observed triangle (i, j, k) with i opposite its longest side the guide pairs of the two shorter sides are looked
+up in the sorted list and joined at i's star; the longest side, the sense of rotation and the brightnesses are checked
+on the way. Each triangle left gives an attitude; where enough other observed stars then fall on guide stars, the
+attitude is verified against all (`verification`).
+
+Where the focal length may be off, all sides may be longer or shorter by one factor: the windows are wider by it, and
+the sides must agree on the factor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.catalog.sky_view import SkyView
+from startracker.catalog.voxels import star_within
+from startracker.identification.bayes_factor import CountTable
+from startracker.identification.verification import (
+    GATE_SIGMAS,
+    fit_step,
+    solve_symmetric,
+    turned,
+    verify_attitude,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PAIR_SIGMAS = 3.7
+"""A true side is measured within this many standard errors: 2e-4 of them are lost, and there are other triangles."""
+_LOOK_AT = 48
+_LEVER = 1.5
+_ABERRATION = 1.02e-4
+_VERIFY_FROM = 7.0
+_POOR_FIT = 2.0
+_WORTH_A_SECOND_LOOK = -5.0
+_CANDIDATE_WORK, _VERIFY_WORK = 300, 30000
+"""Nanoseconds or so."""
+
+
+class Stars(NamedTuple):
+    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), and
+    what their number says."""
+
+    vectors: FloatArray
+    slopes: FloatArray
+    sigma: FloatArray
+    magnitude: FloatArray
+    counts: CountTable
+
+
+class Pairs(NamedTuple):
+    """Guide pairs by ascending separation (rad), and by how much the first star is fainter than the second."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    separation: NDArray[np.float32]
+    fainter: NDArray[np.float32]
+
+
+class Limits(NamedTuple):
+    """What a search may do.
+
+    Parameters
+    ----------
+    scale : float
+        Multiple of the stated errors.
+    focal_range : float
+        Largest relative error of the focal length; 0: it is known.
+    magnitude_tolerance : float
+        Between the brightness differences of two stars observed and catalogued.
+    chance_hits : float
+        How often chance may pass a triangle on to verification.
+    sure : float
+        ln B above which the search ends.
+    work : float
+        Nanoseconds, roughly, after which it ends.
+    prior : (3, 3)
+        Attitude known beforehand.
+    prior_cosine : float
+        Of the largest angle between a guide star and where the prior puts it; −2: no prior.
+    """
+
+    scale: float
+    focal_range: float
+    magnitude_tolerance: float
+    chance_hits: float
+    sure: float
+    work: float
+    prior: FloatArray
+    prior_cosine: float
+
+
+class Finds(NamedTuple):
+    """Verified hypotheses, H at most: ln B (H,), attitude (H, 3, 3), ln focal factor, scale, guide stars in the field
+    (H,) each, and the guide star of each observed star or −1 (H, N)."""
+
+    log_b: FloatArray
+    matrix: FloatArray
+    focal: FloatArray
+    scale: FloatArray
+    in_field: IntArray
+    guide: IntArray
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _chord_angle(a: FloatArray, b: FloatArray) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return 2.0 * math.asin(min(0.5 * math.sqrt(x * x + y * y + z * z), 1.0))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _window(separation: NDArray[np.float32], low: float, high: float) -> tuple[int, int]:
+    return int(np.searchsorted(separation, np.float32(low))), int(np.searchsorted(separation, np.float32(high)))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    product: float = a[0] * x + a[1] * y + a[2] * z
+    return product
+
+
+@njit(cache=True, error_model="numpy")
+def _pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
+    """Rows of `frame` (3, 3): the middle of two directions, their difference, and the normal to both."""
+    sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    # the sum and the difference of unit vectors are at right angles
+    s, d = 1.0 / math.sqrt(sx * sx + sy * sy + sz * sz), 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    sx, sy, sz, dx, dy, dz = sx * s, sy * s, sz * s, dx * d, dy * d, dz * d
+    frame[0, 0], frame[0, 1], frame[0, 2] = sx, sy, sz
+    frame[1, 0], frame[1, 1], frame[1, 2] = dx, dy, dz
+    frame[2, 0], frame[2, 1], frame[2, 2] = sy * dz - sz * dy, sz * dx - sx * dz, sx * dy - sy * dx
+
+
+@njit(cache=True, error_model="numpy")
+def attitude_of_pair(b1: FloatArray, b2: FloatArray, r1: FloatArray, r2: FloatArray) -> FloatArray:
+    """Attitude (3, 3) that takes the middle of two reference directions and their difference to the observed ones."""
+    out = np.zeros((3, 3))
+    seen, real = np.empty((3, 3)), np.empty((3, 3))
+    _pair_frame(b1, b2, seen)
+    _pair_frame(r1, r2, real)
+    for row in range(3):
+        for column in range(3):
+            for axis in range(3):
+                out[row, column] += seen[axis, row] * real[axis, column]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _attitude_of_three(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Attitude of three stars, the last two the farthest apart: from these two, then one step of least squares."""
+    matrix: FloatArray = attitude_of_pair(b[1], b[2], r[1], r[2])
+    predicted = np.zeros((3, 3))
+    for star in range(3):
+        for axis in range(3):
+            for k in range(3):
+                predicted[star, axis] += matrix[axis, k] * r[star, k]
+    normal, right = fit_step(b, b, predicted, np.arange(3), sigma, 3)
+    change = solve_symmetric(normal, right)
+    if math.isfinite(change[0] + change[1] + change[2]):
+        matrix = turned(matrix, change[0], change[1], change[2])
+    return matrix
+
+
+@njit(cache=True, error_model="numpy")
+def least_hits(mean: float, chance: float) -> int:
+    """Fewest hits that come by chance with a probability below `chance` where `mean` come on average (Poisson)."""
+    term, tail, hits = math.exp(-mean), 1.0, 0
+    while tail > chance:
+        tail -= term
+        hits += 1
+        term *= mean / hits
+    return max(hits, 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
+    if limits.prior_cosine < -1.0:
+        return True
+    cosine = 0.0
+    for axis in range(3):
+        row = limits.prior[axis]
+        cosine += vector[axis] * (row[0] * guide[0] + row[1] * guide[1] + row[2] * guide[2])
+    fits: bool = cosine >= limits.prior_cosine
+    return fits
+
+
+@njit(cache=True, error_model="numpy")
+def _known(matrix: FloatArray, finds: Finds, count: int, slack: float) -> bool:
+    """Whether the attitude is one that was found already, within a rotation by `slack`."""
+    least = 3.0 - slack * slack
+    for row in range(count):
+        trace = 0.0
+        for i in range(3):
+            for j in range(3):
+                trace += matrix[i, j] * finds.matrix[row, i, j]
+        if trace > least:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float, int, IntArray]) -> int:
+    """Write a hypothesis down, in the place of the worst where all are taken; the new number of hypotheses."""
+    row = count
+    if count == len(finds.log_b):
+        row = int(np.argmin(finds.log_b))
+        if finds.log_b[row] >= found[0]:
+            return count
+    finds.log_b[row], finds.matrix[row], finds.focal[row] = found[0], found[1], found[2]
+    finds.scale[row], finds.in_field[row], finds.guide[row] = found[3], found[4], found[5]
+    return min(count + 1, len(finds.log_b))
+
+
+@njit(cache=True, error_model="numpy")
+def _in_frame_of_pair(j: int, k: int, i: int, vectors: FloatArray, coordinates: FloatArray) -> int:
+    """Coordinates of the brightest other stars along a pair's middle, its difference, and across both; how many."""
+    frame = np.empty((3, 3))
+    _pair_frame(vectors[j], vectors[k], frame)
+    count = 0
+    for star in range(len(vectors)):
+        if count == len(coordinates):
+            break
+        if star in (i, j, k):
+            continue
+        for axis in range(3):
+            row = frame[axis]
+            coordinates[count, axis] = row[0] * vectors[star, 0] + row[1] * vectors[star, 1] + row[2] * vectors[star, 2]
+        coordinates[count, 3] = star
+        count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _enough_hits(
+    u: FloatArray, w: FloatArray, shrink: float, coordinates: FloatArray, gate2: FloatArray, need: int, sky: SkyView
+) -> bool:
+    """Whether enough of the other stars fall on guide stars when the pair is where `u` and `w` are."""
+    if need == 0:
+        return True
+    frame = np.empty((3, 3))
+    _pair_frame(u, w, frame)
+    hits, left = 0, len(coordinates)
+    for star in range(len(coordinates)):
+        if hits + left < need:
+            return False
+        left -= 1
+        p, q, r = coordinates[star, 0], coordinates[star, 1] * shrink, coordinates[star, 2] * shrink
+        x = p * frame[0, 0] + q * frame[1, 0] + r * frame[2, 0]
+        y = p * frame[0, 1] + q * frame[1, 1] + r * frame[2, 1]
+        z = p * frame[0, 2] + q * frame[1, 2] + r * frame[2, 2]
+        if star_within(x, y, z, gate2[star], sky.directions, sky.grid):
+            hits += 1
+            if hits >= need:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh_triangle(
+    obs: IntArray, gid: IntArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
+) -> tuple[int, int]:
+    """Verify what a triangle means against all stars. New number of finds, and the work."""
+    b, r = np.empty((3, 3)), np.empty((3, 3))
+    s = np.empty(3)
+    for k in range(3):
+        b[k] = stars.vectors[obs[k]]
+        if limits.focal_range > 0.0:
+            b[k] += focal * stars.slopes[obs[k]]
+        r[k], s[k] = sky.directions[gid[k]], stars.sigma[obs[k]]
+    matrix = _attitude_of_three(b, r, s)
+    if _known(matrix, finds, count, 3.0 * limits.scale * stars.sigma[0]):
+        return count, _CANDIDATE_WORK
+    scale = max(limits.scale, _VERIFY_FROM)
+    free = limits.focal_range > 0.0
+    found = verify_attitude(
+        matrix, focal, stars.vectors, stars.slopes, stars.sigma, stars.magnitude, sky, scale, free, stars.counts
+    )
+    if not free and found[0] > _WORTH_A_SECOND_LOOK and found[3] > _POOR_FIT:
+        other = verify_attitude(
+            found[1], 0.0, stars.vectors, stars.slopes, stars.sigma, stars.magnitude, sky, scale, True, stars.counts
+        )
+        if other[0] > found[0] + 3.0:
+            found = other
+    if found[0] > _WORTH_A_SECOND_LOOK:
+        count = _keep(finds, count, found)
+    return count, _VERIFY_WORK
+
+
+@njit(cache=True, error_model="numpy")
+def triangle_costs(triples: IntArray, vectors: FloatArray, least_rad: float) -> FloatArray:
+    """Sum of the two shorter sides (T,), rad; 2π more where the longest is below `least_rad`."""
+    out = np.empty(len(triples))
+    for t in range(len(triples)):
+        a, b, c = vectors[triples[t, 0]], vectors[triples[t, 1]], vectors[triples[t, 2]]
+        ab, bc, ca = _chord_angle(a, b), _chord_angle(b, c), _chord_angle(c, a)
+        longest = max(ab, bc, ca)
+        out[t] = ab + bc + ca - longest + (2.0 * math.pi if longest < least_rad else 0.0)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def search_triangles(
+    triples: IntArray, stars: Stars, sky: SkyView, pairs: Pairs, limits: Limits, finds: Finds, count: int
+) -> tuple[int, int, int]:
+    """Look up triangles of observed stars one after the other.
+
+    Parameters
+    ----------
+    triples : (T, 3)
+        Observed stars.
+    stars, sky, pairs, limits
+        What was seen, what there is, and what may be done.
+    finds, count
+        Hypotheses so far, added to.
+
+    Returns
+    -------
+    number of hypotheses, triangles looked up, triangles found in the sky.
+    """
+    head = np.full(len(sky.directions), -1, np.int32)
+    following = np.empty(0, np.int32)
+    partner = np.empty(0, np.int32)
+    obs, gid = np.empty(3, np.int64), np.empty(3, np.int64)
+    others = np.empty((_LOOK_AT, 4))
+    gate2 = np.empty(_LOOK_AT)
+    density = len(sky.directions) / (4.0 * math.pi)
+    work, done, found = 0.0, 0, 0
+    wide = limits.focal_range
+    for t in range(len(triples)):
+        if work > limits.work:
+            break
+        done += 1
+        i, j, k = triples[t]
+        # i opposite the longest side
+        ij = _chord_angle(stars.vectors[i], stars.vectors[j])
+        ik = _chord_angle(stars.vectors[i], stars.vectors[k])
+        jk = _chord_angle(stars.vectors[j], stars.vectors[k])
+        if ij > jk and ij >= ik:
+            i, k, ij, jk = k, i, jk, ij
+        elif ik > jk:
+            i, j, ik, jk = j, i, jk, ik
+        if ik > ij:  # the shorter of the two fills the table
+            j, k, ij, ik = k, j, ik, ij
+        sigma = limits.scale * PAIR_SIGMAS
+        t_ij = sigma * math.hypot(stars.sigma[i], stars.sigma[j]) + _ABERRATION * ij
+        t_ik = sigma * math.hypot(stars.sigma[i], stars.sigma[k]) + _ABERRATION * ik
+        t_jk = sigma * math.hypot(stars.sigma[j], stars.sigma[k]) + _ABERRATION * jk
+        if min(ij - t_ij, ik - t_ik) <= 0.0:
+            continue
+        low_ik, high_ik = _window(pairs.separation, (ik - t_ik) / (1.0 + wide), (ik + t_ik) / (1.0 - wide))
+        low_ij, high_ij = _window(pairs.separation, (ij - t_ij) / (1.0 + wide), (ij + t_ij) / (1.0 - wide))
+        cos_low = math.cos(min((jk + t_jk) / (1.0 - wide), math.pi))
+        cos_high = math.cos(max((jk - t_jk) / (1.0 + wide), 0.0))
+        seen = _triple_product(stars.vectors[i], stars.vectors[j], stars.vectors[k])
+        # below this the sense of a thin triangle is noise
+        thin = t_jk * math.sin(jk)
+        m_ij = stars.magnitude[i] - stars.magnitude[j]
+        m_ik = stars.magnitude[i] - stars.magnitude[k]
+        size = 2 * (high_ik - low_ik)
+        if len(following) < size:
+            following, partner = np.empty(2 * size, np.int32), np.empty(2 * size, np.int32)
+        looked = _in_frame_of_pair(j, k, i, stars.vectors, others)
+        mean = 0.0
+        for star in range(looked):
+            gate2[star] = (GATE_SIGMAS * _LEVER * limits.scale * stars.sigma[int(others[star, 3])]) ** 2
+            mean += math.pi * gate2[star] * density
+        need = min(least_hits(mean, limits.chance_hits), looked)
+        filled = 0
+        for p in range(low_ik, high_ik):
+            a, c, fainter = pairs.first[p], pairs.second[p], pairs.fainter[p]
+            if not abs(m_ik - fainter) > limits.magnitude_tolerance:
+                following[filled], partner[filled] = head[a], c
+                head[a] = filled
+                filled += 1
+            if not abs(m_ik + fainter) > limits.magnitude_tolerance:
+                following[filled], partner[filled] = head[c], a
+                head[c] = filled
+                filled += 1
+        work += 4.0 * size + 4.0 * (high_ij - low_ij)
+        for p in range(low_ij, high_ij):
+            for turn in range(2):
+                a, b = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
+                at = head[a]
+                fainter = pairs.fainter[p] if turn == 0 else -pairs.fainter[p]
+                if at < 0 or abs(m_ij - fainter) > limits.magnitude_tolerance:
+                    continue
+                u = sky.directions[b]
+                while at >= 0:
+                    c, at = partner[at], following[at]
+                    work += 4.0
+                    w = sky.directions[c]
+                    cosine = u[0] * w[0] + u[1] * w[1] + u[2] * w[2]
+                    if not cos_low <= cosine <= cos_high or b == c:
+                        continue
+                    v = sky.directions[a]
+                    real = _triple_product(v, u, w)
+                    if seen * real <= 0.0 and abs(seen) > thin:
+                        continue
+                    focal = 0.0
+                    if wide > 0.0:
+                        r_ij, r_ik = math.log(ij / _chord_angle(v, u)), math.log(ik / _chord_angle(v, w))
+                        r_jk = math.log(jk / _chord_angle(u, w))
+                        if (
+                            abs(r_ij - r_jk) > t_ij / ij + t_jk / jk
+                            or abs(r_ik - r_jk) > t_ik / ik + t_jk / jk
+                            or abs(r_ij - r_ik) > t_ij / ij + t_ik / ik
+                        ):
+                            continue
+                        focal = (r_ij * ij + r_ik * ik + r_jk * jk) / (ij + ik + jk)
+                    if not (
+                        _fits_prior(stars.vectors[i], v, limits)
+                        and _fits_prior(stars.vectors[j], u, limits)
+                        and _fits_prior(stars.vectors[k], w, limits)
+                    ):
+                        continue
+                    found += 1
+                    work += _CANDIDATE_WORK
+                    if not _enough_hits(u, w, 1.0 - focal, others[:looked], gate2, need, sky):
+                        continue
+                    obs[0], obs[1], obs[2] = i, j, k
+                    gid[0], gid[1], gid[2] = a, b, c
+                    before = count
+                    count, cost = _weigh_triangle(obs, gid, focal, stars, sky, limits, finds, count)
+                    work += cost
+                    if count > before and finds.log_b[:count].max() > limits.sure:
+                        work = math.inf
+                        at = -1
+                if work > limits.work:
+                    break
+            if work > limits.work:
+                break
+        for p in range(low_ik, high_ik):
+            head[pairs.first[p]] = -1
+            head[pairs.second[p]] = -1
+    return count, done, found

@@ -1,0 +1,303 @@
+"""One camera and an attitude for each of its images, by weighted least squares on the stars' pixels.
+
+Unknowns: the camera's parameters (`startracker.lens.PARAMETERS`), a rotation vector an image and, where wanted, two
+numbers an image for the differential refraction of the air. Gauss–Newton with analytic derivatives and halved steps;
+weak priors (`startracker.lens.prior_of`) enter as one more observation each.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.attitude import rotation_vector_to_matrix
+from startracker.camera import Camera
+from startracker.lens import by_turn, change_lens, is_one_to_one, prior_of, sensitivity, value_of
+
+__all__ = [
+    "REFRACTION_SIGMA",
+    "JointFit",
+    "Matches",
+    "fit_jointly",
+    "noise_floor",
+    "rescaled",
+    "significant",
+    "stretch",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TOGETHER = (("cx", "cy"), ("aspect",), ("p1", "p2"))
+"""Parameters that are kept or left out as one; the radial ones are, from the highest power down."""
+REFRACTION_SIGMA = 5e-4
+"""Prior of the stretch by refraction: 58.3″ tan²z / 2, at zenith distances up to some 60°."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Stars of one image and where the catalogue has them.
+
+    Parameters
+    ----------
+    xy : (M, 2)
+        Measured, pixels.
+    directions : (M, 3)
+        Unit vectors as the observer sees them, ICRS axes.
+    sigma_px : (M,)
+        Standard error on one axis.
+    """
+
+    xy: FloatArray
+    directions: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """What the stars of all images together say.
+
+    Parameters
+    ----------
+    camera : Camera
+    matrices : list of (3, 3)
+        ICRS to camera, one an image.
+    stretches : (I, 2)
+        Differential refraction of each image, see `stretch`; zero where not fitted.
+    names : tuple of str
+        Parameters of the camera that were fitted.
+    covariance : (P, P)
+        Of these, of the rotation vectors and of the stretches, in this order; errors as stated, priors in.
+    chi2, penalty : float
+        Weighted squares of the residuals, and of the parameters' distances from their priors.
+    residuals : list of (M, 2)
+        Measured minus predicted, pixels.
+    """
+
+    camera: Camera
+    matrices: list[FloatArray]
+    stretches: FloatArray
+    names: tuple[str, ...]
+    covariance: FloatArray
+    chi2: float
+    penalty: float
+    residuals: list[FloatArray]
+
+    @property
+    def stars(self) -> int:
+        """Number of stars of all images."""
+        return sum(len(r) for r in self.residuals)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom."""
+        return max(2 * self.stars - len(self.covariance), 1)
+
+
+def stretch(vectors: FloatArray, amounts: FloatArray) -> FloatArray:
+    """Vectors (M, 3) with what air does to a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
+
+    Refraction R = κ tan z (κ = 58.3″) shortens the sky by κ sec²z along the vertical and by κ across it. The mean of
+    both cannot be told from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. What is left is
+    R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of 40°.
+    """
+    a, b = amounts
+    turned = vectors.copy()
+    turned[:, 0] += a * vectors[:, 0] + b * vectors[:, 1]
+    turned[:, 1] += b * vectors[:, 0] - a * vectors[:, 1]
+    return turned
+
+
+def fit_jointly(
+    camera: Camera,
+    matrices: list[FloatArray],
+    matches: list[Matches],
+    names: tuple[str, ...],
+    stretches: FloatArray | None = None,
+    *,
+    with_refraction: bool = False,
+    enough: float = 1e-9,
+) -> JointFit | None:
+    """Least squares from a start that is right to a few pixels; None where no lens that is one to one fits.
+
+    Parameters
+    ----------
+    camera, matrices, stretches
+        Where to start.
+    matches : list of Matches
+        One an image.
+    names : tuple of str
+        Of `startracker.lens.PARAMETERS`: what is free; all else stays as it is in `camera`.
+    with_refraction : bool
+        Whether each image has a stretch of its own.
+    enough : float
+        Gain in χ² below which it ends: what is left of the way to the minimum is √enough standard errors at most.
+    """
+    state = _State(camera, list(matrices), np.zeros((len(matches), 2)) if stretches is None else stretches)
+    chi2, penalty = _cost(state, matches, names, with_refraction)
+    normal = np.empty((0, 0))
+    for _ in range(30):
+        normal, gradient = _normal_equations(state, matches, names, with_refraction)
+        try:
+            step = np.asarray(np.linalg.solve(normal, gradient), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(step).all():
+            return None
+        for _ in range(12):
+            moved = _moved(state, names, step, with_refraction)
+            if is_one_to_one(moved.camera):
+                new_chi2, new_penalty = _cost(moved, matches, names, with_refraction)
+                if new_chi2 + new_penalty <= (chi2 + penalty) * (1.0 + 1e-12) + 1e-12:
+                    break
+            step *= 0.5
+        else:
+            break
+        gain = chi2 + penalty - new_chi2 - new_penalty
+        state, chi2, penalty = moved, new_chi2, new_penalty
+        if gain < enough * max(1.0, chi2 / max(2 * sum(len(m.xy) for m in matches), 1)):
+            break
+    if not np.isfinite(chi2):
+        return None
+    try:  # as before the last step, which was too small to change it
+        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    residuals = [m.xy - _predict(state, i, m) for i, m in enumerate(matches)]
+    return JointFit(state.camera, state.matrices, state.stretches, names, covariance, chi2, penalty, residuals)
+
+
+def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) -> FloatArray:
+    """Covariance with the stars' errors enlarged by √(χ²/ν), and the priors as they are."""
+    inflation = np.sqrt(fit.chi2 / fit.freedom)
+    wider = [replace(m, sigma_px=m.sigma_px * inflation) for m in matches]
+    state = _State(fit.camera, fit.matrices, fit.stretches)
+    normal, _ = _normal_equations(state, wider, fit.names, with_refraction)
+    return np.asarray(np.linalg.inv(normal))
+
+
+def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0) -> float:
+    """Noise on one axis, px, beside the centroids' own that makes the median normalised residual what it should be.
+
+    Parameters
+    ----------
+    residuals : (M, 2)
+        Pixels.
+    variance_px2 : (M,)
+        Of the centroids on one axis.
+    fitted : int
+        Parameters that were fitted to these residuals, which makes them smaller.
+    """
+    squares = np.sum(residuals**2, axis=1)
+    wanted = 2.0 * math.log(2.0) * (1.0 - min(fitted / (2.0 * len(squares)), 0.9))
+    if np.median(squares / variance_px2) <= wanted:
+        return 0.0
+    low, high = 0.0, float(np.median(squares)) / wanted
+    for _ in range(16):
+        middle = 0.5 * (low + high)
+        if np.median(squares / (variance_px2 + middle)) > wanted:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(high)
+
+
+def significant(full: JointFit) -> tuple[str, ...]:
+    """Parameters worth their keep: the least χ²/s² + ln(observations) · number over all combinations.
+
+    Schwarz's criterion (1978, Ann. Stat. 6, 461) with s² = χ²/ν of the full fit. Leaving parameters out raises χ² by
+    dᵀ C⁻¹ d, with d their distances from the plain values and C their block of the covariance (Wald's test): exact
+    where the model is linear over these distances.
+    """
+    scale2, price = max(full.chi2 / full.freedom, 1e-12), math.log(2.0 * full.stars)
+    distance = np.array([value_of(n, full.camera) - prior_of(n, full.camera)[0] for n in full.names])
+    radial = [n for n in full.names if n[0] == "k"]
+    groups = [g for g in _TOGETHER if set(g) <= set(full.names)]
+    best, chosen = math.inf, full.names
+    for order in range(len(radial) + 1):
+        for kept in itertools.product((False, True), repeat=len(groups)):
+            out = set(radial[order:]) | {n for g, keep in zip(groups, kept, strict=True) if not keep for n in g}
+            index = [k for k, n in enumerate(full.names) if n in out]
+            rise = 0.0
+            if index:
+                d = distance[index]
+                rise = float(d @ np.linalg.solve(full.covariance[np.ix_(index, index)], d)) / scale2
+            cost = rise - price * len(index)
+            if cost < best:
+                best, chosen = cost, tuple(n for n in full.names if n not in out)
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    camera: Camera
+    matrices: list[FloatArray]
+    stretches: FloatArray
+
+
+def _predict(state: _State, image: int, matches: Matches) -> FloatArray:
+    return state.camera.project(stretch(matches.directions @ state.matrices[image].T, state.stretches[image]))
+
+
+def _cost(state: _State, matches: list[Matches], names: tuple[str, ...], with_refraction: bool) -> tuple[float, float]:
+    chi2 = 0.0
+    for i, m in enumerate(matches):
+        chi2 += float(np.sum(((m.xy - _predict(state, i, m)) / m.sigma_px[:, None]) ** 2))
+    penalty = sum(((value_of(n, state.camera) - prior_of(n, state.camera)[0]) / s) ** 2 for n, s in _held(names, state))
+    if with_refraction:
+        penalty += float(np.sum((state.stretches / REFRACTION_SIGMA) ** 2))
+    return (chi2 if np.isfinite(chi2) else np.inf), penalty
+
+
+def _held(names: tuple[str, ...], state: _State) -> list[tuple[str, float]]:
+    sigmas = [(name, prior_of(name, state.camera)[1]) for name in names]
+    return [(name, sigma) for name, sigma in sigmas if np.isfinite(sigma)]
+
+
+def _normal_equations(
+    state: _State, matches: list[Matches], names: tuple[str, ...], with_refraction: bool
+) -> tuple[FloatArray, FloatArray]:
+    lens, images = len(names), len(matches)
+    size = lens + (5 if with_refraction else 3) * images
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    for i, m in enumerate(matches):
+        vectors = stretch(m.directions @ state.matrices[i].T, state.stretches[i])
+        places, moves, by_vector = sensitivity(state.camera, vectors)
+        # the stretch's own share of a turn, 1e-3, does not matter for the step
+        blocks = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
+        at = [np.arange(lens), lens + 3 * i + np.arange(3)]
+        if with_refraction:
+            x, y = vectors[:, :2].T
+            zero = np.zeros_like(x)
+            by_amount = np.stack([np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1)], axis=2)
+            blocks.append(by_vector @ by_amount)
+            at.append(lens + 3 * images + 2 * i + np.arange(2))
+        weight = np.repeat(1.0 / m.sigma_px, 2)
+        jacobian = np.concatenate(blocks, axis=2).reshape(len(weight), -1) * weight[:, None]
+        where = np.concatenate(at)
+        normal[np.ix_(where, where)] += jacobian.T @ jacobian
+        gradient[where] += jacobian.T @ ((m.xy - places).ravel() * weight)
+    for name, sigma in _held(names, state):
+        k = names.index(name)
+        normal[k, k] += 1.0 / sigma**2
+        gradient[k] -= (value_of(name, state.camera) - prior_of(name, state.camera)[0]) / sigma**2
+    if with_refraction:
+        tail = np.arange(lens + 3 * images, size)
+        normal[tail, tail] += 1.0 / REFRACTION_SIGMA**2
+        gradient[tail] -= state.stretches.ravel() / REFRACTION_SIGMA**2
+    return normal, gradient
+
+
+def _moved(state: _State, names: tuple[str, ...], step: FloatArray, with_refraction: bool) -> _State:
+    lens, images = len(names), len(state.matrices)
+    camera = change_lens(state.camera, dict(zip(names, step[:lens].tolist(), strict=True)))
+    turns = step[lens : lens + 3 * images].reshape(images, 3)
+    matrices = [rotation_vector_to_matrix(turn) @ matrix for turn, matrix in zip(turns, state.matrices, strict=True)]
+    stretches = state.stretches
+    if with_refraction:
+        stretches = stretches + step[lens + 3 * images :].reshape(images, 2)
+    return _State(camera, matrices, stretches)

@@ -1,0 +1,9 @@
+"""Tracking: attitudes over time, from one frame to the next."""
+
+from __future__ import annotations
+
+from startracker.settings import TrackingSettings
+from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
+from startracker.tracking.session import TrackingSession, TrackingState
+
+__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "TrackingSession", "TrackingSettings", "TrackingState"]

@@ -1,0 +1,200 @@
+"""Kernels of the filter: how an attitude error and a rate error grow, and the exact noise that joins them.
+
+With ω the rate in camera axes and δθ, δr the errors of attitude and of the rate, δθ' = −ω × δθ + δr and δr' = white
+noise. While ω is constant everything has a closed form: with K = [ω×] all integrals are polynomials I, K, K².
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_SMALL = 0.03
+"""Angle of a step, rad, below which series replace the closed forms, which lose digits there."""
+BLIND = 1e-12
+"""Information about an axis below this share of the best known axis' is rounding: one star does not tell the roll."""
+
+
+@njit(cache=True, error_model="numpy")
+def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
+
+    Φ = exp(−K t). Markley & Crassidis 2014, section 6.2.4, has the first two; the noise integrals are usually given
+    for ω t ≪ 1 (Farrenkopf 1978) and here in full.
+
+    Parameters
+    ----------
+    rate : (3,)
+        rad/s, in camera axes.
+    dt : float
+        Step, s.
+    """
+    x, y, z = rate[0], rate[1], rate[2]
+    w2 = x * x + y * y + z * z
+    w = math.sqrt(w2)
+    a = w * dt
+    a2 = a * a
+    if a < _SMALL:
+        s1 = dt * (1.0 - a2 / 6.0 + a2 * a2 / 120.0)
+        c1 = dt**2 * (0.5 - a2 / 24.0 + a2 * a2 / 720.0)
+        d1 = dt**3 * (1.0 / 6.0 - a2 / 120.0 + a2 * a2 / 5040.0)
+        f1 = dt**4 * (1.0 / 24.0 - a2 / 720.0 + a2 * a2 / 40320.0)
+        e1 = dt**5 * (1.0 / 60.0 - a2 / 2520.0 + a2 * a2 / 181440.0)
+    else:
+        s1 = math.sin(a) / w
+        c1 = (1.0 - math.cos(a)) / w2
+        d1 = (dt - s1) / w2
+        f1 = (0.5 * dt**2 - c1) / w2
+        e1 = (dt**3 / 3.0 - 2.0 * d1) / w2
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    square = np.array([[x * x - w2, x * y, x * z], [x * y, y * y - w2, y * z], [x * z, y * z, z * z - w2]])
+    one = np.eye(3)
+    phi = one - s1 * cross + c1 * square
+    psi = dt * one - c1 * cross + d1 * square
+    twice = 0.5 * dt**2 * one - d1 * cross + f1 * square
+    squared = dt**3 / 3.0 * one + e1 * square
+    return phi, psi, twice, squared
+
+
+@njit(cache=True, error_model="numpy")
+def turn_quaternion(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """Unit quaternion (x, y, z, w) of the frame `quat` after it has turned by a rotation vector in its own axes."""
+    x2, y2, z2 = vector[0], vector[1], vector[2]
+    angle = math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
+    share = 0.5 - angle**2 / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
+    w2 = math.cos(0.5 * angle)
+    x2, y2, z2 = share * x2, share * y2, share * z2
+    x1, y1, z1, w1 = quat[0], quat[1], quat[2], quat[3]
+    out = np.array(
+        [
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 + y1 * w2 + z1 * x2 - x1 * z2,
+            w1 * z2 + z1 * w2 + x1 * y2 - y1 * x2,
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+        ]
+    )
+    return out / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
+
+
+@njit(cache=True, error_model="numpy")
+def propagate(
+    quat: FloatArray,
+    covariance: FloatArray,
+    rate: FloatArray,
+    dt: float,
+    sign: float,
+    angle_psd: float,
+    rate_psd: float,
+    extra_psd: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Quaternion and covariance (6, 6) after a step at a constant rate.
+
+    Parameters
+    ----------
+    sign : float
+        +1 where the second state is the rate, −1 where it is the bias taken off a measured rate.
+    angle_psd, rate_psd, extra_psd : float
+        White noise of the angle's rate, rad²/s, of the second state's, rad²/s³, and of a rate held without being a
+        state, rad²/s³.
+    """
+    phi, psi, twice, squared = transition(rate, dt)
+    full = np.eye(6)
+    full[:3, :3] = phi
+    full[:3, 3:] = sign * psi
+    out = full @ covariance @ full.T
+    for i in range(3):
+        out[i, i] += angle_psd * dt
+        out[3 + i, 3 + i] += rate_psd * dt
+        for j in range(3):
+            out[i, j] += (rate_psd + extra_psd) * squared[i, j]
+            out[i, 3 + j] += sign * rate_psd * twice[i, j]
+            out[3 + j, i] += sign * rate_psd * twice[i, j]
+    return turn_quaternion(quat, rate * dt), 0.5 * (out + out.T)
+
+
+@njit(cache=True, error_model="numpy")
+def correct(
+    covariance: FloatArray, axes: FloatArray, innovation: FloatArray, noise: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Kalman update with a measurement of the attitude's error along `axes`, in Joseph's form.
+
+    Parameters
+    ----------
+    covariance : (6, 6)
+    axes : (m, 3)
+        The measurement is axes · δθ + noise.
+    innovation, noise : (m,), (m, m)
+        Measurement, and its covariance.
+
+    Returns
+    -------
+    Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (6,), covariance after it (6, 6).
+    """
+    h = np.zeros((len(innovation), 6))
+    h[:, :3] = axes
+    crossed = h @ covariance
+    gain = np.linalg.solve(crossed @ h.T + noise, crossed).T.copy()
+    weighed = np.linalg.solve(crossed @ h.T + noise, innovation)
+    left = np.eye(6) - gain @ h
+    out = left @ covariance @ left.T + gain @ noise @ gain.T
+    return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T)
+
+
+@njit(cache=True, error_model="numpy")
+def vector_measurement(
+    quat: FloatArray, delta: FloatArray, observed: FloatArray, reference: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What directions tell of the attitude's error: axes (m, 3), the error along them (m,), its covariance (m, m).
+
+    With p = A r the prediction, b − p = p × δθ + noise across p (QUEST's measurement model, Shuster & Oh 1981). All
+    that M directions tell is the normal matrix Σ (I − p pᵀ)/σ² and its right-hand side Σ (b × p)/σ²; along the axes
+    of the matrix they are three measurements independent of each other, or two where there is one star.
+
+    Parameters
+    ----------
+    quat : (4,)
+        Attitude; errors count from it.
+    delta : (3,)
+        Error at which b is linearised.
+    observed, reference, sigma : (M, 3), (M, 3), (M,)
+    """
+    x, y, z, w = turn_quaternion(quat, delta)
+    matrix = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+            [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+            [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    information, right = np.zeros((3, 3)), np.zeros(3)
+    p = np.empty(3)
+    for k in range(len(observed)):
+        weight = 1.0 / sigma[k] ** 2
+        for i in range(3):
+            p[i] = matrix[i, 0] * reference[k, 0] + matrix[i, 1] * reference[k, 1] + matrix[i, 2] * reference[k, 2]
+        b = observed[k]
+        for i in range(3):
+            information[i, i] += weight
+            for j in range(3):
+                information[i, j] -= weight * p[i] * p[j]
+        right[0] += weight * (b[1] * p[2] - b[2] * p[1])
+        right[1] += weight * (b[2] * p[0] - b[0] * p[2])
+        right[2] += weight * (b[0] * p[1] - b[1] * p[0])
+    values, vectors = np.linalg.eigh(information)
+    first = 0
+    while values[first] <= BLIND * values[2]:
+        first += 1
+    m = 3 - first
+    axes, innovation, noise = np.zeros((m, 3)), np.zeros(m), np.zeros((m, m))
+    for k in range(m):
+        value = values[first + k]
+        noise[k, k] = 1.0 / value
+        for i in range(3):
+            axes[k, i] = vectors[i, first + k]
+            innovation[k] += axes[k, i] * (right[i] / value + delta[i])
+    return axes, innovation, noise

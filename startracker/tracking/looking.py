@@ -1,0 +1,226 @@
+"""Where tracking looks: the guide stars that a prediction puts on the image, and the star candidates found there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.catalog.guide import GuideDatabase
+from startracker.catalog.sky_view import SkyView
+from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.detection import Background
+from startracker.errors import InputError
+from startracker.front_end import SAME_STAR_PX
+from startracker.observer import Observer
+from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
+from startracker.tracking.matching import expected_stars, spreads
+from startracker.tracking.windows import first_of_each, lay_out, to_image
+
+__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_WINDOW_SIGMAS = 4.3
+_SKIRT_PX = 5
+"""Room in a window for the star's own image, and for the rim that tells the background."""
+_EPOCH_STEP = 1e-3
+"""Years in which stars, but for the fastest three, move by 5 mas at most; so does the parallax of the nearest."""
+_SHORT_STREAK_PX = 2.0
+"""A streak up to this is a star to the centroider's own window."""
+_LARGEST_SHARE = 0.5
+"""Share of the frame above which windows save nothing."""
+_MOSAIC_COLUMNS = 8
+_ROUNDING = 0.29
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Guide stars that a prediction puts on the image: number, direction (K, 3) seen in ICRS axes, in the camera's."""
+
+    index: IntArray
+    directions: FloatArray
+    places: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Star candidates of a frame.
+
+    Parameters
+    ----------
+    xy, flux : (N, 2), (N,)
+        Pixels, and signal (NaN: not known).
+    vectors : (N, 3)
+        Directions in the camera frame.
+    gate_px, sigma_px : (N,)
+        Standard errors for the match, and as measured.
+    stated_px : (N,)
+        Those that the residuals are compared with.
+    windows : int
+        Windows looked at; 0: the whole frame.
+    area_sr : float
+        Solid angle of all that was looked at.
+    """
+
+    xy: FloatArray
+    flux: FloatArray
+    vectors: FloatArray
+    gate_px: FloatArray
+    sigma_px: FloatArray
+    stated_px: FloatArray
+    windows: int
+    area_sr: float
+
+    def select(self, rows: NDArray[Any]) -> Seen:
+        """Some of them."""
+        columns = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:6]}
+        return Seen(**columns, windows=self.windows, area_sr=self.area_sr)
+
+
+class Sky:
+    """Guide stars at the observer's epoch and place, kept until they have moved; aberration comes frame by frame."""
+
+    def __init__(self, guide: GuideDatabase) -> None:
+        self.guide = guide
+        self._view: SkyView | None = None
+        self._at: tuple[float, bool] | None = None
+
+    def expected(self, matrix: FloatArray, observer: Observer | None, most: int) -> Expected:
+        """The brightest guide stars on the image at an attitude (3, 3)."""
+        beta = np.zeros(3)
+        if observer is not None and observer.velocity_km_s is not None:
+            beta = np.asarray(observer.velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S
+        return Expected(*expected_stars(matrix, self._seen_by(observer), beta, most))
+
+    def _seen_by(self, observer: Observer | None) -> SkyView:
+        if observer is None:
+            at = (self.guide.epoch_jyear, False)
+        else:
+            at = (observer.epoch_jyear, observer.position_au is not None)
+        if self._view is None or self._at is None or self._at[1] != at[1] or abs(self._at[0] - at[0]) > _EPOCH_STEP:
+            view = self.guide.view
+            if observer is not None:
+                directions = self.guide.catalog.directions(observer.epoch_jyear, observer.position_au)
+                view = view._replace(directions=np.ascontiguousarray(directions))
+            self._view, self._at = view, at
+        return self._view
+
+
+def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None, factor: float) -> Seen:
+    """Centroids that come without an error; `factor` times the usual one is taken."""
+    camera = tracker.camera
+    rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
+    points = xy[rows]
+    stated = np.full(len(rows), STATED_PX)
+    sigma = factor * stated
+    seen = Seen(
+        points,
+        np.full(len(rows), np.nan) if flux is None else flux[rows],
+        camera.unproject(points) if len(rows) else np.empty((0, 3)),
+        sigma,
+        sigma,
+        stated,
+        0,
+        tracker.guide.solid_angle_sr,
+    )
+    return _with_direction(seen)
+
+
+def look(
+    image: ArrayLike,
+    tracker: StarTracker,
+    expected: Expected,
+    covariance: FloatArray,
+    streak_px: float,
+    largest_half: int,
+    factor: float,
+    saturation_dn: float | None,
+    gain_e_per_dn: float | None,
+) -> Seen | None:
+    """Star candidates in windows about the expected stars, found and measured by the tracker's own methods.
+
+    Parameters
+    ----------
+    covariance : (3, 3)
+        Of the predicted attitude: windows reach 4.3 standard deviations of the least certain star.
+    streak_px : float
+        Length of a star's image.
+    largest_half : int
+        Half side of the largest window, the streak left out.
+    factor : float
+        Ratio of real to stated centroid errors.
+
+    Returns
+    -------
+    Seen, or None where windows will not do.
+    """
+    camera = tracker.camera
+    pixels = _plain(image)
+    if pixels is None or pixels.shape != (camera.height, camera.width):
+        return None
+    spread = spreads(expected.places, covariance)[2]
+    wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad
+    room = tracker.centroid.window_px // 2
+    half = math.ceil(_WINDOW_SIGMAS * wide) + room + _SKIRT_PX
+    reach = half + math.ceil(0.5 * streak_px)
+    share = len(expected.places) * (2 * reach + 1) ** 2 / (camera.width * camera.height)
+    if half > largest_half or share > _LARGEST_SHARE:
+        return None
+    half = reach
+    centre = camera.project(expected.places)
+    centre = np.rint(centre[np.isfinite(centre).all(axis=1)])
+    centre = centre[camera.contains(centre)]
+    if not len(centre):
+        return None
+    x, y = centre[:, 0].astype(np.int64), centre[:, 1].astype(np.int64)
+    columns = min(_MOSAIC_COLUMNS, len(x))
+    floor = _ROUNDING if pixels.dtype.kind in "ui" else 0.0
+    mosaic, level, noise = lay_out(pixels, x, y, half, columns, floor)
+    background = Background(level=level, noise=noise)
+    try:
+        spots = tracker._detect(mosaic, background, tracker.detection, saturation_dn)
+        # the brightest pixel of a streak is any of it: the window holds all of it wherever that lies
+        longer = max(math.ceil(0.5 * (streak_px - _SHORT_STREAK_PX)), 0)
+        centroid = replace(tracker.centroid, window_px=tracker.centroid.window_px + 2 * longer)
+        found = tracker._measure(mosaic, background, spots, centroid, gain_e_per_dn)
+    except InputError:  # the full frame says what is wrong
+        return None
+    xy = to_image(found.xy, x, y, half, columns)
+    # a star cut off by the image's border is whole on the mosaic's background
+    rows = first_of_each(xy, camera.width, camera.height, float(room), SAME_STAR_PX)
+    variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0
+    stated = np.sqrt(variance + (tracker.guide.catalog.position_sigma_rad / camera.pixel_rad) ** 2)
+    seen = Seen(
+        xy[rows],
+        found.flux[rows],
+        camera.unproject(xy[rows]) if len(rows) else np.empty((0, 3)),
+        np.sqrt(variance + IMAGE_FLOOR_PX**2),
+        stated * max(factor, 1.0),
+        stated,
+        len(x),
+        min(len(x) * ((2 * half + 1) * camera.pixel_rad) ** 2, tracker.guide.solid_angle_sr),
+    )
+    return _with_direction(seen)
+
+
+def _with_direction(seen: Seen) -> Seen:
+    usable = np.isfinite(seen.vectors[:, 0])
+    return seen if usable.all() else seen.select(usable)
+
+
+def _plain(image: ArrayLike) -> NDArray[Any] | None:
+    """Image as a kernel reads it, without a copy where that can be; None for what is none."""
+    try:
+        pixels = np.asarray(image)
+    except ValueError:
+        return None
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif":
+        return None
+    if not pixels.dtype.isnative or pixels.dtype.itemsize not in (1, 2, 4, 8) or pixels.dtype == np.float16:
+        pixels = pixels.astype(np.float32)
+    return pixels

@@ -1,0 +1,310 @@
+"""Multiplicative extended Kalman filter of an attitude, with a gyro's bias or, without a gyro, with the rate.
+
+The attitude is a quaternion; its error, a rotation vector in camera axes, is what the filter estimates, and after every
+measurement the error goes into the quaternion and is zero again. The covariance is therefore never singular, and its
+axes are the camera's.
+
+Sources: Lefferts, Markley & Shuster 1982, J. Guidance 5, 417; Markley 2003, J. Guidance 26, 311; the process noise is
+Farrenkopf's (1978, J. Guidance and Control 1, 282).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
+
+from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
+from startracker.errors import InputError
+from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
+
+__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit"]
+
+FloatArray = NDArray[np.float64]
+
+_LINEAR_RAD = 3e-4
+"""A correction up to this leaves 0.01″ of its square to the linearisation; a larger one is linearised again."""
+_MOST_PASSES = 4
+
+
+@dataclass(frozen=True)
+class GyroNoise:
+    """Noise of a gyro, each axis alike: measured rate = rate + bias + white noise.
+
+    Parameters
+    ----------
+    angle_random_walk : float
+        Of the white noise, rad/√s (1 °/√h is 2.9e-4 rad/√s).
+    rate_random_walk : float
+        Of the bias, rad/s/√s.
+    bias_sigma_rad_s : float
+        Standard deviation of the bias at the start.
+    acceleration : float
+        How fast the rate may change while no gyro sample comes, rad/s/√s.
+    """
+
+    angle_random_walk: float = 3e-5
+    rate_random_walk: float = 1e-7
+    bias_sigma_rad_s: float = 1e-3
+    acceleration: float = 1e-3
+
+    def __post_init__(self) -> None:
+        _check_positive(self)
+
+
+@dataclass(frozen=True)
+class RateNoise:
+    """Motion without a gyro: a constant rate, disturbed by white angular acceleration.
+
+    Parameters
+    ----------
+    acceleration : float
+        rad/s/√s: the rate's standard deviation one second after it was known. 1e-5 suits a body that no wheel turns,
+        1e-3 a slew.
+    rate_sigma_rad_s : float
+        Standard deviation of the rate at the start, each axis.
+    """
+
+    acceleration: float = 1e-4
+    rate_sigma_rad_s: float = math.radians(2.0)
+
+    def __post_init__(self) -> None:
+        _check_positive(self)
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """How a measurement compared with the prediction.
+
+    Parameters
+    ----------
+    accepted : bool
+        Whether it lay within the gate and was used.
+    distance2 : float
+        νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
+    freedom : int
+        Number of directions in the attitude's error that the measurement tells of: 3, or 2 for one star.
+    """
+
+    accepted: bool
+    distance2: float
+    freedom: int
+
+
+class Mekf:
+    """The filter.
+
+    Parameters
+    ----------
+    attitude : Attitude
+        ICRS to camera, at the start.
+    covariance : array_like, shape (3, 3)
+        Of its error's rotation vector in camera axes, rad².
+    noise : GyroNoise or RateNoise
+        Which of the two filters, and its noise.
+    rate_rad_s : array_like, shape (3,), optional
+        Rate of the camera in its own axes at the start; zero where it is not known.
+    """
+
+    def __init__(
+        self,
+        attitude: Attitude,
+        covariance: ArrayLike,
+        noise: GyroNoise | RateNoise | None = None,
+        rate_rad_s: ArrayLike | None = None,
+    ) -> None:
+        self.noise = noise or RateNoise()
+        self.has_gyro = isinstance(self.noise, GyroNoise)
+        self._bias = np.zeros(3)
+        self._rate = np.zeros(3)
+        self.reset(attitude, covariance, rate_rad_s)
+
+    def reset(
+        self,
+        attitude: Attitude,
+        covariance: ArrayLike,
+        rate_rad_s: ArrayLike | None = None,
+        second_sigma_rad_s: float | None = None,
+    ) -> None:
+        """Start anew; a bias once estimated stays as the best guess, with the uncertainty of the start.
+
+        Parameters
+        ----------
+        second_sigma_rad_s : float, optional
+            Standard deviation of the rate, or the bias, in place of the noise's own.
+        """
+        block = np.asarray(covariance, dtype=float)
+        if block.shape != (3, 3) or not (np.isfinite(block).all() and (np.linalg.eigvalsh(block) > 0).all()):
+            raise InputError("an attitude's covariance must be 3×3, finite and positive definite")
+        self._quat = np.array(attitude.quat)
+        noise = self.noise
+        usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
+        sigma = usual if second_sigma_rad_s is None else second_sigma_rad_s
+        self._covariance = np.zeros((6, 6))
+        self._covariance[:3, :3] = 0.5 * (block + block.T)
+        self._covariance[3:, 3:] = np.eye(3) * sigma**2
+        if rate_rad_s is not None:
+            self._rate = _three(rate_rad_s, "a rate")
+
+    def copy(self) -> Mekf:
+        """A filter of the same state that goes its own way."""
+        twin = object.__new__(Mekf)
+        twin.noise, twin.has_gyro = self.noise, self.has_gyro
+        twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never changed
+        twin._rate, twin._bias = self._rate, self._bias
+        return twin
+
+    # ------------------------------------------------------------------ state
+    @property
+    def attitude(self) -> Attitude:
+        """ICRS to camera."""
+        return Attitude(self._quat)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The attitude as a matrix (3, 3)."""
+        return quat_to_matrix(self._quat)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the attitude's error (rotation vector, camera axes) and of the bias or the rate, (6, 6), rad and rad/s."""
+        return self._covariance.copy()
+
+    @property
+    def attitude_covariance(self) -> FloatArray:
+        """Of the attitude's error in camera axes (3, 3), rad²."""
+        return np.ascontiguousarray(self._covariance[:3, :3])
+
+    @property
+    def rate_rad_s(self) -> FloatArray:
+        """Rate of the camera in its own axes (3,): estimated, or measured less the bias."""
+        return self._rate.copy()
+
+    @property
+    def bias_rad_s(self) -> FloatArray:
+        """Bias of the gyro (3,); zero without one."""
+        return self._bias.copy()
+
+    # ------------------------------------------------------------------ the two steps
+    def predict(self, dt: float, gyro_rad_s: ArrayLike | None = None) -> None:
+        """Move on by `dt` seconds.
+
+        Parameters
+        ----------
+        dt : float
+            Seconds, not negative.
+        gyro_rad_s : array_like, shape (3,), optional
+            Mean measured rate over the step, camera axes. A filter with a gyro that gets none holds the last rate and
+            lets the attitude's uncertainty grow with `GyroNoise.acceleration`; a filter without one takes none.
+
+        Raises
+        ------
+        InputError
+            For a step back in time, or a rate that is not three finite numbers.
+        """
+        if not (math.isfinite(dt) and dt >= 0.0):
+            raise InputError(f"a filter steps forward in time; got a step of {dt} s")
+        if isinstance(self.noise, GyroNoise):
+            sign, angle, rate = -1.0, self.noise.angle_random_walk**2, self.noise.rate_random_walk**2
+            extra = 0.0 if gyro_rad_s is not None else self.noise.acceleration**2
+            if gyro_rad_s is not None:
+                self._rate = _three(gyro_rad_s, "a gyro's rate") - self._bias
+        else:
+            sign, angle, rate, extra = 1.0, 0.0, self.noise.acceleration**2, 0.0
+            if gyro_rad_s is not None:
+                raise InputError("this filter has no gyro: make it with GyroNoise, or leave gyro_rad_s out")
+        self._quat, self._covariance = propagate(self._quat, self._covariance, self._rate, dt, sign, angle, rate, extra)
+
+    def update_attitude(
+        self, attitude: Attitude | ArrayLike, covariance: ArrayLike, false_rejection: float = 0.0
+    ) -> Innovation:
+        """Take in a measured attitude.
+
+        Parameters
+        ----------
+        attitude : Attitude or array_like (3, 3)
+            ICRS to camera.
+        covariance : array_like, shape (3, 3)
+            Of its error in camera axes, rad².
+        false_rejection : float
+            Probability of a good measurement's being refused: the gate is where χ² exceeds that. 0: no gate.
+        """
+        measured = attitude if isinstance(attitude, Attitude) else Attitude.from_matrix(attitude)
+        x, y, z, w = quat_multiply(measured.quat, self._quat * np.array([-1.0, -1.0, -1.0, 1.0]))
+        vector = np.array([x, y, z]) * (1.0 if w >= 0 else -1.0)
+        sine = math.sqrt(float(vector @ vector))
+        vector *= 2.0 * math.atan2(sine, abs(float(w))) / sine if sine > 0 else 2.0
+        outcome = correct(self._covariance, np.eye(3), vector, np.ascontiguousarray(covariance, dtype=float))
+        return self._take(outcome, chi_square_limit(3, false_rejection), 3)
+
+    def update_vectors(
+        self, observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike, false_rejection: float = 0.0
+    ) -> Innovation:
+        """Take in star directions, one or more.
+
+        A correction that is not small is linearised again about its own result (iterated filter, Jazwinski 1970).
+
+        Parameters
+        ----------
+        observed, reference : array_like, shape (M, 3)
+            Unit vectors in the camera and in ICRS.
+        sigma_rad : array_like, shape (M,)
+            Standard error of a direction on one axis.
+        """
+        b = np.ascontiguousarray(np.atleast_2d(observed), dtype=float)
+        r = np.ascontiguousarray(np.atleast_2d(reference), dtype=float)
+        sigma = np.ascontiguousarray(sigma_rad, dtype=float)
+        if sigma.shape != (len(b),):
+            if sigma.size != 1:
+                raise InputError(f"{len(b)} directions need as many standard errors, or one; got {sigma.shape}")
+            sigma = np.full(len(b), sigma)
+        if b.shape != r.shape or b.shape[1:] != (3,):
+            raise InputError(f"directions must both have the shape (M, 3); got {b.shape} and {r.shape}")
+        if not (len(b) and (sigma > 0).all() and np.isfinite(sigma).all() and np.isfinite(b).all()):
+            raise InputError("a filter needs at least one finite direction, each with a positive standard error")
+        delta = np.zeros(3)
+        for _ in range(_MOST_PASSES):
+            axes, innovation, noise = vector_measurement(self._quat, delta, b, r, sigma)
+            outcome = correct(self._covariance, axes, innovation, noise)
+            moved = float(np.abs(outcome[1][:3] - delta).max())
+            delta = outcome[1][:3].copy()
+            if moved < _LINEAR_RAD:
+                break
+        return self._take(outcome, chi_square_limit(len(innovation), false_rejection), len(innovation))
+
+    def _take(self, outcome: tuple[float, FloatArray, FloatArray], limit: float, freedom: int) -> Innovation:
+        """Put a correction into the state where it lies within the gate."""
+        distance, change, covariance = outcome
+        if not distance <= limit:
+            return Innovation(False, distance, freedom)
+        self._covariance = covariance
+        self._quat = turn_quaternion(self._quat, change[:3])
+        if self.has_gyro:
+            self._bias = self._bias + change[3:]
+            self._rate = self._rate - change[3:]
+        else:
+            self._rate = self._rate + change[3:]
+        return Innovation(True, distance, freedom)
+
+
+@lru_cache(maxsize=64)
+def chi_square_limit(freedom: int, probability: float) -> float:
+    """Value that χ² exceeds with a probability; infinite for probability 0."""
+    return math.inf if probability <= 0.0 else float(chdtri(freedom, probability))
+
+
+def _three(values: ArrayLike, what: str) -> FloatArray:
+    vector = np.array(values, dtype=float)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{what} must be three finite numbers in rad/s; got {values!r}")
+    return vector
+
+
+def _check_positive(noise: object) -> None:
+    for name, value in vars(noise).items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise InputError(f"{type(noise).__name__}.{name} must be a number not below zero; got {value}")

@@ -1,0 +1,213 @@
+"""Fits and weighted moment: noise-free stars, borders, bad pixels, neighbours, saturation, smear, input."""
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from startracker.centroid import METHODS, maximum_likelihood
+from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
+from startracker.centroid.psf_model import gaussian_psf
+from startracker.detection import Background, Spots
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings
+
+SIGMA = 0.9
+NEW = ["weighted_moment", "least_squares", "maximum_likelihood"]
+FITS = NEW[1:]
+
+
+def draw(shape, stars, sigma=SIGMA, path=(0.0, 0.0), samples=1):
+    """Pixel-integrated round Gaussians (x, y, flux), moved along a path during the exposure."""
+    image = np.zeros(shape)
+    for t in (np.arange(samples) + 0.5) / samples - 0.5:
+        for x, y, flux in stars:
+            at = np.arange(max(shape) + 1) - 0.5
+            along_x = 0.5 * np.diff(erf((at[: shape[1] + 1] - x - t * path[0]) / sigma / np.sqrt(2)))
+            along_y = 0.5 * np.diff(erf((at[: shape[0] + 1] - y - t * path[1]) / sigma / np.sqrt(2)))
+            image += flux / samples * along_y[:, None] * along_x
+    return image.astype(np.float32)
+
+
+def flat(image, noise=5.0):
+    return Background(np.zeros_like(image), np.full_like(image, noise))
+
+
+def spots_of(stars, saturated=(), pixels=12):
+    x, y = (np.rint([s[k] for s in stars]).astype(np.int64) for k in (0, 1))
+    flags = np.isin(np.arange(len(stars)), saturated)
+    return Spots(x, y, np.array([s[2] for s in stars], float), np.full(len(x), pixels), flags, np.zeros(len(x), bool))
+
+
+def lattice(flux=5e4, step=24, side=6):
+    """36 stars at different phases, brightest first."""
+    rng = np.random.default_rng(4)
+    n = side * side
+    corner = np.stack(np.divmod(np.arange(n), side), axis=1) * step + step // 2
+    return [
+        (x + p, y + q, flux * (1 - 0.001 * k))
+        for k, ((x, y), (p, q)) in enumerate(zip(corner, rng.uniform(-0.5, 0.5, (n, 2)), strict=True))
+    ]
+
+
+def errors(found, stars):
+    """Errors (N, 2) and flux ratios; every centroid must belong to another star."""
+    truth = np.array(stars)
+    star = np.abs(found.xy[:, None] - truth[:, :2]).max(axis=2).argmin(axis=1)
+    assert len(np.unique(star)) == len(star)
+    return found.xy - truth[star, :2], found.flux / truth[star, 2]
+
+
+@pytest.mark.parametrize("method", NEW)
+@pytest.mark.parametrize("sigma", [0.6, 0.9, 1.5])
+def test_noise_free_stars_at_any_phase(method, sigma):
+    stars = lattice()
+    image = draw((144, 144), stars, sigma)
+    found = METHODS[method](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    error, ratio = errors(found, stars)
+    assert len(found) == len(stars)
+    assert np.abs(error).max() < 5e-4  # interpolation of the table
+    assert ratio == pytest.approx(1, abs=5e-3)
+
+
+@pytest.mark.parametrize("method", FITS)
+def test_a_smeared_star_is_found_at_mid_exposure(method):
+    for path in ((4.0, 0.0), (2.8, 2.8), (-1.5, 5.0)):
+        stars = lattice()
+        image = draw((144, 144), stars, path=path, samples=40)
+        error, _ = errors(METHODS[method](image, flat(image), spots_of(stars), CentroidSettings(), 1.0), stars)
+        assert np.abs(error).max() < 5e-3  # the systematic floor
+
+
+@pytest.mark.parametrize("method", NEW)
+def test_bad_pixels_are_left_out(method):
+    stars = lattice()
+    image = draw((144, 144), stars)
+    whole = METHODS[method](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    x, y = round(stars[0][0]), round(stars[0][1])
+    image[y, [x - 1, x + 1]] = np.nan
+    image[round(stars[1][1]) - 1, round(stars[1][0])] = np.inf
+    found = METHODS[method](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    assert len(found) == len(stars)
+    error, _ = errors(found, stars)
+    assert np.abs(error).max() < 1e-3
+    # what is not seen makes the position worse, and the covariance says so
+    trace = [c.covariance[np.hypot(*(c.xy - stars[0][:2]).T).argmin()].trace() for c in (whole, found)]
+    assert trace[1] > 1.05 * trace[0]
+
+
+def test_the_plain_moment_leaves_a_star_with_a_bad_pixel_out():
+    stars = lattice()
+    image = draw((144, 144), stars)
+    image[round(stars[0][1]), round(stars[0][0]) + 1] = np.nan
+    found = METHODS["moment"](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    assert len(found) == len(stars) - 1
+    assert np.abs(errors(found, stars)[0]).max() < 2e-3
+
+
+@pytest.mark.parametrize("method", NEW)
+def test_border(method):
+    stars = [*lattice(), (0.3, 60.2, 3e4), (143.4, 30.0, 2e4), (60.6, 0.1, 1e4)]
+    image = draw((144, 144), stars)
+    found = METHODS[method](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    error, _ = errors(found, stars)
+    assert len(found) == len(stars)
+    assert np.abs(error).max() < 2e-3
+
+
+@pytest.mark.parametrize("method", FITS)
+@pytest.mark.parametrize("distance", [3.0, 4.0, 6.0])
+def test_neighbours_are_fitted_together(method, distance):
+    stars = lattice()
+    stars += [(stars[k][0] + distance * np.cos(k), stars[k][1] + distance * np.sin(k), 2e4) for k in range(10)]
+    image = draw((144, 144), stars)
+    settings = CentroidSettings(psf_sigma_px=SIGMA)
+    found = METHODS[method](image, flat(image), spots_of(stars), settings, 1.0)
+    error, ratio = errors(found, stars)
+    assert len(found) == len(stars)
+    assert np.abs(error).max() < 2e-3
+    assert ratio == pytest.approx(1, abs=0.01)
+    if distance < 5:  # what fitting together is for
+        moment = METHODS["moment"](image, flat(image), spots_of(stars), settings, 1.0)
+        nearest = np.abs(np.array(stars)[:, None, :2] - moment.xy).max(axis=2).min(axis=1)
+        assert nearest.max() > 0.05
+
+
+def test_a_close_neighbour_makes_the_position_less_certain():
+    alone = [(40.2, 40.4, 5e3)]
+    pair = [*alone, (42.4, 40.4, 5e3)]
+    trace = []
+    for stars in (alone, pair):
+        image = draw((80, 80), stars)
+        found = maximum_likelihood(image, flat(image), spots_of(stars), CentroidSettings(psf_sigma_px=SIGMA), 1.0)
+        trace.append(found.covariance[np.hypot(*(found.xy - alone[0][:2]).T).argmin()].trace())
+    assert trace[1] > 1.2 * trace[0]
+
+
+def test_long_chains_are_cut():
+    x = np.arange(20.0) * 4
+    group = group_stars(x, np.zeros(20), np.full(20, 5.0))
+    assert np.bincount(group).max() == MOST_TOGETHER
+    assert len(set(group_stars(x, np.zeros(20), np.full(20, 3.0)))) == 20
+
+
+@pytest.mark.parametrize("method", FITS)
+@pytest.mark.parametrize("over", [1.5, 10.0, 100.0])
+def test_saturated_pixels_are_left_out(method, over):
+    stars = lattice()
+    peak = 2e4 / (2 * np.pi * SIGMA**2)
+    bright = [(x, y, over * 2e4 if k < 6 else 1e4) for k, (x, y, _) in enumerate(stars)]
+    drawn = draw((144, 144), bright)
+    image = np.minimum(drawn, np.float32(peak))
+    full = [k for k in range(6) if (drawn == image)[round(bright[k][1]), round(bright[k][0])] == False]  # noqa: E712
+    spots = spots_of(bright, full, 20)
+    found = METHODS[method](image, flat(image), spots, CentroidSettings(), 1.0)
+    error, ratio = errors(found, bright)
+    assert len(full) >= 4
+    assert found.saturated.sum() == len(full)
+    assert np.abs(error).max() < 0.01
+    assert ratio[found.saturated] == pytest.approx(1, abs=0.05)
+    # such a position is never claimed to the floor
+    assert (found.covariance[found.saturated, 0, 0] > 0.015**2).all()
+
+
+def test_what_does_not_look_like_a_star_is_less_certain():
+    stars = lattice()
+    image = draw((144, 144), stars)
+    good = maximum_likelihood(image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    image[round(stars[0][1]) + 2, round(stars[0][0]) + 1] += 4000  # a cosmic ray
+    hit = maximum_likelihood(image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
+    star = [np.hypot(*(c.xy - stars[0][:2]).T).argmin() for c in (good, hit)]
+    error = hit.xy[star[1]] - stars[0][:2]
+    assert hit.covariance[star[1]].trace() > 5 * good.covariance[star[0]].trace()
+    assert (error**2).sum() < 9 * hit.covariance[star[1]].trace()
+
+
+def test_a_star_image_from_a_file(tmp_path):
+    path = tmp_path / "psf.npz"
+    gaussian_psf(SIGMA**2, SIGMA**2, radius_px=6.0).save(path)
+    stars = [(40.3, 40.1, 2e4)]
+    image = draw((80, 80), stars)
+    found = maximum_likelihood(image, flat(image), spots_of(stars), CentroidSettings(psf=str(path)), 1.0)
+    assert np.abs(errors(found, stars)[0]).max() < 5e-4
+
+
+@pytest.mark.parametrize("method", NEW)
+def test_nothing_to_measure(method):
+    image = np.zeros((40, 40), np.float32)
+    assert len(METHODS[method](image, flat(image), Spots.none(), CentroidSettings(), 1.0)) == 0
+    # no light at the place
+    assert len(METHODS[method](image, flat(image), spots_of([(20, 20, 1.0)]), CentroidSettings(), 1.0)) == 0
+    image[:] = np.nan
+    assert len(METHODS[method](image, flat(image), spots_of([(20, 20, 1.0)]), CentroidSettings(), 1.0)) == 0
+
+
+@pytest.mark.parametrize("method", NEW)
+def test_bad_input(method):
+    image = np.zeros((40, 40), np.float32)
+    spots = spots_of([(20, 20, 1.0)])
+    with pytest.raises(InputError, match="window_px"):
+        METHODS[method](image, flat(image), spots, CentroidSettings(window_px=4), 1.0)
+    with pytest.raises(InputError, match="flat_field_error"):
+        METHODS[method](image, flat(image), spots, CentroidSettings(flat_field_error=-0.1), 1.0)
+    with pytest.raises(InputError, match="cannot be read"):
+        METHODS[method](image, flat(image), spots, CentroidSettings(psf="no such file"), 1.0)

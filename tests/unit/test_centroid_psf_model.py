@@ -1,0 +1,68 @@
+"""Tables of star images: Gaussians against SciPy's integral, smear against a sum of exposures, files."""
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+from scipy.stats import multivariate_normal
+
+from startracker.centroid.psf_model import PsfModel, gaussian_psf, load_psf
+from startracker.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("xx", "yy", "xy"), [(0.81, 0.81, 0.0), (0.25, 0.4, 0.0), (1.4, 0.8, 0.5), (4.0, 1.0, -1.5), (0.3, 0.3, 0.1)]
+)
+def test_gaussian_against_scipy(xx, yy, xy):
+    psf = gaussian_psf(xx, yy, xy, radius_px=5.0)
+    density = multivariate_normal(cov=[[xx, xy], [xy, yy]])
+    peak = float(psf.shares(0.0, 0.0))
+    for dx, dy in [(0.0, 0.0), (0.37, -0.81), (1.5, 1.2), (-2.1, 0.33)]:
+        exact = dblquad(
+            lambda v, u: density.pdf([u, v]), dx - 0.5, dx + 0.5, dy - 0.5, dy + 0.5, epsabs=1e-8, epsrel=1e-6
+        )[0]
+        # seven points a σ: cubic interpolation and the trapezoidal rule are good to some 1e-4 of the peak
+        assert float(psf.shares(dx, dy)) == pytest.approx(exact, abs=2e-4 * peak)
+    # the light beyond 5 pixels, 2.5 σ at the widest
+    outside = 1 - psf.table.sum() / psf.oversampling**2
+    assert -1e-4 < outside < 0.03
+
+
+def test_noise_area_is_that_of_king():
+    # King 1983: 4πσ² for a Gaussian; the pixel adds 1/12 to σ² of so wide a one
+    assert gaussian_psf(4.0, 4.0, radius_px=12.0).noise_area_px == pytest.approx(4 * np.pi * (4 + 1 / 12), rel=1e-3)
+
+
+@pytest.mark.parametrize("path", [(4.0, 0.0), (2.0, -3.0)])
+def test_smear_is_the_mean_of_many_exposures(path):
+    still = gaussian_psf(0.8, 0.8, radius_px=6.0)
+    smeared = still.smeared(*path)
+    u, v = np.array([-1.3, 0.0, 0.7, 2.2]), np.array([0.4, 0.0, -1.6, -1.1])
+    t = (np.arange(2000) + 0.5) / 2000 - 0.5
+    exact = still.shares(u[:, None] - t * path[0], v[:, None] - t * path[1]).mean(axis=1)
+    assert np.allclose(smeared.shares(u, v), exact, atol=2e-5)
+    assert smeared.table.sum() / smeared.oversampling**2 == pytest.approx(1, abs=1e-3)
+    assert smeared.sigma_px == pytest.approx(np.sqrt(0.8 + (path[0] ** 2 + path[1] ** 2) / 12))
+
+
+def test_a_file_gives_back_what_was_saved(tmp_path):
+    psf = gaussian_psf(0.9, 0.7, 0.1, radius_px=4.0)
+    path = tmp_path / "psf.npz"
+    psf.save(path)
+    back = load_psf(path)
+    assert np.array_equal(back.table, psf.table)
+    assert (back.oversampling, back.shape) == (psf.oversampling, psf.shape)
+
+
+def test_bad_files_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.npz"):
+        load_psf(tmp_path / "none.npz")
+    broken = tmp_path / "broken.npz"
+    broken.write_text("no archive")
+    with pytest.raises(InputError, match="not a star image"):
+        load_psf(broken)
+    even = tmp_path / "even.npz"
+    PsfModel(np.ones((4, 4)), 8, (1.0, 1.0, 0.0)).save(even)
+    with pytest.raises(InputError, match="odd"):
+        load_psf(even)
+    with pytest.raises(InputError, match="covariance"):
+        gaussian_psf(1.0, 1.0, 1.0, radius_px=4.0)

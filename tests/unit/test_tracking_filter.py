@@ -1,0 +1,148 @@
+"""The filter's update against a plain linear Kalman filter, and what it says to what cannot be."""
+
+import math
+
+import numpy as np
+import pytest
+
+from startracker.attitude import Attitude
+from startracker.errors import InputError
+from startracker.estimation import wahba_svd
+from startracker.tracking import GyroNoise, Mekf, RateNoise
+from startracker.tracking.mekf import chi_square_limit
+
+START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
+
+
+def turned(attitude, vector):
+    return Attitude.from_rotation_vector(vector, "camera", "camera") @ attitude
+
+
+def directions(rng, n, half_deg=5.0):
+    xy = rng.uniform(-1, 1, size=(n, 2)) * math.tan(math.radians(half_deg))
+    v = np.column_stack([xy, np.ones(n)])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def running(noise):
+    """A filter with correlations between its two states."""
+    twin = Mekf(START, np.diag([1.0, 2.0, 30.0]) * 1e-8, noise)
+    twin.predict(2.0, np.array([0.01, 0.02, -0.01]) if isinstance(noise, GyroNoise) else None)
+    return twin
+
+
+@pytest.mark.parametrize("noise", [GyroNoise(3e-5, 1e-6, 1e-4), RateNoise(1e-5, 1e-4)])
+def test_update_is_the_linear_filters(noise):
+    rng = np.random.default_rng(1)
+    twin = running(noise)
+    before, p = twin.attitude, twin.covariance
+    second = twin.bias_rad_s if isinstance(noise, GyroNoise) else twin.rate_rad_s
+    change = rng.normal(size=3) * 1e-6
+    r = np.diag([3.0, 1.0, 50.0]) * 1e-9
+    h = np.hstack([np.eye(3), np.zeros((3, 3))])
+    gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+    found = twin.update_attitude(turned(before, change), r)
+    np.testing.assert_allclose(before.rotation_vector_to(twin.attitude), (gain @ change)[:3], atol=1e-15)
+    now = twin.bias_rad_s if isinstance(noise, GyroNoise) else twin.rate_rad_s
+    np.testing.assert_allclose(now - second, (gain @ change)[3:], atol=1e-15)
+    np.testing.assert_allclose(twin.covariance, (np.eye(6) - gain @ h) @ p, atol=1e-22)
+    assert found.accepted
+    assert found.distance2 == pytest.approx(change @ np.linalg.solve(p[:3, :3] + r, change))
+
+
+def test_directions_tell_what_their_attitude_tells():
+    """Many stars at once, their Wahba attitude, and star by star: the same state; up to the errors' squares."""
+    rng = np.random.default_rng(2)
+    filters = [running(RateNoise(1e-5, 1e-4)) for _ in range(3)]
+    truth = turned(filters[0].attitude, rng.normal(size=3) * 1e-5)
+    sigma = np.full(8, 1e-5)
+    seen = directions(rng, 8)
+    reference = truth.inverse.apply(seen)
+    seen = seen + rng.normal(size=seen.shape) * sigma[:, None]
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    filters[0].update_vectors(seen, reference, sigma)
+    estimate = wahba_svd(seen, reference, sigma)
+    filters[1].update_attitude(estimate.matrix, estimate.covariance)
+    for k in range(8):
+        assert filters[2].update_vectors(seen[k], reference[k], sigma[k]).freedom == 2
+    for other in filters[1:]:
+        np.testing.assert_allclose(other.attitude.rotation_vector_to(filters[0].attitude), 0.0, atol=2e-8)
+        np.testing.assert_allclose(other.covariance, filters[0].covariance, rtol=2e-3, atol=1e-15)
+
+
+def test_large_error_is_linearised_again():
+    """Without that, 2° of error would leave some 2° × 0.035 rad / 2 = 2′, 6e-4 rad, and ten times that in roll.
+
+    The last correction is below 3e-4 rad: its square, over the field's 0.07 rad, is 1e-6; the prior pulls by less.
+    """
+    rng = np.random.default_rng(3)
+    truth = turned(START, np.radians([1.0, -1.5, 1.0]))
+    seen = directions(rng, 10)
+    twin = Mekf(START, np.eye(3) * math.radians(2.0) ** 2)
+    twin.update_vectors(seen, truth.inverse.apply(seen), np.full(10, 1e-5))
+    assert truth.angle_to(twin.attitude) < 1e-5
+
+
+def test_one_star_leaves_the_turn_about_it_unknown():
+    twin = Mekf(START, np.eye(3) * 1e-6)
+    axis = np.array([0.0, 0.0, 1.0])
+    twin.update_vectors(axis, START.inverse.apply(axis), 1e-6)
+    assert np.diag(twin.attitude_covariance) == pytest.approx([1e-12, 1e-12, 1e-6], rel=1e-5)
+
+
+def test_gate_refuses_and_changes_nothing():
+    twin = running(RateNoise(1e-5, 1e-4))
+    before, p = twin.attitude, twin.covariance
+    far = turned(before, [0.1, 0.0, 0.0])
+    assert not twin.update_attitude(far, np.eye(3) * 1e-10, 1e-3).accepted
+    assert twin.attitude.angle_to(before) == 0.0
+    np.testing.assert_array_equal(twin.covariance, p)
+    assert twin.update_attitude(far, np.eye(3) * 1e-10).accepted  # without a gate
+    assert chi_square_limit(2, 0.05) == pytest.approx(5.991, abs=1e-3)  # any table of chi-square
+
+
+def test_bias_is_observed_and_leaves_the_rate():
+    """With attitudes at hand the bias of all three axes shows; without, it never does."""
+    rng = np.random.default_rng(5)
+    bias, rate = np.array([1e-3, -5e-4, 2e-3]), np.array([0.01, 0.0, -0.02])
+    twin = Mekf(START, np.eye(3) * 1e-10, GyroNoise(1e-6, 1e-9, 1e-2))
+    blind = twin.copy()
+    truth = START
+    for _ in range(200):
+        truth = turned(truth, rate)
+        gyro = rate + bias + rng.normal(size=3) * 1e-6
+        for each in (twin, blind):
+            each.predict(1.0, gyro)
+        twin.update_attitude(turned(truth, rng.normal(size=3) * 1e-5), np.eye(3) * 1e-10)
+    sigma = np.sqrt(np.diag(twin.covariance)[3:])
+    assert (sigma < 1e-6).all()
+    assert (np.abs(twin.bias_rad_s - bias) < 4.0 * sigma).all()
+    np.testing.assert_allclose(twin.rate_rad_s, gyro - twin.bias_rad_s, atol=1e-15)
+    assert (np.sqrt(np.diag(blind.covariance)[3:]) >= 1e-2).all()
+
+
+def test_gyro_that_falls_silent_costs_certainty():
+    heard, silent = (Mekf(START, np.eye(3) * 1e-10, GyroNoise(1e-6, 1e-9, 1e-6)) for _ in range(2))
+    heard.predict(10.0, [0.0, 0.0, 0.0])
+    silent.predict(10.0)
+    extra = np.diag(silent.attitude_covariance - heard.attitude_covariance)
+    assert extra == pytest.approx(1e-3**2 * 10.0**3 / 3.0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda f: f.predict(-1.0),
+        lambda f: f.predict(math.nan),
+        lambda f: f.predict(1.0, [0, 0, 0]),
+        lambda f: f.update_vectors(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)),
+        lambda f: f.update_vectors([0, 0, 1.0], [[0, 0, 1.0]] * 2, 1.0),
+        lambda f: f.update_vectors([0, 0, 1.0], [0, 0, 1.0], 0.0),
+        lambda f: f.reset(START, -np.eye(3)),
+        lambda f: RateNoise(acceleration=-1.0),
+        lambda f: Mekf(START, np.eye(3), GyroNoise()).predict(1.0, [0.0, math.nan, 0.0]),
+    ],
+)
+def test_what_cannot_be_is_refused(wrong):
+    with pytest.raises(InputError):
+        wrong(Mekf(START, np.eye(3)))

@@ -1,0 +1,184 @@
+"""What a tracking session is made of, each part against a plain twin."""
+
+import math
+
+import numpy as np
+import pytest
+
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.observer import Observer
+from startracker.tracker import StarTracker
+from startracker.tracking.evidence import log_assignments
+from startracker.tracking.looking import Sky, look
+from startracker.tracking.matching import match_gated, spreads, track
+from startracker.tracking.scatter import Scatter
+from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
+
+CAMERA = Camera.from_fov(10.0, 256, 256)
+
+
+@pytest.fixture(scope="module")
+def tracker():
+    return StarTracker(CAMERA, magnitude_limit=6.0, identifier="adaptive")
+
+
+@pytest.mark.parametrize(
+    "observer",
+    [
+        None,
+        Observer(2026.3),
+        Observer(2026.3, np.array([20.0, -15.0, 9.0]), np.array([0.5, -0.8, 0.2])),
+    ],
+)
+def test_expected_stars_are_the_guides_on_the_image(tracker, observer):
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
+    found = Sky(tracker.guide).expected(attitude, observer, 1000)
+    guide = tracker.guide.seen_by(observer)
+    index, vectors, _ = guide.in_field(attitude)
+    # the field's outline is drawn two pixels outside of the image
+    assert set(index) <= set(found.index)
+    assert set(found.index) <= set(guide.in_field(attitude, margin_px=3.0)[0])
+    assert (np.diff(found.index) > 0).all()
+    rows = np.searchsorted(found.index, index)
+    np.testing.assert_allclose(found.places[rows], vectors, atol=1e-12)
+    np.testing.assert_allclose(found.directions[rows], guide.directions[index], atol=1e-12)
+
+
+def test_spread_is_the_attitudes_covariance_seen_across_the_star():
+    """Against the sample covariance of 200,000 turned directions: 1 % is three standard errors."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(3, 3)) * 1e-4
+    place = np.array([[0.1, -0.05, 0.99]])
+    place /= np.linalg.norm(place)
+    u, v, spread = spreads(place, root @ root.T)
+    moved = np.cross(place, rng.normal(size=(200_000, 3)) @ root.T)
+    sample = np.cov(moved @ u[0], moved @ v[0])
+    np.testing.assert_allclose([sample[0, 0], sample[0, 1], sample[1, 1]], spread[0], atol=0.01 * sample.max())
+    np.testing.assert_allclose([u[0] @ v[0], u[0] @ place[0], v[0] @ place[0]], 0.0, atol=1e-15)
+
+
+def test_match_uses_no_star_twice_and_the_nearer_wins():
+    places = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
+    places /= np.linalg.norm(places, axis=1, keepdims=True)
+    seen = places[[0, 0, 1]] + np.array([[3e-4, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
+    us, vs, spread = spreads(places, np.eye(3) * 1e-12)
+    index, distance2, owner = np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64)
+    count = match_gated(seen, np.full(3, 1e-4), places, us, vs, spread, 18.4, index, distance2, owner)
+    assert count == 2
+    assert list(index) == [-1, 0, 1]
+    assert distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
+
+
+def test_match_follows_the_common_rotation_not_the_nearest_star(tracker):
+    """A prediction off by 25 px, of 10 px uncertainty: for each star there is a false one nearer than the true one."""
+    rng = np.random.default_rng(2)
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
+    expected = Sky(tracker.guide).expected(attitude, None, 40)
+    turn = Attitude.from_rotation_vector([20 / CAMERA.fx, -15 / CAMERA.fx, 0.01], "camera", "camera").as_matrix()
+    true = expected.places @ turn.T
+    false = expected.places + rng.normal(size=true.shape) * 5.0 / CAMERA.fx
+    false /= np.linalg.norm(false, axis=1, keepdims=True)
+    seen = np.concatenate([true, false])
+    sigma = np.full(len(seen), 0.15 / CAMERA.fx)
+    p = np.eye(3) * (10.0 / CAMERA.fx) ** 2
+    partner, delta, after, evidence = track(seen, sigma, expected.places, p, tracker.guide.solid_angle_sr)
+    n = len(true)
+    assert list(partner[:n]) == list(range(n))
+    assert (partner[n:] >= 0).sum() == 0
+    assert evidence > math.log(1e7)
+    assert np.abs(delta - [20 / CAMERA.fx, -15 / CAMERA.fx, 0.01]).max() < 5.0 * math.sqrt(after.max())
+
+
+def test_assignments_against_the_sum_by_hand():
+    """One match, two guide stars, three observed: depths 1 and 2, M of 0 or 1 (and 2), the best kept."""
+    gain = math.log(1000.0)
+    one = 1000.0 / 1 / 3 / 2.0  # D = 1: one guide star, three observed it could be, M in {0, 1}
+    two = 1000.0 / 2 / 3 / 3.0
+    found = log_assignments(np.array([gain]), np.array([0]), 3, 2)
+    assert found == pytest.approx(math.log((one + two) / 2.0))
+    # the second brightest cannot be seen at the depth of one star, where nothing matches: 1 / 2
+    found = log_assignments(np.array([gain]), np.array([1]), 3, 2)
+    assert found == pytest.approx(math.log((0.5 + two) / 2.0))
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int32, np.float32, np.float64])
+def test_windows_hold_the_image_and_its_background(kind):
+    rng = np.random.default_rng(4)
+    image = rng.normal(100.0, 5.0, size=(90, 120)).astype(kind)
+    x, y, half, columns = np.array([30, 60, 2]), np.array([40, 50, 88]), 9, 2
+    mosaic, level, noise = lay_out(image, x, y, half, columns, 0.29)
+    pitch = cell_px(half)
+    assert mosaic.shape == level.shape == noise.shape == (2 * pitch, 2 * pitch)
+    for m in range(3):
+        gap = (pitch - 2 * half - 1) // 2
+        row, column = m // columns * pitch + gap, m % columns * pitch + gap
+        for j in range(2 * half + 1):
+            for i in range(2 * half + 1):
+                at = y[m] - half + j, x[m] - half + i
+                inside = 0 <= at[0] < 90 and 0 <= at[1] < 120
+                want = np.float32(image[at]) if inside else level[row, column]
+                assert mosaic[row + j, column + i] == want
+        place = to_image(np.array([[column + half, row + half + 0.25]]), x, y, half, columns)
+        np.testing.assert_allclose(place, [[x[m], y[m] + 0.25]])
+    cut = image[31:50, 21:40].astype(float)
+    rim = np.concatenate([cut[:2].ravel(), cut[-2:].ravel(), cut[2:-2, :2].ravel(), cut[2:-2, -2:].ravel()])
+    at = (pitch - 2 * half - 1) // 2
+    assert level[at, at] == pytest.approx(np.median(rim))
+    assert noise[at, at] == pytest.approx(1.4826 * np.median(np.abs(rim - np.median(rim))), rel=1e-6)
+
+
+def test_windows_find_what_the_whole_frame_finds(tracker):
+    """Gaussian stars on a noisy frame: the windows' centroids are the whole frame's, within a tenth of their error."""
+    rng = np.random.default_rng(5)
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
+    expected = Sky(tracker.guide).expected(attitude, None, 40)
+    centre = CAMERA.project(expected.places)
+    rows, columns = np.mgrid[0:256, 0:256]
+    image = rng.normal(100.0, 3.0, size=(256, 256))
+    for x, y in centre:
+        image += 900.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 0.9**2))
+    seen = look(image.astype(np.float32), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    inside = CAMERA.contains(centre, -8.0)
+    apart = [np.sort(np.hypot(*(centre - c).T))[1] > 12.0 for c in centre]
+    found = [np.hypot(*(seen.xy - c).T).min() for c in centre[inside & apart]]
+    assert len(found) > 5
+    # 900 over 3: some 0.01 px, plus what the widths measured on few stars leave
+    assert max(found) < 0.06
+    assert seen.windows == CAMERA.contains(np.rint(centre)).sum()
+    assert look(image, tracker, expected, np.eye(3) * 1e-2, 0.0, 20, 1.0, None, 1.0) is None  # windows too large
+    assert look(image[:10], tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0) is None
+    swapped = look(image.astype(">f4"), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    np.testing.assert_allclose(swapped.xy, seen.xy)
+
+
+def test_first_of_each():
+    xy = np.array([[5.0, 5.0], [5.3, 5.3], [math.nan, 1.0], [-1.0, 4.0], [9.4, 9.4], [9.6, 9.0]])
+    assert list(first_of_each(xy, 10.0, 10.0, 0.0, 0.75)) == [0, 4]
+    assert list(first_of_each(xy, 10.0, 10.0, 2.0, 0.75)) == [0]
+
+
+def test_scatter_tells_the_errors_size():
+    """Errors three times as large as stated: 1000 residuals give that to 1/√(2·200), four of these allowed."""
+    rng = np.random.default_rng(6)
+    scatter = Scatter()
+    assert scatter.factor == 1.0
+    for _ in range(50):
+        scatter.add(rng.normal(size=(10, 2)) * 0.45, np.full(10, 0.15))
+    assert scatter.factor == pytest.approx(3.0 * math.sqrt(20 / 17), rel=4 / math.sqrt(400))
+    scatter.begin(np.zeros((2, 2)), np.full(2, 0.15))
+    assert scatter.factor > 0.8  # two stars agree with anything
+
+
+def test_evidence_of_one_star_is_its_predicted_density():
+    """ln B = ln(A N(z; 0, S) / 2), S the covariance of the star's predicted place: the integral over δ done exactly."""
+    root = np.array([[3.0, 0.5, 1.0], [0.0, 2.0, -1.0], [1.0, 0.0, 20.0]]) * 1e-4
+    p, sigma, area = root @ root.T, 2e-4, 0.03
+    place = np.array([[0.05, 0.02, 1.0]]) / math.sqrt(0.05**2 + 0.02**2 + 1.0)
+    seen = Attitude.from_rotation_vector([2e-4, -3e-4, 0.0], "camera", "camera").apply(place)
+    u, v, spread = spreads(place, p)
+    s = np.array([[spread[0, 0], spread[0, 1]], [spread[0, 1], spread[0, 2]]]) + sigma**2 * np.eye(2)
+    z = np.array([seen[0] @ u[0], seen[0] @ v[0]])
+    density = math.exp(-0.5 * z @ np.linalg.solve(s, z)) / (2.0 * math.pi * math.sqrt(np.linalg.det(s)))
+    _, _, _, evidence = track(seen, np.array([sigma]), place, p, area)
+    assert evidence == pytest.approx(math.log(area * density / 2.0), abs=2e-3)  # second order in δ
