@@ -260,7 +260,7 @@ def calibrate_command(
         typer.Option("--parameters", metavar="A,B,...", help="Fit these (f, aspect, cx, cy, k1 ...), not what tells."),
     ] = None,
 ) -> None:
-    """Calibrate a camera from photographs of the sky: focal length, principal point, distortion, each with its error."""
+    """Calibrate a camera from photographs of the sky: focal length, principal point, distortion, with uncertainties."""
     from simulator.cli.calibrate_command import CalibrateRequest, calibrate_images
 
     request = CalibrateRequest(

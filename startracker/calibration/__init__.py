@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from startracker.calibration.calibrate import calibrate
+from startracker.calibration.procedure import calibrate
 from startracker.calibration.field import StarField
 from startracker.calibration.result import CalibratedField, Calibration
 
