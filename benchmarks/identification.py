@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases import ACCURACY, CASES, MILLION, matching
+from benchmarks.cases import ACCURACY, CASES, MILLION, RANDOM_SHARES, matching
 from benchmarks.database import COLUMNS as DATABASE_COLUMNS
 from benchmarks.database import database_row
 from benchmarks.report import ACCURACY_COLUMNS, RATE_COLUMNS, SHORT, Table, accuracy_row, rate_row, show, write_markdown
@@ -66,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--workers", type=int, default=1, help="processes; timings are cleanest with 1")
     made.add_argument("--peers", action="store_true", help="tetra3rs on the same scenes")
     made.add_argument("--failures", action="store_true", help="list the scenes not identified")
-    made.add_argument("--random-points", type=int, metavar="N", help="N scenes of each number of random points, only")
+    made.add_argument("--random-points", type=int, metavar="N", help="N scenes of random points, only: most of few")
     made.add_argument("--million", action="store_true", help=f"the long run of '{MILLION}'")
     made.add_argument("--total", type=int, default=1_000_000, help="scenes of the long run")
     made.add_argument("--state", type=Path, default=Path("out/million"), help="folder of the long run's counts")
@@ -81,14 +81,14 @@ def pool_of(workers: int) -> ProcessPoolExecutor | nullcontext[None]:
 
 def table(options: argparse.Namespace, pool: ProcessPoolExecutor | None) -> int:
     """The tables over all cases asked for."""
-    cases, n = matching(options.case), options.n
+    scenes = dict.fromkeys(matching(options.case), options.n)
     if options.random_points is not None:
-        cases, n = [case for case in cases if not case.sky], options.random_points
+        scenes = {CASES[name]: round(options.random_points * share) for name, share in RANDOM_SHARES.items()}
     solvers = [*options.identifier, *(PEERS if options.peers else ())]
     rates: list[list[str]] = []
     accuracies: list[list[str]] = []
     failed: list[list[str]] = []
-    for case in cases:
+    for case, n in scenes.items():
         for solver in solvers:
             started = time.monotonic()
             rows = run_case(solver, case, n, options.seed, pool)

@@ -73,6 +73,8 @@ class FoundStars:
         Saturated star images.
     pixels, background : array (H, W) and Background, optional
         For a second look.
+    smeared : bool
+        Whether the stars are streaks.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -86,6 +88,7 @@ class FoundStars:
     saturated: int = 0
     pixels: NDArray[np.float32] | None = None
     background: Background | None = None
+    smeared: bool = False
 
 
 def find_stars(
@@ -151,6 +154,7 @@ def find_stars(
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
+        smeared=spots.streak is not None and bool(np.any(spots.streak)),
     )
 
 
@@ -163,7 +167,7 @@ def look_again(
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
 ) -> FoundStars | None:
-    """Stars drawn out by the camera's turn (`startracker.detection.streaks`), where the first look did not do.
+    """Stars drawn out by the camera's turn (`startracker.detection.streaks`): for frames that are smeared, or unsolved.
 
     Parameters
     ----------

@@ -20,7 +20,15 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
-from startracker.front_end import SATURATED_SHARE, Clock, clean_centroids, find_stars, look_again, says_saturated
+from startracker.front_end import (
+    SATURATED_SHARE,
+    Clock,
+    FoundStars,
+    clean_centroids,
+    find_stars,
+    look_again,
+    says_saturated,
+)
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.observer import Observer
@@ -145,15 +153,17 @@ class StarTracker:
             steps = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=steps)
         hint = _prior(prior, prior_deg)
-        solution = self._solve(found.xy, found.flux, found.variance_px2, hint, observer, clock)
-        if not solution.solved:
-            smeared = look_again(
-                found, self.detection, self.camera, clock, saturation_dn=saturation_dn, gain_e_per_dn=gain_e_per_dn
-            )
-            if smeared is not None:
-                steps = (*found.steps, *solution.steps, *smeared.steps)
-                found = replace(smeared, steps=steps)
-                solution = self._solve(found.xy, found.flux, found.variance_px2, hint, observer, clock)
+        looks = (found,)
+        if found.smeared:  # the streaks' own measurement is far better, and most often there
+            again = self._look_again(found, clock, saturation_dn, gain_e_per_dn)
+            looks = (found,) if again is None else (again, found)
+        solution = self._solve(looks[0].xy, looks[0].flux, looks[0].variance_px2, hint, observer, clock)
+        if not solution.solved and (len(looks) == 2 or not found.smeared):
+            other = found if found.smeared else self._look_again(found, clock, saturation_dn, gain_e_per_dn)
+            if other is not None:
+                first, solution = solution, self._solve(other.xy, other.flux, other.variance_px2, hint, observer, clock)
+                looks = (replace(other, steps=(*looks[0].steps, *first.steps, *other.steps)),)
+        found = looks[0]
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
@@ -285,6 +295,13 @@ class StarTracker:
             refined.camera,
         )
         return replace(solution, steps=(*tried, *attitude_steps(solution)))
+
+    def _look_again(
+        self, found: FoundStars, clock: Clock, saturation_dn: float | None, gain_e_per_dn: float | None
+    ) -> FoundStars | None:
+        return look_again(
+            found, self.detection, self.camera, clock, saturation_dn=saturation_dn, gain_e_per_dn=gain_e_per_dn
+        )
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy

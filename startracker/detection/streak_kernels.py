@@ -111,9 +111,7 @@ def best_lines(
 
 
 @njit(cache=True, error_model="numpy")
-def keep_apart(
-    bins: FloatImage, lines: FloatArray, width: float, threshold: float, most: int
-) -> NDArray[np.int64]:
+def keep_apart(bins: FloatImage, lines: FloatArray, width: float, threshold: float, most: int) -> NDArray[np.int64]:
     """Lines, taken in order, that stand out of what those before them leave.
 
     Parameters
@@ -362,9 +360,7 @@ def fit_streak(
             trial[free[i]] += step[i]
         trial[HALF] = max(trial[HALF], 0.5)
         trial[SIGMA] = min(max(trial[SIGMA], 0.3), 4.0 * start[SIGMA])
-        new_chi2, new_count = _gather(
-            image, noise, trial, free, places, pixels, inverse_gain, new_normal, new_right
-        )
+        new_chi2, new_count = _gather(image, noise, trial, free, places, pixels, inverse_gain, new_normal, new_right)
         if new_chi2 <= chi2:
             done = chi2 - new_chi2 < 1e-2
             p, chi2, count = trial, new_chi2, new_count

@@ -49,12 +49,14 @@ _COARSE_SIGMA = 5.5
 _MOST_LINES = 40
 _LOOKED_AT = 600
 _FITTED = 20
+_WIDTH_STREAKS = 5
 _PIXEL_VARIANCE = 1.0 / 12.0
 _FEWEST = 4
 _SWEEPS = 2
 _FREE_SNR = 30.0
 _WORST_CHI2 = 3.0
-_HALVES_SIGMA = 5.0
+_MODEL_ERROR = 0.01
+"""Share of a streak's light by which the model may be wrong without its being something else."""
 _SYSTEMATIC_PX = 0.02
 _CUT_PX = 4.0
 """A streak that ends nearer to the border may go on beyond."""
@@ -62,6 +64,8 @@ _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
 """What else streaks may differ by: a flat image stretches towards its corners by the square of the angle."""
 _CAUCHY = 2.4
 """Residual in standard errors at which a streak has half its weight (95 % efficiency)."""
+_BIN_MIDDLE = np.array([0.5, 0.5, 0.0, 0.0])
+"""A bin's middle from its corner, in the columns of a line."""
 _LIGHT = np.array([FLUX, SKY])
 _PLACE = np.array([X, Y, FLUX, SKY])
 _SHAPE = np.array([X, Y, FLUX, ANGLE, HALF, SKY])
@@ -188,12 +192,12 @@ def _candidate_lines(bins: FloatImage, unit: int) -> FloatArray:
         table = _lines_one_way(rows, lengths / unit)
         # a line of the turned image runs along y
         scale = unit * np.array([4.0, 2.0, 4.0, 2.0])
-        table[:, :4] = table[:, :4] * scale + unit * np.array([1.5, 0.5, 0.0, 0.0]) + (unit - 1) * 0.5 * np.array([1.0, 1.0, 0, 0])
+        table[:, :4] = (table[:, :4] + _BIN_MIDDLE) * scale - _BIN_MIDDLE
         tables.append(table[:, [1, 0, 3, 2, 4]] if turned else table)
     every = np.concatenate(tables)
     every = every[np.argsort(-every[:, 4], kind="stable")][:_LOOKED_AT]
     clipped = np.clip(_smooth(bins, 0.5), -_CLIP, _CLIP)
-    in_bins = (every[:, :4] + np.array([0.5, 0.5, 0.0, 0.0])) / (2.0 * unit) - np.array([0.5, 0.5, 0.0, 0.0])
+    in_bins = (every[:, :4] + _BIN_MIDDLE) / (2.0 * unit) - _BIN_MIDDLE
     kept = keep_apart(clipped, in_bins, 2.0, _COARSE_SIGMA, _MOST_LINES)
     return np.asarray(every[kept, :4])
 
@@ -238,8 +242,11 @@ def _smooth(bins: FloatImage, sigma: float) -> FloatImage:
     for axis in (0, 1):
         padded = np.pad(bins, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)])
         size = bins.shape[axis]
-        bins = sum(kernel[k] * padded.take(range(k, k + size), axis=axis) for k in range(len(kernel)))  # type: ignore[assignment]
-    return np.ascontiguousarray(bins, dtype=np.float32)
+        total = np.zeros_like(bins)
+        for k in range(len(kernel)):
+            total += kernel[k] * (padded[k : k + size] if axis == 0 else padded[:, k : k + size])
+        bins = total
+    return bins
 
 
 # ---------------------------------------------------------------------- the motion
@@ -269,7 +276,7 @@ def _motion(frame: _Frame, lines: FloatArray, sigma: float, measure_sigma: bool)
     variance += (_LENGTH_ERROR_PX + _STRETCH * 2.0 * table[:, HALF, None]) ** 2 * np.array([1.0, 0.0]) + _TURN_PX**2
     motion = _weighted_motion(xy[fitting], drawn[fitting], variance[fitting], motion)
     if measure_sigma:
-        sigma = float(np.median(table[fitting, SIGMA]))
+        sigma = float(np.median(table[fitting, SIGMA][:_WIDTH_STREAKS]))
     return motion, sigma
 
 
@@ -341,8 +348,8 @@ def _along_motion(bins: FloatImage, scale: float, motion: FloatArray, threshold:
     sample = response[response != 0.0]
     if not len(sample):
         return np.empty((0, 2))
-    low, middle, one = np.quantile(sample[:: max(1, len(sample) // 16384)], (0.158655, 0.5, 0.5))
-    limit = float(middle) + threshold * max(float(one - low), 1e-6)
+    low, middle = np.quantile(sample[:: max(1, len(sample) // 16384)], (0.158655, 0.5))
+    limit = float(middle) + threshold * max(float(middle - low), 1e-6)
     y, x = _peaks(response, limit)
     order = np.argsort(-response[y, x], kind="stable")[: 10 * _LOOKED_AT]
     xy = np.column_stack([x, y])[order].astype(np.float64)
@@ -378,7 +385,7 @@ def _measure(
             again, covariance, chi2 = frame.fit(made, _SHAPE if bright else _PLACE, 2.0)
             if math.isfinite(chi2):
                 fits[k], results[k] = again, (covariance, chi2)
-            subtract_streak(frame.residual, fits[k], 1.0)
+            subtract_streak(frame.residual, made, 1.0)
     return _centroids(frame, fits, results, motion, settings)
 
 
@@ -396,7 +403,12 @@ def _centroids(
         inside = _within(made, np.array(frame.residual.shape[::-1]), made[SIGMA])
         fitting = agrees(drawn[None], motion_at((made[:2] - frame.middle)[None], motion))[0]
         snr = made[FLUX] / math.sqrt(covariance[2, 2])
-        if not (inside and fitting and snr > settings.threshold_sigma and chi2 < _WORST_CHI2 * (1.0 + (0.01 * snr) ** 2)):
+        if not (
+            inside
+            and fitting
+            and snr > settings.threshold_sigma
+            and chi2 < _WORST_CHI2 * (1.0 + (_MODEL_ERROR * snr) ** 2)
+        ):
             continue
         rows.append((made, _position_covariance(frame, made, covariance[:2, :2] * max(chi2, 1.0))))
     if not rows:

@@ -60,7 +60,7 @@ class _Turn(NamedTuple):
     chance_hits : float
         How often chance may let a triangle pass on to verification.
     fewest : int
-        Stars below which it could never be accepted.
+        True stars below which an attitude is hardly ever accepted with such errors.
     triangles : int
         Looked up under this assumption by the end of the turn, at most.
     work : float
@@ -77,7 +77,7 @@ class _Turn(NamedTuple):
 
 
 _STATED = _Turn("errors as stated", TIGHT, 0.0, 0.02, 3, 12, 5e6)
-_THREE = _Turn("errors three times as large", MIDDLE, 0.0, 0.005, 5, 4, 5e6)
+_THREE = _Turn("errors three times as large", MIDDLE, 0.0, 0.005, 6, 4, 5e6)
 _FOCAL = _Turn(f"focal length off by up to {FOCAL_RANGE:.1%}", TIGHT, FOCAL_RANGE, 0.01, 5, 6, 5e6)
 _SEVEN = _Turn("errors seven times as large", WIDE, 0.0, 0.001, 8, 2, 20e6)
 _TURNS = (
@@ -151,12 +151,12 @@ def adaptive(
     count, kept = 0, 0
     done: dict[str, int] = {}
     for turn in _turns(settings, observed):
-        start = done.get(turn.assumption, 0)
-        if start >= min(turn.triangles, len(triangles)) or len(observed) < turn.fewest:
+        start, stop = done.get(turn.assumption, 0), min(turn.triangles, len(triangles), _enough(turn, len(observed)))
+        if start >= stop:
             continue
         limits = _limits(bench, observed, turn)
         count, looked, found = search_triangles(
-            triangles.part(start, turn.triangles), stars, guide.view, pairs, limits, finds, count
+            triangles.part(start, stop), stars, guide.view, pairs, limits, finds, count
         )
         done[turn.assumption] = start + looked
         bench.note(f"{turn.assumption}: {looked} triangles, {found} alike in the sky, {count - kept} worth a look")
@@ -179,6 +179,13 @@ def _turns(settings: IdentificationSettings, observed: Observed) -> tuple[_Turn,
     error = math.radians(settings.separation_tolerance_deg) / (PAIR_SIGMAS * math.sqrt(2.0))
     multiple = error / float(np.median(observed.sigma_rad))
     return (_TURNS[6]._replace(assumption="separations within the tolerance given", multiple=multiple),)
+
+
+def _enough(turn: _Turn, stars: int) -> int:
+    """Triangles after which one of true stars alone has been missed with e^−6, if there are as many as are needed."""
+    if stars < turn.fewest:
+        return 0
+    return math.ceil(6.0 * math.comb(stars, 3) / math.comb(turn.fewest, 3))
 
 
 def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
