@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.camera import Camera
 from startracker.centroid import Centroider
+from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.smear import motion_at
-from startracker.detection.streaks import Streaks, find_streaks
+from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_step
 from startracker.settings import CentroidSettings, DetectionSettings
@@ -30,6 +31,7 @@ SAME_STAR_PX = 0.75
 SATURATED_SHARE = 0.05
 """Share of saturated pixels above which an image that cannot be solved is called saturated."""
 _WHITE_SHARE = 0.5
+_FEWEST_STREAKS = 4
 
 
 @dataclass
@@ -154,8 +156,14 @@ def find_stars(
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
-        smeared=spots.streak is not None and bool(np.any(spots.streak)),
+        smeared=_looks_smeared(spots),
     )
+
+
+def _looks_smeared(spots: Spots) -> bool:
+    """Whether the detector took streaks for stars, or left out so many that they may be the stars."""
+    taken = spots.streak is not None and bool(np.any(spots.streak))
+    return taken or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 2)
 
 
 def look_again(
@@ -167,7 +175,7 @@ def look_again(
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
 ) -> FoundStars | None:
-    """Stars drawn out by the camera's turn (`startracker.detection.streaks`): for frames that are smeared, or unsolved.
+    """Stars drawn out by the camera's turn (`startracker.centroid.streaks`): for frames that are smeared, or unsolved.
 
     Parameters
     ----------

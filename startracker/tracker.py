@@ -153,7 +153,7 @@ class StarTracker:
             steps = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=steps)
         hint = _prior(prior, prior_deg)
-        looks = (found,)
+        looks: tuple[FoundStars, ...] = (found,)
         if found.smeared:  # the streaks' own measurement is far better, and most often there
             again = self._look_again(found, clock, saturation_dn, gain_e_per_dn)
             looks = (found,) if again is None else (again, found)

@@ -221,7 +221,7 @@ def _model(p: FloatArray, x: int, y: int, slope: FloatArray) -> float:
     slope[HALF] = p[FLUX] * (unit * (first + last) / sigma - share / half)
     slope[SIGMA] = p[FLUX] * (unit * (back * last - front * first) / sigma + share * ((t / sigma) ** 2 - 1.0) / sigma)
     slope[SKY] = 1.0
-    return p[FLUX] * share + p[SKY]
+    return float(p[FLUX] * share + p[SKY])
 
 
 @njit(cache=True, error_model="numpy")
@@ -247,7 +247,7 @@ def _window(
         if abs(sin) > 1e-6:
             middle, reach = start[X] + dy * cos / sin, beside / abs(sin)
             left, right = max(left, middle - reach), min(right, middle + reach)
-        for x in range(max(0, int(math.ceil(left))), min(width - 1, int(math.floor(right))) + 1):
+        for x in range(max(0, math.ceil(left)), min(width - 1, math.floor(right)) + 1):
             if not saturated[y, x] and abs(image[y, x]) < np.inf and count < len(places):
                 places[count, 0], places[count, 1] = x, y
                 count += 1

@@ -13,7 +13,8 @@ from startracker.identification import Observed, Prior, adaptive
 from startracker.identification.adaptive import _kernel_pairs, _no_finds, _Triangles
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.pairs import separation
-from startracker.identification.triangles import PAIR_SIGMAS, Limits, Stars, least_hits, search_triangles
+from startracker.identification.search_state import Limits, Stars
+from startracker.identification.triangles import PAIR_SIGMAS, least_hits, search_triangles
 from startracker.identification.verification import focal_slopes
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status

@@ -1,4 +1,4 @@
-"""Streaks drawn here from their formula, found and measured by `startracker.detection.streaks`.
+"""Streaks drawn here from their formula, found and measured by `startracker.centroid.streaks`.
 
 A streak is drawn as the mean of many star images along a line, each a Gaussian integrated over pixels (erf): it shares
 no code with the fit. The bound of the position is the Cramér–Rao bound from numerical derivatives of such drawings.
@@ -7,18 +7,28 @@ no code with the fit. The bound of the position is the Cramér–Rao bound from 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.trial import build_tracker, solve_frame
+from startracker.camera import Camera
+from startracker.centroid.result import Centroids
+from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, estimate
-from startracker.detection.streaks import Streaks, find_streaks
+from startracker.detection.streak_kernels import best_lines
+from startracker.front_end import _bow
 from startracker.settings import DetectionSettings
 
 FloatArray = NDArray[np.float64]
 
+CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat.yaml"
 SIGMA, NOISE, SIZE = 0.9, 12.0, 512
 
 
@@ -95,11 +105,12 @@ def test_all_streaks_found_none_false(length: float, degrees: float, turn: float
         assert np.hypot(*(got[:2] - motion[:2])) < 1.0 + 0.02 * length
         assert abs(got[2] - turn) < 0.01
         bright = nearest(found, places[0])
-        assert found.centroids.flux[bright] == pytest.approx(flux[0], rel=0.08)  # 1/60, and the sky's error
+        # four standard errors: the noise, 1/52 with a free sky, and 3 % for the width that this frame tells
+        assert found.centroids.flux[bright] == pytest.approx(flux[0], rel=0.15)
 
 
 def bound(length: float, degrees: float, flux: float) -> FloatArray:
-    """Cramér–Rao bound of (x, y), px²: numerical derivatives by x, y, flux and sky, at the mean over sub-pixel phases."""
+    """Cramér–Rao bound of (x, y), px²: numerical derivatives by x, y and flux."""
     along = length * np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
     side = int(length) + 30
     centre = 0.5 * side + 0.3
@@ -118,10 +129,11 @@ def bound(length: float, degrees: float, flux: float) -> FloatArray:
 
 @pytest.mark.parametrize(("length", "degrees", "snr"), [(30, 15, 20), (60, 60, 40), (120, 135, 50), (120, 45, 20)])
 def test_positions_reach_the_bound_and_say_how_good_they_are(length: float, degrees: float, snr: float) -> None:
-    """Across the streak: rms within 4 standard errors (N samples: 1/√2N each) of the bound.
+    """Across the streak: rms within 4 standard errors (of N samples: 1/√2N) of the bound, and the variance as stated.
 
     Along it a faint streak cannot reach the bound, which knows nothing of the noise's other maxima: there the stated
-    variance must be right: Σ e²/v below N + 5 √(2N), and the error at most as stated by the two terms together.
+    variance must be right, Σ e²/v within 4 standard errors √(2/N) of 1 from above. Its tails are heavier than normal,
+    and the length is the frame's own, known to some tenths of a pixel: 15 % more is allowed.
     """
     unit = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
     side = np.array([-unit[1], unit[0]])
@@ -144,14 +156,11 @@ def test_positions_reach_the_bound_and_say_how_good_they_are(length: float, degr
     assert count >= 66
     limit = math.sqrt(side @ best @ side)
     got = math.sqrt(np.mean(np.square(across)))
-    print(
-        length,
-        snr,
-        got / limit,
-        np.mean(np.square(across) / np.array(stated)[:, 0]),
-        math.sqrt(np.mean(np.square(along)) / (unit @ best @ unit)),
-        np.mean(np.square(along) / np.array(stated)[:, 1]),
-    )
+    assert abs(got / limit - 1.0) < 4.0 / math.sqrt(2 * count)
+    limits = 1.0 + 4.0 * math.sqrt(2.0 / count)
+    assert np.mean(np.square(across) / np.array(stated)[:, 0]) < limits
+    assert np.mean(np.square(along) / np.array(stated)[:, 1]) < 1.15 * limits
+    assert np.mean(np.square(along)) > 0.5 * (unit @ best @ unit)
 
 
 def test_no_streaks_in_noise_and_in_a_still_field() -> None:
@@ -167,3 +176,98 @@ def test_no_streaks_in_noise_and_in_a_still_field() -> None:
         image[rng.integers(0, SIZE, 60), rng.integers(0, SIZE, 60)] += rng.uniform(100, 3000, 60)  # hot pixels
         still = image.astype(np.float32)
         assert find_streaks(still, estimate(still, 64), DetectionSettings(), 4000.0) is None
+
+
+def test_pixels_that_tell_nothing_do_no_harm() -> None:
+    """NaN, saturation and hot pixels on a streak: the positions stay within 5 of their standard errors."""
+    image, places, _, _ = field(3, 80.0, 30.0, np.array([90.0, 50.0, 40.0, 30.0, 25.0]))
+    x, y = np.rint(places[1]).astype(int)
+    image[y, x] = np.nan
+    image[int(places[2][1]), int(places[2][0])] += 3000.0
+    found = find_streaks(image, estimate(image, 64), DetectionSettings(), saturation_dn=380.0, gain_e_per_dn=2.0)
+    assert found is not None
+    for place in places:
+        k = nearest(found, place)
+        error = found.centroids.xy[k] - place
+        assert error @ np.linalg.solve(found.centroids.covariance[k], error) < 25.0
+
+
+def test_streaks_cut_by_the_border_are_left_out() -> None:
+    """Nobody can know where their middle is."""
+    image, places, _, motion = field(5, 80.0, 0.0, np.full(6, 40.0))
+    image += drawn(image.shape, 20.0, 250.0, np.array(motion[:2]), 20_000.0).astype(np.float32)
+    found = find_streaks(image, estimate(image, 64))
+    assert found is not None
+    assert all(np.hypot(*(found.centroids.xy - place).T).min() < 3.0 for place in places)
+    cut = (np.abs(found.centroids.xy[:, 1] - 250.0) < 3.0) & (found.centroids.xy[:, 0] < 60.0)
+    assert not cut.any()
+
+
+def test_streaks_of_many_directions_are_no_motion() -> None:
+    rng = np.random.default_rng(8)
+    image = 300.0 + NOISE * rng.standard_normal((SIZE, SIZE))
+    for degrees in np.arange(0.0, 180.0, 18.0):
+        along = 70.0 * np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+        image += drawn(image.shape, *rng.uniform(60, SIZE - 60, 2), along, 15_000.0)
+    assert find_streaks(image.astype(np.float32), estimate(image, 64)) is None
+
+
+def test_sums_along_lines_are_those_of_a_plain_loop() -> None:
+    rng = np.random.default_rng(2)
+    bins = rng.standard_normal((30, 40)).astype(np.float32)  # 30 columns of 40 rows
+    slopes, every, spans = np.array([-1.3, 0.0, 0.7]), np.array([1, 2]), np.array([[7, 12], [8, 13], [6, 11]])
+    best, line = best_lines(bins, slopes, every, spans)
+    expected = np.zeros_like(best)
+    for k, slope in enumerate(slopes):
+        offset = np.floor(slope * (np.arange(30) - 15.0) + 0.5).astype(int)
+        for m, span in enumerate(spans[k]):
+            for x in range(30 - span + 1) if k % every[m] == 0 else ():
+                for y in range(40):
+                    rows = y + offset[x : x + span] - offset[x + span // 2]
+                    inside = (rows >= 0) & (rows < 40)
+                    value = bins[np.arange(x, x + span)[inside], rows[inside]].sum() / math.sqrt(span)
+                    expected[x + span // 2, y] = max(expected[x + span // 2, y], value)
+    np.testing.assert_allclose(best, expected, atol=2e-5)
+    assert line.max() < len(slopes) * len(every)
+
+
+def test_middle_of_a_streak_is_set_right_for_the_camera() -> None:
+    """Against the track of each star itself, turned in small steps: the middle of its ends, and its mean offset."""
+    camera = Camera.from_fov(20.0, 1024, 1024)
+    turn = np.array([0.04, -0.06, 0.05])
+    xy = np.array([[100.0, 900.0], [511.5, 511.5], [960.0, 200.0]])
+    stars = camera.unproject(xy)
+    track = []
+    for part in np.linspace(-0.5, 0.5, 401):
+        track.append(camera.project(stars @ Rotation.from_rotvec(part * turn).as_matrix().T))
+    path = np.array(track)
+    along = path[-1] - path[0]
+    along /= np.hypot(*along.T)[:, None]
+    side = np.column_stack([-along[:, 1], along[:, 0]])
+    ends = 0.5 * (path[0] + path[-1]) - xy
+    expected = (ends * along).sum(axis=1)[:, None] * along + ((path - xy) * side).sum(axis=2).mean(axis=0)[
+        :, None
+    ] * side
+    motion = np.array([turn[1] * camera.fx, -turn[0] * camera.fy, turn[2]])
+    none = Streaks(Centroids.none(), motion)
+    np.testing.assert_allclose(_bow(xy, camera, none, np.array([511.5, 511.5])), expected, atol=0.04)
+    assert np.abs(expected).max() > 0.3
+
+
+@pytest.mark.parametrize(("rate_deg_s", "length"), [(3.0, 48.0), (10.0, 159.0)])
+def test_rendered_frames_are_solved(rate_deg_s: float, length: float) -> None:
+    """Three frames of the cubesat each, lost in space: within three pixels, and the length that the rate draws."""
+    across = math.sqrt(0.5) * rate_deg_s
+    overrides = ["study.sampling=sky", "tracker.prior=false", "tracker.identifier=adaptive"]
+    scenario = Scenario.load(CUBESAT, [*overrides, f"pointing.rate_deg_s=[{across}, 0, {across}]"], seed=4)
+    renderer = Renderer(scenario)
+    tracker = build_tracker(scenario, renderer.camera)
+    for index in range(3):
+        frame, truth = renderer.frame(index)
+        found = find_streaks(frame.image.astype(np.float32), estimate(frame.image, 64))
+        assert found is not None
+        assert np.hypot(*found.motion[:2]) == pytest.approx(length, rel=0.03)
+        solution = solve_frame(tracker, frame)
+        assert solution.attitude is not None
+        x, y, _ = truth.attitude.rotation_vector_to(solution.attitude)
+        assert math.hypot(x, y) < 3.0 * frame.camera.pixel_rad

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.centroid.result import Centroids
 from startracker.detection.background import Background, as_image
-from startracker.detection.matched import DEFAULT_SIGMA_PX, matched_kernel
+from startracker.detection.matched import DEFAULT_SIGMA_PX
 from startracker.detection.smear import agrees, common_motion, motion_at
 from startracker.detection.streak_kernels import (
     ANGLE,
@@ -20,12 +20,20 @@ from startracker.detection.streak_kernels import (
     SKY,
     X,
     Y,
-    best_lines,
     bin_residual,
     fit_streak,
     keep_apart,
     line_response,
     subtract_streak,
+)
+from startracker.detection.streak_lines import (
+    CLIP,
+    COARSE_SIGMA,
+    LOOKED_AT,
+    SHORTEST_PX,
+    candidate_lines,
+    find_peaks,
+    smooth_bins,
 )
 from startracker.settings import DetectionSettings
 
@@ -36,18 +44,6 @@ FloatImage = NDArray[np.float32]
 
 _LARGEST_MAP_PX = 1200
 """Larger images are searched in larger squares: the search costs as much, and finds brighter streaks only."""
-_SHORTEST_PX = 16.0
-_LONGEST_SHARE = 0.3
-"""Of the image's smaller side: of longer streaks too few lie within it."""
-_OFF_LINE_PX = 1.5
-"""A line of the search misses the end of a streak by no more than this."""
-_CLIP = 4.0
-"""Noise in a bin at most counted: what is no streak (a star, a hit) is far brighter than long, and must not be
-found in every line that runs across it."""
-_COARSE_SIGMA = 5.5
-"""Chance exceeds it in some ten million places and lines about once in five frames; then four must fit one motion."""
-_MOST_LINES = 40
-_LOOKED_AT = 600
 _FITTED = 20
 _WIDTH_STREAKS = 5
 _PIXEL_VARIANCE = 1.0 / 12.0
@@ -64,8 +60,6 @@ _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
 """What else streaks may differ by: a flat image stretches towards its corners by the square of the angle."""
 _CAUCHY = 2.4
 """Residual in standard errors at which a streak has half its weight (95 % efficiency)."""
-_BIN_MIDDLE = np.array([0.5, 0.5, 0.0, 0.0])
-"""A bin's middle from its corner, in the columns of a line."""
 _LIGHT = np.array([FLUX, SKY])
 _PLACE = np.array([X, Y, FLUX, SKY])
 _SHAPE = np.array([X, Y, FLUX, ANGLE, HALF, SKY])
@@ -131,12 +125,12 @@ def find_streaks(
     pixels = as_image(image)
     unit = max(1, math.ceil(max(pixels.shape) / _LARGEST_MAP_PX))
     bins = bin_residual(pixels, background.level, background.noise, 2 * unit)
-    if min(bins.shape) < 2.0 * _SHORTEST_PX:
+    if min(bins.shape) < 2.0 * SHORTEST_PX:
         return None
     bins /= _excess(bins)
     given = settings.psf_sigma_px
     sigma = math.hypot(DEFAULT_SIGMA_PX if given is None else given, math.sqrt(_PIXEL_VARIANCE))
-    lines = _candidate_lines(bins, unit)
+    lines = candidate_lines(bins, unit)
     if len(lines) < _FEWEST:
         return None
     residual = np.where(np.isfinite(pixels), pixels - background.level, np.float32(np.nan))
@@ -178,77 +172,6 @@ def _excess(bins: FloatImage) -> float:
     return max(1.0, float(above - middle))
 
 
-# ---------------------------------------------------------------------- lines in any direction
-def _candidate_lines(bins: FloatImage, unit: int) -> FloatArray:
-    """Lines (N, 4), px: centre, half length along x and y, the most significant first."""
-    longest = _LONGEST_SHARE * 2.0 * unit * min(bins.shape)
-    lengths = _SHORTEST_PX * unit * math.sqrt(2.0) ** np.arange(40)
-    lengths = lengths[lengths <= max(longest, _SHORTEST_PX * unit)]
-    tables = []
-    for turned in (False, True):
-        half = bins.T if turned else bins
-        half = half[:, : half.shape[1] // 2 * 2]
-        rows = np.ascontiguousarray(half[:, ::2] + half[:, 1::2]) * np.float32(math.sqrt(0.5))
-        table = _lines_one_way(rows, lengths / unit)
-        # a line of the turned image runs along y
-        scale = unit * np.array([4.0, 2.0, 4.0, 2.0])
-        table[:, :4] = (table[:, :4] + _BIN_MIDDLE) * scale - _BIN_MIDDLE
-        tables.append(table[:, [1, 0, 3, 2, 4]] if turned else table)
-    every = np.concatenate(tables)
-    every = every[np.argsort(-every[:, 4], kind="stable")][:_LOOKED_AT]
-    clipped = np.clip(_smooth(bins, 0.5), -_CLIP, _CLIP)
-    in_bins = (every[:, :4] + _BIN_MIDDLE) / (2.0 * unit) - _BIN_MIDDLE
-    kept = keep_apart(clipped, in_bins, 2.0, _COARSE_SIGMA, _MOST_LINES)
-    return np.asarray(every[kept, :4])
-
-
-def _lines_one_way(rows: FloatImage, lengths: FloatArray) -> FloatArray:
-    """Lines within 45° of the x axis (N, 5): centre, half lengths, significance; bins of 4 × 2 px."""
-    smooth = np.zeros_like(rows)
-    smooth += 2.0 * rows
-    smooth[1:] += rows[:-1]
-    smooth[:-1] += rows[1:]
-    np.clip(smooth * np.float32(1.0 / math.sqrt(6.0)), -_CLIP, _CLIP, out=smooth)
-    step = 4.0 * _OFF_LINE_PX / float(lengths.max())
-    slopes = np.linspace(-1.0, 1.0, 2 * math.ceil(1.0 / step) + 1)
-    every = np.maximum(1, (lengths.max() / lengths).astype(np.int64))
-    spans = np.rint(lengths[None, :] / 4.0 / np.hypot(1.0, slopes)[:, None]).astype(np.int64)
-    best, line = best_lines(np.ascontiguousarray(smooth.T), 2.0 * slopes, every, np.maximum(spans, 2))
-    x, y = _peaks(best, _COARSE_SIGMA)
-    number, length = np.divmod(line[x, y], len(lengths))
-    span = spans[number, length]
-    # the middle of an even number of bins is between two
-    centre = x - 0.5 * (1 - span % 2)
-    shift = (centre - x) * 2.0 * slopes[number]
-    return np.column_stack([centre, y + shift, 0.5 * span, span * slopes[number], best[x, y]]).astype(np.float64)
-
-
-def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of local maxima above a threshold, the border left out."""
-    y, x = np.nonzero(height[1:-1, 1:-1] > threshold)
-    y, x = y + 1, x + 1
-    top = np.ones(len(y), np.bool_)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            if (dy, dx) != (0, 0):
-                top &= height[y, x] >= height[y + dy, x + dx]
-    return y[top], x[top]
-
-
-def _smooth(bins: FloatImage, sigma: float) -> FloatImage:
-    """Correlated with a star image of σ bins; white noise keeps its size."""
-    kernel = matched_kernel(sigma).astype(np.float32)
-    reach = len(kernel) // 2
-    for axis in (0, 1):
-        padded = np.pad(bins, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)])
-        size = bins.shape[axis]
-        total = np.zeros_like(bins)
-        for k in range(len(kernel)):
-            total += kernel[k] * (padded[k : k + size] if axis == 0 else padded[:, k : k + size])
-        bins = total
-    return bins
-
-
 # ---------------------------------------------------------------------- the motion
 def _motion(frame: _Frame, lines: FloatArray, sigma: float, measure_sigma: bool) -> tuple[FloatArray, float] | None:
     """The motion that the lines share, and the width of the star image."""
@@ -257,7 +180,7 @@ def _motion(frame: _Frame, lines: FloatArray, sigma: float, measure_sigma: bool)
     for line in lines:
         start = _with_ends(frame, line, sigma)
         made, covariance, chi2 = frame.fit(start, _ALL, 3.0 + 0.05 * start[HALF])
-        if not math.isfinite(chi2) or made[FLUX] ** 2 < _COARSE_SIGMA**2 * covariance[2, 2]:
+        if not math.isfinite(chi2) or made[FLUX] ** 2 < COARSE_SIGMA**2 * covariance[2, 2]:
             continue
         if not _within(made, size, _CUT_PX):
             continue
@@ -324,7 +247,7 @@ def _with_ends(frame: _Frame, line: FloatArray, sigma: float) -> FloatArray:
     rows, columns = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
     noise = frame.noise[rows, columns]
     light = np.nan_to_num(frame.residual[rows, columns])
-    signal = np.where(inside, np.clip(light / noise, -_CLIP, 2.0 * _CLIP), 0.0)
+    signal = np.where(inside, np.clip(light / noise, -CLIP, 2.0 * CLIP), 0.0)
     total = np.concatenate([[0.0], np.cumsum((weight * signal).sum(axis=0))])
     middle = len(s) // 2
     first, last = np.arange(middle), np.arange(middle + 1, len(total))
@@ -342,7 +265,7 @@ def _with_ends(frame: _Frame, line: FloatArray, sigma: float) -> FloatArray:
 # ---------------------------------------------------------------------- streaks of one motion
 def _along_motion(bins: FloatImage, scale: float, motion: FloatArray, threshold: float, sigma: float) -> FloatArray:
     """Centres (N, 2), px, of streaks of this motion, the most significant first."""
-    clipped = np.clip(_smooth(bins, max(sigma / scale, 0.3)), -_CLIP, _CLIP)
+    clipped = np.clip(smooth_bins(bins, max(sigma / scale, 0.3)), -CLIP, CLIP)
     middle_y, middle_x = 0.5 * (np.array(bins.shape) - 1.0)
     response = line_response(clipped, motion, scale, middle_x, middle_y)
     sample = response[response != 0.0]
@@ -350,11 +273,11 @@ def _along_motion(bins: FloatImage, scale: float, motion: FloatArray, threshold:
         return np.empty((0, 2))
     low, middle = np.quantile(sample[:: max(1, len(sample) // 16384)], (0.158655, 0.5))
     limit = float(middle) + threshold * max(float(middle - low), 1e-6)
-    y, x = _peaks(response, limit)
-    order = np.argsort(-response[y, x], kind="stable")[: 10 * _LOOKED_AT]
+    y, x = find_peaks(response, limit)
+    order = np.argsort(-response[y, x], kind="stable")[: 10 * LOOKED_AT]
     xy = np.column_stack([x, y])[order].astype(np.float64)
     halves = 0.5 * motion_at((xy - [middle_x, middle_y]) * scale, motion) / scale
-    kept = keep_apart(clipped, np.column_stack([xy, halves]), 2.0, limit, _LOOKED_AT)
+    kept = keep_apart(clipped, np.column_stack([xy, halves]), 2.0, limit, LOOKED_AT)
     return np.asarray((xy[kept] + 0.5) * scale - 0.5)
 
 
@@ -367,12 +290,10 @@ def _measure(
     for start in starts[: 2 * max(settings.max_stars, 0)]:
         drawn = motion_at((start - frame.middle)[None], motion)[0]
         half, angle = 0.5 * math.hypot(*drawn), math.atan2(drawn[1], drawn[0])
-        first, _, chi2 = frame.fit(np.array([*start, 1.0, angle, half, sigma, 0.0]), _LIGHT, 2.0)
-        if not (math.isfinite(chi2) and first[FLUX] > 0.0):
+        best = _best_fit(frame, np.array([*start, 1.0, angle, half, sigma, 0.0]))
+        if best is None or best[3] < settings.threshold_sigma:
             continue
-        made, covariance, chi2 = frame.fit(first, _PLACE, 2.0)
-        if not math.isfinite(chi2) or made[FLUX] < settings.threshold_sigma * math.sqrt(covariance[2, 2]):
-            continue
+        made, covariance, chi2, _ = best
         if math.hypot(*(made[:2] - start)) > 0.5 * half:
             continue
         subtract_streak(frame.residual, made, 1.0)
@@ -387,6 +308,29 @@ def _measure(
                 fits[k], results[k] = again, (covariance, chi2)
             subtract_streak(frame.residual, made, 1.0)
     return _centroids(frame, fits, results, motion, settings)
+
+
+def _best_fit(frame: _Frame, start: FloatArray) -> tuple[FloatArray, FloatArray, float, float] | None:
+    """Fit of place and light, and its signal-to-noise ratio: the best of three places along a faint streak.
+
+    Noise gives the fit of a long streak several maxima along it, some pixels apart.
+    """
+    best: tuple[FloatArray, FloatArray, float, float] | None = None
+    shift = min(max(0.05 * start[HALF], 2.0), 5.0)
+    for step in (0.0, -shift, shift):
+        if best is not None and best[3] > _FREE_SNR:
+            break
+        moved = start.copy()
+        moved[[X, Y]] += step * np.array([math.cos(start[ANGLE]), math.sin(start[ANGLE])])
+        moved, _, chi2 = frame.fit(moved, _LIGHT, 2.0)
+        if not (math.isfinite(chi2) and moved[FLUX] > 0.0):
+            continue
+        made, covariance, chi2 = frame.fit(moved, _PLACE, 2.0)
+        if math.isfinite(chi2):
+            snr = float(made[FLUX]) / math.sqrt(covariance[2, 2])
+            if best is None or snr > best[3]:
+                best = made, covariance, chi2, snr
+    return best
 
 
 def _centroids(
@@ -423,7 +367,7 @@ def _centroids(
 
 def _position_covariance(frame: _Frame, made: FloatArray, covariance: FloatArray) -> FloatArray:
     """Least squares' own, plus what a faint streak's ends add: the error of a jump in noise, 26 / rate²."""
-    noise = float(frame.noise[int(round(made[Y])), int(round(made[X]))])
+    noise = float(frame.noise[round(float(made[Y])), round(float(made[X]))])
     rate = (made[FLUX] / (2.0 * made[HALF] * noise)) ** 2 / (math.sqrt(math.pi) * made[SIGMA])
     along = min(26.0 / rate**2, made[HALF] ** 2 / 3.0)
     direction = np.array([math.cos(made[ANGLE]), math.sin(made[ANGLE])])

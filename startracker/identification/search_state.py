@@ -1,0 +1,78 @@
+"""What a search for triangles is given and what it finds, as kernels take it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.identification.bayes_factor import CountTable
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Stars(NamedTuple):
+    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), and
+    what their number says."""
+
+    vectors: FloatArray
+    slopes: FloatArray
+    sigma: FloatArray
+    magnitude: FloatArray
+    counts: CountTable
+
+
+class Pairs(NamedTuple):
+    """Guide pairs by ascending separation (rad), and by how much the first star is fainter than the second."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    separation: NDArray[np.float32]
+    fainter: NDArray[np.float32]
+
+
+class Limits(NamedTuple):
+    """What a search may do.
+
+    Parameters
+    ----------
+    scale : float
+        Multiple of the stated errors.
+    focal_range : float
+        Largest relative error of the focal length; 0: it is known.
+    magnitude_tolerance : float
+        Between the brightness differences of two stars observed and catalogued.
+    chance_hits : float
+        How often chance may pass a triangle on to verification.
+    sure : float
+        ln B above which the search ends.
+    work : float
+        Nanoseconds, roughly, after which it ends.
+    prior : (3, 3)
+        Attitude known beforehand.
+    prior_cosine : float
+        Of the largest angle between a guide star and where the prior puts it; −2: no prior.
+    """
+
+    scale: float
+    focal_range: float
+    magnitude_tolerance: float
+    chance_hits: float
+    sure: float
+    work: float
+    prior: FloatArray
+    prior_cosine: float
+
+
+class Finds(NamedTuple):
+    """Verified hypotheses, H at most: ln B (H,), attitude (H, 3, 3), ln focal factor, scale, guide stars in the field
+    (H,) each, and the guide star of each observed star or −1 (H, N)."""
+
+    log_b: FloatArray
+    matrix: FloatArray
+    focal: FloatArray
+    scale: FloatArray
+    in_field: IntArray
+    guide: IntArray
