@@ -97,7 +97,6 @@ _MOST_TRIPLES = 20000
 _CROWDED, _FEWER_TRIPLES = 40, 1500
 _MOST_STARS = 120
 _BRIGHT = 9
-_BLOCKS = np.array([5, 7])
 _LEAST_SIDE = 0.12
 _MOST_FINDS = 12
 
@@ -225,17 +224,16 @@ def _triples(n: int) -> tuple[IntArray, IntArray]:
 
 
 class _Triangles:
-    """Triangles of one frame's stars in the order in which they are looked up: bright ones first, of those the small.
+    """Triangles of one frame's stars in the order in which they are looked up: of the brightest nine, then of all.
 
-    The fewer guide pairs have a side's length the quicker it is looked up, and small triangles agree by chance more
-    seldom; very small ones say little of the attitude and come last.
+    Of each the small ones come first: the fewer guide pairs have a side's length the quicker it is looked up, and small
+    triangles agree by chance more seldom; very small ones say little of the attitude and come last.
     """
 
     def __init__(self, vectors: FloatArray, diagonal_rad: float) -> None:
         few, self._rest = _triples(min(len(vectors), _MOST_STARS))
         self._vectors, self._least_rad = vectors, _LEAST_SIDE * diagonal_rad
-        block = np.searchsorted(_BLOCKS, few[:, 2])
-        self._few = few[np.lexsort((self._cost(few), block))]
+        self._few = few[np.argsort(self._cost(few), kind="stable")]
         self._all: IntArray | None = None
 
     def __len__(self) -> int:
