@@ -52,7 +52,12 @@ _ALL = (
 CASES: dict[str, Case] = {case.name: case for case in _ALL}
 MILLION = "10deg 6.5, 0.3 px, 3 false, 20% dropped"
 """The case of the long run."""
-RANDOM_SHARES = {"8 random points": 0.8, "15 random points": 0.18, "25 random points": 0.016, "100 random points": 0.004}
+RANDOM_SHARES = {
+    "8 random points": 0.8,
+    "15 random points": 0.18,
+    "25 random points": 0.016,
+    "100 random points": 0.004,
+}
 """How the frames of a long run of random points are shared out: where chance has most to offer, and time least."""
 ACCURACY = tuple(case.name for case in _ALL if case.noise_px == 0.1 and case.focal_error == 0.0 and case.sky)
 """Cases whose accuracy is compared with the oracle's."""

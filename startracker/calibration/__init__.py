@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from startracker.calibration.procedure import calibrate
 from startracker.calibration.field import StarField
+from startracker.calibration.procedure import calibrate
 from startracker.calibration.result import CalibratedField, Calibration
 
 __all__ = ["CalibratedField", "Calibration", "StarField", "calibrate"]
