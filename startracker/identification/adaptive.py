@@ -23,15 +23,8 @@ from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.triangles import (
-    PAIR_SIGMAS,
-    Finds,
-    Limits,
-    Pairs,
-    Stars,
-    search_triangles,
-    triangle_costs,
-)
+from startracker.identification.search_state import Finds, Limits, Pairs, Stars
+from startracker.identification.triangles import PAIR_SIGMAS, search_triangles, triangle_costs
 from startracker.identification.verification import MOST_EXTRA, focal_slopes
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
