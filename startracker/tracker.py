@@ -46,6 +46,8 @@ STATED_PX = 0.15
 """Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
 """Added to the centroids' errors for identification alone: what camera model and blends may add."""
+WORST_PX = 5.0
+"""A centroid with a larger error says nothing worth knowing."""
 _AXES = math.sqrt(3.0)
 
 
@@ -249,8 +251,9 @@ class StarTracker:
                 return replace(solution, times_ms=clock.times_ms(), steps=steps)
         guide = self.guide.seen_by(observer)
         vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
-        usable = np.flatnonzero(np.isfinite(vectors).all(axis=1))  # beyond the lens model's fold there are none
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
+        # beyond the lens model's fold there are no directions
+        usable = np.flatnonzero(np.isfinite(vectors).all(axis=1) & (stated < WORST_PX))
         observed = Observed(
             vectors[usable], None if flux is None else flux[usable], stated[usable] * self.camera.pixel_rad
         )

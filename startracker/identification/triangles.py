@@ -33,6 +33,7 @@ IntArray = NDArray[np.int64]
 
 PAIR_SIGMAS = 3.7
 """A true side is measured within this many standard errors: 2e-4 of them are lost, and there are other triangles."""
+_MANY_HITS = 100.0
 _LOOK_AT = 48
 _LEVER = 1.5
 _ABERRATION = 1.02e-4
@@ -107,6 +108,8 @@ def _attitude_of_three(b: FloatArray, r: FloatArray, sigma: FloatArray) -> Float
 @njit(cache=True, error_model="numpy")
 def least_hits(mean: float, chance: float) -> int:
     """Fewest hits that come by chance with a probability below `chance` where `mean` come on average (Poisson)."""
+    if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead
+        return int(mean + 5.0 * math.sqrt(mean)) + 1
     term, tail, hits = math.exp(-mean), 1.0, 0
     while tail > chance:
         tail -= term
