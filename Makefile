@@ -1,12 +1,13 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
+# make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all lint clean bench-identification bench-frames
+.PHONY: run test test-all lint clean cluster-demo bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -45,6 +46,20 @@ bench-identification: $(VENV)/.installed-peers
 
 bench-frames: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.frames --failures --out benchmarks/RESULTS-frames.md
+
+$(VENV)/.installed-dask: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[dask]'
+	@touch $@
+
+DASK_PORT ?= 8786
+cluster-demo: $(VENV)/.installed-dask
+	@address=tcp://127.0.0.1:$(DASK_PORT); log=$$(mktemp -d); \
+	$(BIN)/dask scheduler --host 127.0.0.1 --port $(DASK_PORT) --no-dashboard >$$log/scheduler 2>&1 & scheduler=$$!; \
+	$(BIN)/dask worker $$address --nthreads 1 --no-dashboard >$$log/worker1 2>&1 & one=$$!; \
+	$(BIN)/dask worker $$address --nthreads 1 --no-dashboard >$$log/worker2 2>&1 & two=$$!; \
+	trap 'kill $$one $$two 2>/dev/null; wait $$one $$two; kill $$scheduler 2>/dev/null; wait $$scheduler; rm -r $$log' EXIT; \
+	$(BIN)/boresight run scenarios/cubesat.yaml --trials 40 --dask $$address --out out/cluster-demo || \
+	  { tail -n 5 $$log/*; exit 1; }
 
 clean:
 	rm -rf $(VENV) out

@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from simulator.detector.chain import detect
 from simulator.detector.fixed_pattern import build_fixed_pattern
@@ -68,14 +69,23 @@ class Renderer:
         self.parameters = flat_parameters(scenario)
 
     def frame(
-        self, index: int = 0, *, at_s: float | None = None, attitude: Attitude | None = None
+        self,
+        index: int = 0,
+        *,
+        at_s: float | None = None,
+        attitude: Attitude | None = None,
+        rate_camera_rad_s: ArrayLike | None = None,
     ) -> tuple[Frame, FrameTruth]:
-        """Frame and truth of trial `index`; parameters as in `render`."""
+        """Frame and truth of trial `index`; parameters as in `render`.
+
+        `rate_camera_rad_s` (3,), inertial angular velocity in camera axes, takes the place of the trial's own rate
+        where an attitude is given.
+        """
         scenario = self.scenario
         detector = scenario.detector
         streams = functools.partial(_stream_of_trial, scenario.seed, index)
 
-        scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude)
+        scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s)
         light = self.focal_plane.expose(scene)
         mean_e = light.mean_e + light.background_e
         readout = detect(mean_e, detector, self.pattern, streams)

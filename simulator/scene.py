@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
@@ -105,6 +105,7 @@ class SceneBuilder:
         half_field_rad: float,
         at_s: float | None = None,
         attitude: Attitude | None = None,
+        rate_camera_rad_s: ArrayLike | None = None,
     ) -> Scene:
         """Scene of trial `index`.
 
@@ -118,6 +119,8 @@ class SceneBuilder:
             Stars this far from the boresight, at any moment of the exposure, are given.
         at_s, attitude : optional
             Time and true camera attitude in place of the trial's own.
+        rate_camera_rad_s : array_like, shape (3,), optional
+            Inertial angular velocity in camera axes that goes with `attitude`; else the trial's own.
         """
         scenario = self.scenario
         seed, sampling = scenario.seed, scenario.study.sampling
@@ -134,7 +137,7 @@ class SceneBuilder:
         else:
             pointing = point(scenario.pointing, r_km, v_km_s, rng)
         if attitude is not None:
-            pointing = turned_to(pointing, attitude)
+            pointing = turned_to(pointing, attitude, rate_camera_rad_s)
         pointing, jitter = self._shaken(pointing, streams)
         streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * scenario.detector.exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)

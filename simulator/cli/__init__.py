@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from simulator.cli.study_command import study_app
 from startracker._version import __version__
 from startracker.errors import BoresightError
 
@@ -23,6 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.add_typer(study_app, name="study")
 
 ScenarioFile = Annotated[
     Path,
@@ -70,17 +72,50 @@ def run_command(
             help="Processes on this machine; default: its cores. The rows do not depend on it.",
         ),
     ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the trials that an interrupted run left in DIR.")
     ] = False,
+    sequence: Annotated[
+        bool,
+        typer.Option(
+            "--sequence", help="Run the scenario's sequence instead: frames one after the other, in tracking mode."
+        ),
+    ] = False,
+    frames: Annotated[
+        int | None, typer.Option("--frames", metavar="N", help="Of a sequence, in place of the scenario's number.")
+    ] = None,
+    step_s: Annotated[
+        float | None, typer.Option("--step-s", metavar="S", help="Of a sequence, in place of the scenario's step.")
+    ] = None,
+    single: Annotated[
+        bool, typer.Option("--single", help="Of a sequence: solve every frame alone too, to compare.")
+    ] = False,
+    animate: Annotated[
+        bool,
+        typer.Option("--animate", help="Of a sequence: a GIF of the frames, and an MP4 where ffmpeg is installed."),
+    ] = False,
 ) -> None:
     """Run a Monte Carlo study: statistics on the terminal, trials.parquet, summary.json and report.html in DIR."""
+    from simulator.cli.sequence_command import SequenceRequest, refuse_unused, run_sequence_command
+
+    if sequence:
+        refuse_unused({"--trials": trials, "--workers": workers, "--dask": dask, "--resume": resume}, sequence=True)
+        request = SequenceRequest(scenario, frames, step_s, seed, set_values or [], single, animate, out)
+        raise typer.Exit(run_sequence_command(request))
+    only = {"--frames": frames, "--step-s": step_s, "--single": single, "--animate": animate}
+    refuse_unused(only, sequence=False)
     from simulator.cli.run_command import run_study
 
-    raise typer.Exit(run_study(scenario, trials, seed, set_values or [], workers, out, resume))
+    raise typer.Exit(run_study(scenario, trials, seed, set_values or [], workers, out, resume, dask))
 
 
 @app.command("render")
@@ -277,6 +312,79 @@ def calibrate_command(
         parameters=parameters,
     )
     raise typer.Exit(calibrate_images(request))
+
+
+@app.command("sweep")
+def sweep_command(
+    scenario: ScenarioFile,
+    over: Annotated[
+        list[str],
+        typer.Option(
+            "--over",
+            metavar="PATH=VALUES",
+            help="Values of a key: low:high:count, low:high:count,log or a list v1,v2,...; may be repeated.",
+            show_default=False,
+        ),
+    ],
+    lhs: Annotated[
+        int | None,
+        typer.Option("--lhs", metavar="N", help="A Latin hypercube of N points instead of the full grid."),
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option("--trials", metavar="N", help="Trials a point, in place of the scenario's.")
+    ] = None,
+    seed: Seed = None,
+    set_values: SetValues = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", metavar="N", help="Processes on this machine; default: its cores."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-sweep.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the points that an interrupted sweep left in DIR.")
+    ] = False,
+) -> None:
+    """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
+    from simulator.cli.sweep_command import run_sweep_command
+
+    raise typer.Exit(run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume))
+
+
+@app.command("report")
+def report_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder that `boresight run` left.", show_default=False)
+    ],
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too.")] = False,
+    budget: Annotated[
+        Path | None,
+        typer.Option("--budget", metavar="FILE", help="Error budget to take in: that of `boresight study budget`."),
+    ] = None,
+) -> None:
+    """Write the report of a finished run again, from its files: report.html, and report.pdf for signing."""
+    from simulator.cli.report_command import report_of_folder
+
+    raise typer.Exit(report_of_folder(folder, pdf, budget))
+
+
+@app.command("compare")
+def compare_command(
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN_DIR...",
+            help="Folders of boresight run, or of boresight sweep (all its points; DIR:3 for one).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="PAGE.html", help="Page to write.")] = Path("comparison.html"),
+) -> None:
+    """Compare runs: what differs in their scenarios, errors with intervals, rates and times."""
+    from simulator.cli.sweep_command import compare_runs
+
+    raise typer.Exit(compare_runs(runs, out))
 
 
 @app.command("validate")

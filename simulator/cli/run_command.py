@@ -29,6 +29,7 @@ def run_study(
     workers: int | None,
     out: Path | None,
     resume: bool,
+    dask: str | None = None,
 ) -> int:
     """Run the study; exit status 0, or 130 where it was interrupted."""
     if trials is not None and trials < 1:
@@ -37,10 +38,12 @@ def run_study(
         raise InputError(f"--seed: must be 0 or more, not {seed}")
     if workers is not None and workers < 1:
         raise InputError(f"--workers: must be at least 1, not {workers}")
+    if workers is not None and dask is not None:
+        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
     scenario = load_scenario(path, set_values, trials=trials, seed=seed)
     folder = make_folder(out or Path("out") / scenario.name)
     processes = workers or _usable_cores(scenario.study.trials)
-    study = _run_with_progress(scenario, processes, folder, resume)
+    study = _run_with_progress(scenario, processes, folder, resume, dask)
     _print(study, Console(highlight=False, width=None if sys.stdout.isatty() else 110))
     return 130 if study.summary["interrupted"] else 0
 
@@ -51,7 +54,7 @@ def _usable_cores(trials: int) -> int:
     return max(1, min(cores, trials // 100))
 
 
-def _run_with_progress(scenario: Scenario, workers: int, folder: Path, resume: bool) -> Study:
+def _run_with_progress(scenario: Scenario, workers: int, folder: Path, resume: bool, dask: str | None) -> Study:
     console = Console(stderr=True)
     columns = (
         TextColumn("[bold]{task.description}"),
@@ -67,6 +70,7 @@ def _run_with_progress(scenario: Scenario, workers: int, folder: Path, resume: b
         return run(
             scenario,
             workers=workers,
+            dask=dask,
             out=folder,
             resume=resume,
             progress=lambda done, total: bar.update(task, completed=done, total=total),

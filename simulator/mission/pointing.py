@@ -150,10 +150,18 @@ def hold(section: PointingSection, camera: Attitude, rng: np.random.Generator) -
     return _pointing(section, mounting_of(section).inverse @ camera, 0.0, rng.uniform(-1.0, 1.0, 3))
 
 
-def turned_to(pointing: Pointing, camera: Attitude) -> Pointing:
-    """The same spacecraft with another true camera attitude: error against the prior, and rate in camera axes, stay."""
+def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike | None = None) -> Pointing:
+    """The same spacecraft with another true camera attitude: error against the prior, and, unless another is given, the
+    rate in camera axes stay."""
     error = pointing.camera @ pointing.prior.inverse
-    return replace(pointing, body=pointing.mounting.inverse @ camera, camera=camera, prior=error.inverse @ camera)
+    rate = pointing.rate_camera_rad_s if rate_camera_rad_s is None else np.array(rate_camera_rad_s, dtype=float)
+    return replace(
+        pointing,
+        body=pointing.mounting.inverse @ camera,
+        camera=camera,
+        prior=error.inverse @ camera,
+        rate_camera_rad_s=rate,
+    )
 
 
 def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:

@@ -25,6 +25,10 @@ MISSING = dataclasses.MISSING
 
 _UNITS = {
     "deg_s": "degrees/s",
+    "deg_s2": "degrees/s²",
+    "deg_s_sqrt_s": "degrees/s/√s",
+    "deg_h": "degrees/h",
+    "deg_sqrt_h": "degrees/√h",
     "e_s": "electrons/s",
     "e_per_dn": "electrons/DN",
     "deg": "degrees",

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
 from simulator.scenario.detector_rules import contradictions
+from simulator.scenario.sequence_rules import sequence_contradictions
 
 ALLOW = "; or set allow_unphysical: true"
 
@@ -296,6 +297,11 @@ def _detector(v: Values) -> Iterator[Violation]:
         yield Violation(*found)
 
 
+def _sequence(v: Values) -> Iterator[Violation]:
+    for found in sequence_contradictions(v, EPHEMERIS):
+        yield Violation(*found)
+
+
 RULES: tuple[Rule, ...] = (
     _node,
     _altitude,
@@ -316,6 +322,7 @@ RULES: tuple[Rule, ...] = (
     _exposure,
     _converter,
     _detector,
+    _sequence,
     _guide_stars,
     _window,
     _least_and_most("tracker.detection.min_pixels", "tracker.detection.max_pixels"),

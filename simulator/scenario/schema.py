@@ -20,6 +20,13 @@ from simulator.scenario.schema_camera import (
     VignettingSection,
     ZernikeSection,
 )
+from simulator.scenario.schema_sequence import (
+    DropoutSection,
+    GyroSection,
+    RatePointSection,
+    SequenceSection,
+    SlewSection,
+)
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 
 __all__ = [
@@ -27,16 +34,21 @@ __all__ = [
     "BaffleSection",
     "CosmicRaySection",
     "DetectorSection",
+    "DropoutSection",
     "FieldAberrationsSection",
     "GhostSection",
+    "GyroSection",
     "JitterSection",
     "OpticsSection",
     "OrbitSection",
     "PointingSection",
     "PsfSection",
+    "RatePointSection",
     "ScenarioModel",
     "Section",
+    "SequenceSection",
     "SkySection",
+    "SlewSection",
     "SpecificationSection",
     "StudySection",
     "ThermalSection",
@@ -208,6 +220,8 @@ class ScenarioModel(Section):
     """The tracker."""
     study: StudySection = StudySection()
     """The study."""
+    sequence: SequenceSection = SequenceSection()
+    """The sequence of ``run --sequence``."""
     specification: SpecificationSection = SpecificationSection()
     """The accuracy asked for."""
     allow_unphysical: bool = False

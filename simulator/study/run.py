@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
-from simulator.study.engine import Progress, discard_parts, run_trials
+from simulator.study.columns import Columns
+from simulator.study.engine import Progress, Trials, run_trials
+from simulator.study.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost
 from simulator.study.statistics import BODY_AXES, summarise
 from startracker._version import __version__
-from startracker.errors import BoresightError
+from startracker.errors import BoresightError, InputError
 
 RESULT_FILES = ("summary.json", "trials.parquet", "report.html", "scenario.resolved.yaml")
 
@@ -46,8 +49,8 @@ class Study:
     ----------
     scenario : Scenario
         What was run, seed and all.
-    trials : pyarrow.Table
-        A row a trial; `columns` gives NumPy arrays.
+    columns : mapping of arrays
+        Columns of the trials by name, each read when it is asked for.
     summary : dict
         What ``summary.json`` holds.
     folder : Path, optional
@@ -55,14 +58,14 @@ class Study:
     """
 
     scenario: Scenario
-    trials: pa.Table
+    columns: Columns
     summary: dict[str, Any]
     folder: Path | None = None
 
-    @property
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns of the trials as arrays."""
-        return {name: self.trials[name].to_numpy() for name in self.trials.column_names}
+    @cached_property
+    def trials(self) -> pa.Table:
+        """A row a trial, in memory."""
+        return self.columns.table()
 
 
 def run(
@@ -71,6 +74,7 @@ def run(
     seed: int | None = None,
     *,
     workers: int = 1,
+    dask: str | None = None,
     out: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
@@ -85,64 +89,85 @@ def run(
         In place of the scenario's own.
     workers : int
         Processes on this machine; the rows do not depend on their number.
+    dask : str, optional
+        Address of a dask.distributed scheduler, to run on its workers instead; the rows are the same.
     out : path, optional
         Folder for ``summary.json``, ``trials.parquet``, ``report.html`` and ``scenario.resolved.yaml``; none: nothing
         is written.
     resume : bool
-        Go on from the trials that an interrupted run left in `out`.
+        Go on from the trials that an earlier run of the same scenario left in `out`, finished or not.
     progress : callable, optional
         Called with (finished, all).
 
     Raises
     ------
     InputError
-        For numbers below 1, an unwritable folder, or a resume that does not fit.
+        For numbers below 1, an unwritable folder, a full disk, no cluster, or a resume that does not fit.
     """
     scenario = scenario.with_values(trials=trials, seed=seed)
     folder = make_folder(Path(out)) if out is not None else None
     started = time.perf_counter()
-    done = run_trials(scenario, scenario.study.trials, workers=workers, folder=folder, resume=resume, progress=progress)
-    elapsed_s = time.perf_counter() - started
-    if done.table.num_rows == 0:
-        raise BoresightError("interrupted before the first trial was finished: nothing to report")
-    study = Study(scenario, done.table, {}, folder)
-    specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
-    columns = study.columns
-    study.summary.update(
-        name=scenario.name,
-        seed=scenario.seed,
-        version=__version__,
-        requested=done.requested,
-        interrupted=done.interrupted,
-        **summarise(columns, specification),
-        unphysical=list(scenario.unphysical),
+    done = run_trials(
+        scenario,
+        scenario.study.trials,
         workers=workers,
-        elapsed_s=elapsed_s,
-        trials_per_second=done.table.num_rows / elapsed_s,
-        median_ms={name: _median(columns[f"{name}_ms"]) for name in ("render", "solve")},
-        versions=_versions(),
+        dask=dask,
+        folder=folder,
+        resume=resume,
+        progress=progress,
     )
-    if folder is not None:
-        write_results(study, folder)
-    return study
+    elapsed_s = time.perf_counter() - started
+    if done.finished == 0:
+        raise BoresightError("interrupted before the first trial was finished: nothing to report")
+    if folder is None:
+        columns = Columns(done.table)
+        return Study(scenario, columns, _summary(scenario, done, columns, elapsed_s))
+    staging = folder / PARTS_FOLDER
+    with nothing_lost():
+        done.store.write(staging / TRIALS_FILE, done.requested)
+        columns = Columns(staging / TRIALS_FILE)
+        summary = _summary(scenario, done, columns, elapsed_s)
+        _write_pages(scenario, columns, summary, staging)
+        _move_into_place(staging, folder)
+    if not done.interrupted:
+        discard_parts(folder)
+    return Study(scenario, Columns(folder / TRIALS_FILE), summary, folder)
 
 
-def write_results(study: Study, folder: Path) -> None:
-    """Write the four result files, each moved into place whole; then drop the finished blocks."""
+def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: float) -> dict[str, Any]:
+    specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+    return {
+        "name": scenario.name,
+        "seed": scenario.seed,
+        "version": __version__,
+        "requested": done.requested,
+        "interrupted": done.interrupted,
+        **summarise(columns, specification, scenario.seed),
+        "unphysical": list(scenario.unphysical),
+        "workers": done.workers,
+        "elapsed_s": elapsed_s,
+        "trials_per_second": (done.finished - done.taken_over) / elapsed_s,
+        "median_ms": {name: _median(columns[f"{name}_ms"]) for name in ("render", "solve")},
+        "versions": _versions(),
+    }
+
+
+def _write_pages(scenario: Scenario, columns: Columns, summary: dict[str, Any], folder: Path) -> None:
     from simulator.study.report import report_html
 
-    sink = pa.BufferOutputStream()
-    pq.write_table(study.trials, sink, compression="zstd")
-    write_atomically(folder / "trials.parquet", sink.getvalue().to_pybytes())
-    write_atomically(folder / "summary.json", json.dumps(study.summary, indent=2, allow_nan=False) + "\n")
-    header = "".join(f"# {name} {number}\n" for name, number in study.summary["versions"].items())
-    write_atomically(
-        folder / "scenario.resolved.yaml", f"# boresight {__version__}\n{header}{study.scenario.to_yaml()}"
-    )
-    page = report_html(study.scenario, study.summary, study.columns)
-    write_atomically(folder / "report.html", page)
-    if not study.summary["interrupted"]:
-        discard_parts(folder)
+    write_atomically(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    header = "".join(f"# {name} {number}\n" for name, number in summary["versions"].items())
+    write_atomically(folder / "scenario.resolved.yaml", f"# boresight {__version__}\n{header}{scenario.to_yaml()}")
+    write_atomically(folder / "report.html", report_html(scenario, summary, columns))
+
+
+def _move_into_place(staging: Path, folder: Path) -> None:
+    """The results of a run replace those of an earlier one when all of them are written, not before."""
+    for name in RESULT_FILES:
+        try:
+            os.replace(staging / name, folder / name)
+        except OSError as error:
+            raise InputError(f"{folder / name}: cannot be written ({error.strerror})") from error
 
 
 def _median(values: NDArray[Any]) -> float | None:

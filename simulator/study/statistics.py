@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from simulator.study.intervals import (
+    mean_chi_square_bounds,
+    moment_intervals,
+    percentile_interval,
+    plain,
+    ratios_of_rms,
+    spread_interval,
+    wilson_interval,
+)
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
@@ -17,22 +27,19 @@ AXES = BODY_AXES + CAMERA_AXES
 WRONG_FACTOR = 10.0
 """An accepted attitude is wrong when its error about any body axis exceeds the specification this many times."""
 
+PERCENTILES = {"p50": 50.0, "p95": 95.0, "p997": 99.7}
+"""Percentiles of an error's magnitude."""
+
+OUTLIER_SIGMAS = 5.0
+"""An error beyond this many robust standard deviations of all errors about an axis is an outlier."""
+
+MOST_OUTLIERS_LISTED = 200
+"""Outliers beyond this many are counted, and not listed in ``summary.json``; ``trials.parquet`` has them all."""
+
+_MAD_TO_SIGMA = 1.482602218505602
+
+Columns = Mapping[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
-
-
-def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) for no trials.
-
-    Right near 0 and 1, where the normal approximation gives intervals of no width.
-    """
-    if trials == 0:
-        return 0.0, 1.0
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    p = successes / trials
-    middle = (p + z * z / (2 * trials)) / (1 + z * z / trials)
-    half = z / (1 + z * z / trials) * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
-    # at the ends the two terms are equal; their difference would leave rounding behind
-    return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
 def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
@@ -45,7 +52,7 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
     if n == 0:
         return dict.fromkeys(("mean", "std", "rms", "three_sigma", "p50", "p95", "p997", "max"))
     magnitude = np.abs(errors_deg)
-    p50, p95, p997 = (float(v) for v in np.percentile(magnitude, [50, 95, 99.7]))
+    p50, p95, p997 = (float(v) for v in np.percentile(magnitude, list(PERCENTILES.values())))
     rms = math.sqrt(float(np.mean(errors_deg**2)))
     return {
         "mean": float(np.mean(errors_deg)),
@@ -73,25 +80,229 @@ class Verdict:
         return self.three_sigma_deg is not None and self.three_sigma_deg <= self.specified_deg
 
 
-def summarise(columns: dict[str, NDArray[Any]], specification: dict[str, float]) -> dict[str, Any]:
+def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[str, dict[str, list[float | None]]]:
+    """95 % intervals of what `axis_statistics` gives, degrees: by axis, then ``<statistic>_interval95`` with low and
+    high; an end that the trials cannot tell is None.
+
+    Mean, std, rms and three_sigma by the bootstrap (`simulator.study.intervals.moment_intervals`), percentiles by
+    order statistics (`percentile_interval`).
+
+    Parameters
+    ----------
+    errors_deg : dict of (n,) arrays
+        By axis, a value a trial.
+    seed : int
+        Of the resampling.
+    """
+    axes = list(errors_deg)
+    moments = moment_intervals(np.stack([errors_deg[axis] for axis in axes], axis=1), seed)
+    found: dict[str, dict[str, list[float | None]]] = {}
+    for k, axis in enumerate(axes):
+        ends = {name: plain(None if interval is None else interval[k]) for name, interval in moments.items()}
+        ends["three_sigma"] = [None if v is None else 3 * v for v in ends["rms"]]
+        ordered = np.sort(np.abs(errors_deg[axis]))
+        ends |= {name: plain(percentile_interval(ordered, percent)) for name, percent in PERCENTILES.items()}
+        found[axis] = {f"{name}_interval95": interval for name, interval in ends.items()}
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """Errors about one axis, sorted into bins of another column; arrays of one entry a bin.
+
+    Parameters
+    ----------
+    name, axis : str
+        The column, and the axis.
+    edges : array, shape (bins + 1,)
+        Limits of the bins, rising; a bin holds its lower limit, the last its upper one too.
+    centre : array
+        Mean of the column over the trials of the bin; the middle of a bin without any.
+    count : int array
+        Trials that are solved, and not wrong.
+    trials : int array
+        All trials, the unsolved ones too, where the column has a value for them.
+    rms_deg : array
+        NaN where there are no trials.
+    low_deg, high_deg : array
+        Its 95 % interval (`simulator.study.intervals.spread_interval`).
+    """
+
+    name: str
+    axis: str
+    edges: FloatArray
+    centre: FloatArray
+    count: NDArray[np.int64]
+    trials: NDArray[np.int64]
+    rms_deg: FloatArray
+    low_deg: FloatArray
+    high_deg: FloatArray
+
+
+def error_against(
+    columns: Columns, name: str, bins: int | Sequence[float] | FloatArray = 8, *, axis: str = "cross_x"
+) -> Binned:
+    """Rms error about an axis against a column: ``stars_matched``, ``limit_mag``, ``orbit_argument_deg``,
+    ``galactic_latitude_deg``, ``rate_deg_s``, ``temperature_c``, or any other that holds numbers.
+
+    Parameters
+    ----------
+    columns : mapping of arrays
+        As in ``trials.parquet``.
+    name : str
+        The column.
+    bins : int or sequence of float
+        Number of bins that hold equally many trials (fewer where values repeat), or their limits.
+    axis : str
+        One of `AXES`.
+
+    Raises
+    ------
+    KeyError
+        For a column that is not there.
+    """
+    value = np.asarray(columns[name], dtype=float)
+    error = np.asarray(columns[f"error_{axis}_deg"], dtype=float)
+    right = _right(columns) & np.isfinite(error)
+    finite = np.isfinite(value)
+    if isinstance(bins, int):
+        known = value[finite & right] if (finite & right).any() else value[finite]
+        edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, bins + 1))) if len(known) else np.array([0.0])
+        if len(edges) == 1:  # one value: a bin about it
+            edges = edges[0] + np.array([-0.5, 0.5])
+    else:
+        edges = np.asarray(bins, dtype=float)
+    count = len(edges) - 1
+    place = np.searchsorted(edges, value, side="right") - 1
+    place = np.where(value == edges[-1], count - 1, place)
+    place[~finite | (value < edges[0]) | (value > edges[-1])] = -1
+    members = [np.flatnonzero((place == k) & right) for k in range(count)]
+    ends = np.array([spread_interval(error[m]) for m in members])
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    return Binned(
+        name,
+        axis,
+        edges,
+        centre=np.array([float(value[m].mean()) if len(m) else middle[k] for k, m in enumerate(members)]),
+        count=np.array([len(m) for m in members], dtype=np.int64),
+        trials=np.bincount(place[place >= 0], minlength=count).astype(np.int64),
+        rms_deg=np.array([math.sqrt(float(np.mean(error[m] ** 2))) if len(m) else math.nan for m in members]),
+        low_deg=ends[:, 0],
+        high_deg=ends[:, 1],
+    )
+
+
+def against_bound(columns: Columns, seed: int = 0) -> dict[str, Any] | None:
+    """Measured errors beside the Cramér–Rao bound, by camera axis: ``trials``, both rms in degrees (``rms_deg``,
+    ``bound_rms_deg``), their ``ratio`` and its ``interval95``.
+
+    Over the trials that are solved, not wrong, and have a bound; None where there are none, or the columns are not.
+    """
+    if not all(f"bound_{axis}_deg" in columns for axis in CAMERA_AXES):
+        return None
+    errors = np.stack([np.asarray(columns[f"error_{axis}_deg"], dtype=float) for axis in CAMERA_AXES], axis=1)
+    bounds = np.stack([np.asarray(columns[f"bound_{axis}_deg"], dtype=float) for axis in CAMERA_AXES], axis=1)
+    use = _right(columns) & np.isfinite(errors).all(axis=1) & np.isfinite(bounds).all(axis=1) & (bounds > 0).all(axis=1)
+    if not use.any():
+        return None
+    errors, bounds = errors[use], bounds[use]
+    ratio, interval = ratios_of_rms(errors, bounds, seed)
+    return {
+        axis: {
+            "trials": int(use.sum()),
+            "rms_deg": math.sqrt(float(np.mean(errors[:, k] ** 2))),
+            "bound_rms_deg": math.sqrt(float(np.mean(bounds[:, k] ** 2))),
+            "ratio": float(ratio[k]),
+            "interval95": plain(None if interval is None else interval[k]),
+        }
+        for k, axis in enumerate(CAMERA_AXES)
+    }
+
+
+def consistency(columns: Columns) -> dict[str, Any] | None:
+    """Whether the tracker's covariance tells the truth: mean normalised error squared and its 95 % bounds.
+
+    ``inside`` is True where the mean lies within the bounds. A mean below them says that the tracker is better than it
+    believes, one above that it is worse. Over the trials that are solved and not wrong; None where there are none.
+    """
+    if "nees" not in columns:
+        return None
+    nees = np.asarray(columns["nees"], dtype=float)
+    nees = nees[_right(columns) & np.isfinite(nees)]
+    bounds = mean_chi_square_bounds(len(nees), 3)
+    if bounds is None:
+        return None
+    mean = float(np.mean(nees))
+    return {
+        "trials": len(nees),
+        "freedom": 3,
+        "mean": mean,
+        "bounds95": list(bounds),
+        "inside": bounds[0] <= mean <= bounds[1],
+    }
+
+
+def outliers(columns: Columns) -> list[dict[str, Any]]:
+    """Trials that are wrong, have a misidentified star, or err beyond `OUTLIER_SIGMAS` robust standard deviations (1.48
+    times the median magnitude about the median) about an axis of the camera.
+
+    Each has its ``index``, ``why``, the error about every axis in degrees, ``stars_matched`` and, where there is one,
+    ``nees``; ``boresight render --index`` shows it again. In the order of their indices.
+    """
+    solved = np.asarray(columns["status"] == "solved", dtype=bool)
+    wrong = np.asarray(columns["wrong"], dtype=bool)
+    why: dict[int, list[str]] = {int(i): ["wrong attitude"] for i in np.flatnonzero(wrong)}
+    for row in np.flatnonzero(np.asarray(columns["stars_misidentified"]) > 0):
+        why.setdefault(int(row), []).append(f"misidentified stars: {int(columns['stars_misidentified'][row])}")
+    good = np.flatnonzero(solved & ~wrong)
+    for axis in CAMERA_AXES if len(good) else ():
+        error = np.asarray(columns[f"error_{axis}_deg"], dtype=float)
+        middle = float(np.median(error[good]))
+        sigma = _MAD_TO_SIGMA * float(np.median(np.abs(error[good] - middle)))
+        if sigma > 0.0:
+            off = np.abs(error - middle) / sigma
+            for k in good[off[good] > OUTLIER_SIGMAS]:
+                why.setdefault(int(k), []).append(f"{axis} off by {off[k]:.1f} robust sigma")
+    listed = []
+    for i in sorted(why, key=lambda row: int(columns["index"][row])):
+        entry: dict[str, Any] = {"index": int(columns["index"][i]), "why": "; ".join(why[i])}
+        entry["errors_deg"] = {axis: plain([columns[f"error_{axis}_deg"][i]])[0] for axis in AXES}
+        entry["stars_matched"] = int(columns["stars_matched"][i])
+        entry["nees"] = plain([columns["nees"][i]])[0] if "nees" in columns else None
+        listed.append(entry)
+    return listed
+
+
+def _right(columns: Columns) -> NDArray[np.bool_]:
+    """Trials that are solved, and not wrong."""
+    solved = np.asarray(columns["status"] == "solved", dtype=bool)
+    return np.asarray(solved & ~np.asarray(columns["wrong"], dtype=bool))
+
+
+def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) -> dict[str, Any]:
     """Numbers of ``summary.json`` from the columns of the trials.
 
     Parameters
     ----------
-    columns : dict of arrays
+    columns : mapping of arrays
         As in ``trials.parquet``.
     specification : dict
         Degrees for roll, pitch and yaw.
+    seed : int
+        Of the bootstrap: that of the scenario.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
     wrong = np.asarray(columns["wrong"], dtype=bool)
     right = int(np.sum(solved & ~wrong))
-    errors = {axis: axis_statistics(np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved]) for axis in AXES}
+    of_axis = {axis: np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved] for axis in AXES}
+    errors = {axis: axis_statistics(values) for axis, values in of_axis.items()}
     verdicts = [Verdict(axis, errors[axis]["three_sigma"], specification[axis]) for axis in BODY_AXES]
     reasons: dict[str, int] = {}
     for status in columns["status"][~solved]:
         reasons[str(status)] = reasons.get(str(status), 0) + 1
+    intervals = error_intervals(of_axis, seed)
+    out = outliers(columns)
     return {
         "trials": n,
         "solved": int(solved.sum()),
@@ -100,12 +311,18 @@ def summarise(columns: dict[str, NDArray[Any]], specification: dict[str, float])
         "wrong": int(wrong.sum()),
         "identification_rate": right / n if n else None,
         "identification_rate_interval95": list(wilson_interval(right, n)),
+        "availability": int(solved.sum()) / n if n else None,
+        "availability_interval95": list(wilson_interval(int(solved.sum()), n)),
         "wrong_rate_interval95": list(wilson_interval(int(wrong.sum()), n)),
-        "errors_deg": errors,
+        "errors_deg": {axis: errors[axis] | intervals[axis] for axis in AXES},
         "specification": {
             v.axis: {"specified_deg": v.specified_deg, "three_sigma_deg": v.three_sigma_deg, "met": v.met}
             for v in verdicts
         },
+        "bound_ratio": against_bound(columns, seed),
+        "nees": consistency(columns),
+        "outliers": out[:MOST_OUTLIERS_LISTED],
+        "outliers_count": len(out),
         "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
         "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
     }

@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
+from simulator.mission.frames import true_of_date
+from simulator.mission.orbit import Orbit
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.statistics import WRONG_FACTOR
-from startracker.attitude import Attitude
+from simulator.sky.background import GALACTIC
+from simulator.study.bounds import attitude_bound_deg, matched_sources
+from simulator.study.statistics import CAMERA_AXES, WRONG_FACTOR
+from startracker.attitude import Attitude, direction_to_radec
 from startracker.camera import Camera
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
@@ -75,6 +79,34 @@ def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3
     return wrong
 
 
+def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
+    """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
+    where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
+    if covariance_rad2 is None or not np.isfinite(error_deg).all():
+        return math.nan
+    error = np.radians(error_deg)
+    try:
+        return float(error @ np.linalg.solve(covariance_rad2, error))
+    except np.linalg.LinAlgError:
+        return math.nan
+
+
+def galactic_latitude_deg(attitude: Attitude) -> float:
+    """Galactic latitude of the boresight, degrees."""
+    return math.degrees(float(direction_to_radec(GALACTIC @ attitude.boresight)[1]))
+
+
+def argument_of_latitude_deg(orbit: Orbit, t_s: float) -> float:
+    """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360)."""
+    r, v = (true_of_date(orbit.clock, t_s) @ vector for vector in orbit.state(t_s))
+    momentum = np.cross(r, v)
+    node = np.array([-momentum[1], momentum[0], 0.0])
+    if not node.any():  # no node: from the x axis
+        node = np.array([1.0, 0.0, 0.0])
+    ahead = np.cross(momentum, node) / np.linalg.norm(momentum)
+    return math.degrees(math.atan2(float(r @ ahead), float(r @ node))) % 360.0
+
+
 class TrialRunner:
     """Renders and solves trials of one scenario; what they share is built once."""
 
@@ -113,6 +145,11 @@ class TrialRunner:
             "true_roll_deg": truth.attitude.roll_deg,
         }
         row |= {f"true_q{axis}": float(v) for axis, v in zip("xyzw", truth.attitude.quat, strict=True)}
+        row |= {
+            "galactic_latitude_deg": galactic_latitude_deg(truth.attitude),
+            "orbit_argument_deg": argument_of_latitude_deg(self.renderer.scenes.orbit, truth.t_s),
+            "temperature_c": scenario.detector.temperature_c,
+        }
         errors = dict.fromkeys(("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"), math.nan)
         sigma = np.full(3, math.nan)
         estimate = np.full(4, math.nan)
@@ -134,6 +171,12 @@ class TrialRunner:
             f"sigma_{axis}_deg": float(v)
             for axis, v in zip(("cross_x", "cross_y", "about_boresight"), sigma, strict=True)
         }
+        matched = matched_sources(truth, solution.stars.xy)
+        bound = attitude_bound_deg(self.renderer, truth, matched)
+        row |= {f"bound_{axis}_deg": float(v) for axis, v in zip(CAMERA_AXES, bound, strict=True)}
+        error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
+        row["nees"] = normalised_error_squared(error_deg, solution.covariance)
+        row["limit_mag"] = float(np.max(solution.stars.v_mag)) if solution.matched else math.nan
         bright = sources.v_mag <= scenario.tracker.magnitude_limit
         residuals = solution.stars.residual_px
         row |= {

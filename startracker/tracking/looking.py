@@ -65,6 +65,10 @@ class Seen:
         Windows looked at; 0: the whole frame.
     area_sr : float
         Solid angle of all that was looked at.
+    window_xy : (windows, 2), optional
+        Central pixels of the windows.
+    window_half_px : int
+        A window has 2 half + 1 pixels a side.
     """
 
     xy: FloatArray
@@ -75,11 +79,13 @@ class Seen:
     stated_px: FloatArray
     windows: int
     area_sr: float
+    window_xy: FloatArray | None = None
+    window_half_px: int = 0
 
     def select(self, rows: NDArray[Any]) -> Seen:
         """Some of them."""
         columns = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:6]}
-        return Seen(**columns, windows=self.windows, area_sr=self.area_sr)
+        return replace(self, **columns)
 
 
 class Sky:
@@ -204,6 +210,8 @@ def look(
         stated,
         len(x),
         min(len(x) * ((2 * half + 1) * camera.pixel_rad) ** 2, tracker.guide.solid_angle_sr),
+        centre,
+        half,
     )
     return _with_direction(seen)
 

@@ -8,7 +8,7 @@ does, and by the same standard: what is matched must be beyond chance (`Identifi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,6 +61,10 @@ class TrackingState:
         How the measurement compared with the prediction; None where there was no prediction.
     restarted : bool
         Whether the filter began anew: the first solution, or one that contradicts the prediction.
+    window_xy : (windows, 2), optional
+        Central pixels of the windows.
+    window_half_px : int
+        A window has 2 half + 1 pixels a side.
     """
 
     mode: str = "lost_in_space"
@@ -71,6 +75,8 @@ class TrackingState:
     log_chance: float = math.nan
     innovation: Innovation | None = None
     restarted: bool = False
+    window_xy: FloatArray | None = field(default=None, compare=False)
+    window_half_px: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +349,15 @@ class TrackingSession:
         attitude = followed.filter.attitude
         self._solved = (self._now, attitude)
         self.state = TrackingState(
-            "tracking", True, seen.windows, expected, len(stars), followed.log_chance, followed.innovation
+            "tracking",
+            True,
+            seen.windows,
+            expected,
+            len(stars),
+            followed.log_chance,
+            followed.innovation,
+            window_xy=seen.window_xy,
+            window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
         return Solution(

@@ -9,17 +9,19 @@ from simulator import Scenario, run
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import boresight_path
 
+SEQUENCES = ("orbit", "slew")  # cubesat.yaml in motion; test_sequence.py runs what is theirs
 SCENARIOS = sorted((Path(__file__).resolve().parents[2] / "scenarios").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_shipped_scenario(path, tmp_path):
-    study = run(Scenario.load(path), trials=60, out=tmp_path)
+    trials = 15 if path.stem in SEQUENCES else 60
+    study = run(Scenario.load(path), trials=trials, out=tmp_path)
     summary = study.summary
     assert summary["wrong"] == 0
     assert summary["stars_misidentified"] == 0
     # the issue asks for 99 % of 500 and more; of 60 frames one may be missed (binomial, 12 % for two or more at 99 %)
-    assert summary["solved"] >= 59
+    assert summary["solved"] >= trials - 1
     if path.stem != "tc211":  # a prototype: nobody asked it for the mission's accuracy
         assert all(entry["met"] for entry in summary["specification"].values())
 

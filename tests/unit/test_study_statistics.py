@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.study.statistics import AXES, axis_statistics, summarise, wilson_interval
+from simulator.study.statistics import (
+    AXES,
+    axis_statistics,
+    consistency,
+    error_against,
+    outliers,
+    summarise,
+    wilson_interval,
+)
 
 
 @pytest.mark.parametrize(
@@ -77,3 +85,69 @@ def test_a_wrong_attitude_is_no_identification():
     summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 1e-4})
     assert (summary["wrong"], summary["identification_rate"]) == (1, 0.9)
     assert [summary["specification"][axis]["met"] for axis in ("roll", "pitch", "yaw")] == [True, True, False]
+
+
+def trials(n, **changes):
+    rng = np.random.default_rng(4)
+    columns = {
+        "index": np.arange(n) + 100,
+        "status": np.array(["solved"] * n, dtype=object),
+        "wrong": np.zeros(n, bool),
+        "stars_matched": np.full(n, 8),
+        "stars_misidentified": np.zeros(n, int),
+        "nees": np.full(n, 3.0),
+        **{f"error_{axis}_deg": rng.normal(0, 1e-4, n) for axis in AXES},
+    }
+    return columns | changes
+
+
+def test_outliers_are_listed_with_their_trial():
+    errors = np.random.default_rng(4).normal(0, 1e-4, 300)
+    errors[7] = 8e-4  # 8 σ; of 300 normal numbers the largest is below 5 σ in all but 1.7e-4 of cases
+    columns = trials(300, error_cross_y_deg=errors)
+    columns["wrong"][20] = True
+    columns["stars_misidentified"][30] = 2
+    found = outliers(columns)
+    assert [entry["index"] for entry in found] == [107, 120, 130]
+    assert "cross_y off by" in found[0]["why"]
+    assert found[0]["errors_deg"]["cross_y"] == 8e-4
+    assert [entry["why"] for entry in found[1:]] == ["wrong attitude", "misidentified stars: 2"]
+    summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})
+    assert summary["outliers_count"] == 3
+    json.dumps(summary, allow_nan=False)
+
+
+def test_errors_sorted_into_bins():
+    n = 400
+    stars = np.repeat([4.0, 6.0, 9.0, np.nan], n // 4)
+    errors = np.where(stars == 4.0, 3e-4, 1e-4) * np.where(np.arange(n) % 2, 1, -1)
+    columns = trials(n, stars=stars, error_roll_deg=errors)
+    columns["status"][:50] = "no_match"
+    binned = error_against(columns, "stars", [0.0, 5.0, 7.0, 9.0], axis="roll")
+    assert binned.rms_deg == pytest.approx([3e-4, 1e-4, 1e-4])
+    assert binned.centre == pytest.approx([4.0, 6.0, 9.0])
+    assert list(binned.count) == [50, 100, 100]
+    assert list(binned.trials) == [100, 100, 100]
+    assert (binned.low_deg < binned.rms_deg).all()
+    assert (binned.high_deg > binned.rms_deg).all()
+    # equal shares, values that repeat, a single value, and nothing solved
+    assert len(error_against(columns, "error_cross_x_deg", 8).count) == 8
+    assert len(error_against(columns, "stars_matched").count) == 1
+    nothing = error_against(trials(5, status=np.array(["no_match"] * 5, dtype=object)), "stars_matched")
+    assert np.isnan(nothing.rms_deg).all()
+    assert list(nothing.trials) == [5]
+
+
+def test_consistency_needs_solved_trials_and_tells_the_side():
+    assert consistency(trials(200))["inside"]
+    assert not consistency(trials(200, nees=np.full(200, 2.4)))["inside"]
+    assert consistency(trials(3, status=np.array(["no_match"] * 3, dtype=object))) is None
+
+
+def test_intervals_stand_beside_their_statistics():
+    found = summarise(trials(300), {"roll": 0.1, "pitch": 0.1, "yaw": 0.1}, seed=3)["errors_deg"]["cross_x"]
+    for name in ("mean", "std", "rms", "three_sigma", "p50", "p95"):
+        low, high = found[f"{name}_interval95"]
+        assert low < found[name] < high
+    assert found["p997_interval95"][1] is None  # 300 trials do not reach that far
+    assert found["three_sigma_interval95"][0] == 3 * found["rms_interval95"][0]

@@ -1,0 +1,28 @@
+"""Draw docs/images/coverage.png and design.png: sky coverage and design of cubesat.yaml.
+
+python docs/make_images/studies.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from simulator.checks import load_scenario
+from simulator.study.coverage import coverage
+from simulator.study.design import design
+from simulator.study.design_plot import design_plot
+from simulator.study.plots import save_bytes
+from simulator.study.sky_maps import coverage_map
+
+IMAGES = Path(__file__).resolve().parents[1] / "images"
+
+
+def main() -> None:
+    cubesat = load_scenario("cubesat")
+    (IMAGES / "coverage.png").write_bytes(save_bytes(coverage_map(coverage(cubesat)), dpi=100))
+    trade = design(cubesat, "optics.aperture_mm", 3.0, 30.0)
+    (IMAGES / "design.png").write_bytes(save_bytes(design_plot(trade), dpi=100))
+
+
+if __name__ == "__main__":
+    main()

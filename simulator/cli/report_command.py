@@ -1,0 +1,60 @@
+"""``boresight report``: the report of a run once more, from its files; also as PDF, and with an error budget."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from simulator.checks import load_scenario
+from simulator.paths import write_atomically
+from startracker.errors import InputError
+
+
+def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
+    """Write ``report.html``, and with `pdf` ``report.pdf``, into the folder of a run; exit status 0.
+
+    Raises
+    ------
+    InputError
+        Where the folder holds no run, or a file cannot be read or written.
+    """
+    from simulator.study.columns import Columns
+    from simulator.study.pdf import pdf_of
+    from simulator.study.report import build_report, html_of
+
+    files = {name: folder / name for name in ("summary.json", "trials.parquet", "scenario.resolved.yaml")}
+    if missing := [name for name, path in files.items() if not path.is_file()]:
+        raise InputError(f"{folder}: not the folder of a finished run ({', '.join(missing)} missing)")
+    summary = _read_json(files["summary.json"], {"trials", "errors_deg", "specification", "versions"})
+    told = None if budget is None else _read_json(budget, {"effects", "classes", "rms_deg"})
+    scenario = load_scenario(files["scenario.resolved.yaml"], [])
+    if told is not None and told.get("scenario") != scenario.name:
+        raise InputError(f"{budget}: the budget is that of '{told.get('scenario')}', the run that of '{scenario.name}'")
+    try:
+        columns = Columns(files["trials.parquet"])
+    except (OSError, ValueError) as error:  # pyarrow's errors are of these classes
+        raise InputError(f"{files['trials.parquet']}: cannot be read ({str(error).splitlines()[0]})") from error
+    report = build_report(scenario, summary, columns, budget=told)
+    pages: dict[str, str | bytes] = {"report.html": html_of(report)}
+    if pdf:
+        pages["report.pdf"] = pdf_of(report)
+    for name, page in pages.items():
+        write_atomically(folder / name, page)
+    print(f"{folder}: {', '.join(pages)}")
+    return 0
+
+
+def _read_json(path: Path, keys: set[str]) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+    if not isinstance(found, dict) or (lost := keys - set(found)):
+        raise InputError(
+            f"{path}: not what boresight writes there"
+            + (f" ({', '.join(sorted(lost))} missing)" if isinstance(found, dict) else "")
+        )
+    return found

@@ -1,0 +1,142 @@
+"""``boresight run --sequence``: progress on a terminal, what came of it, the files."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from simulator.checks import load_scenario
+from simulator.paths import make_folder
+from simulator.study.animation import find_ffmpeg
+from simulator.study.sequence import Sequence, run_sequence
+from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from startracker.errors import InputError
+
+
+@dataclass(frozen=True)
+class SequenceRequest:
+    """What the command line asked for.
+
+    Parameters
+    ----------
+    scenario : Path
+        The scenario.
+    frames, step_s : int, float, optional
+        In place of the scenario's.
+    seed : int, optional
+        In place of the scenario's.
+    set_values : list of str
+        ``path=value``.
+    single, animate : bool
+        As in `run_sequence`.
+    out : Path, optional
+        Folder for the results.
+    """
+
+    scenario: Path
+    frames: int | None
+    step_s: float | None
+    seed: int | None
+    set_values: list[str]
+    single: bool
+    animate: bool
+    out: Path | None
+
+
+def refuse_unused(unused: dict[str, Any], *, sequence: bool) -> None:
+    """Tell of options that mean nothing here.
+
+    Raises
+    ------
+    InputError
+        For the first one that was given.
+    """
+    for option, value in unused.items():
+        if value is not None and value is not False:
+            if sequence:
+                raise InputError(
+                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
+                )
+            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
+
+
+def run_sequence_command(request: SequenceRequest) -> int:
+    """Run the sequence; exit status 0, or 130 where it was interrupted."""
+    if request.frames is not None and request.frames < 1:
+        raise InputError(f"--frames: must be at least 1, not {request.frames}")
+    if request.step_s is not None and not request.step_s > 0.0:
+        raise InputError(f"--step-s: must be above 0, not {request.step_s:g}")
+    if request.seed is not None and request.seed < 0:
+        raise InputError(f"--seed: must be 0 or more, not {request.seed}")
+    values = list(request.set_values)
+    values += [f"sequence.frames={request.frames}"] if request.frames is not None else []
+    values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
+    scenario = load_scenario(request.scenario, values, seed=request.seed)
+    folder = make_folder(request.out or Path("out") / f"{scenario.name}-sequence")
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(scenario.name, total=scenario.sequence.frames)
+        sequence = run_sequence(
+            scenario,
+            out=folder,
+            single=request.single,
+            animate=request.animate,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    _print(sequence, Console(highlight=False, width=None if sys.stdout.isatty() else 110))
+    if request.animate and find_ffmpeg() is None:
+        print("ffmpeg is not installed: the animation is a GIF only")
+    return 130 if sequence.summary["interrupted"] else 0
+
+
+def _print(sequence: Sequence, console: Console) -> None:
+    summary = sequence.summary
+    if summary["interrupted"]:
+        console.print(f"Interrupted: {summary['frames']} of {summary['requested']} frames are finished and kept.")
+    for reason in summary["unphysical"]:
+        console.print(f"Unphysical, and allowed by the scenario: {reason}")
+    single = summary.get("single")
+    table = Table(
+        title=f"{summary['name']}: attitude errors over {summary['solved']} solved frames", title_justify="left"
+    )
+    table.add_column("axis")
+    for heading in ("mean", "rms", "3σ", "largest", *(("rms alone", "gain") if single else ())):
+        table.add_column(heading, justify="right")
+    for axis in AXES:
+        e = summary["errors_deg"][axis]
+        row = [deg_text(e[key]) for key in ("mean", "rms", "three_sigma", "max")]
+        if single:
+            gain = single["gain"][axis]
+            row += [deg_text(single["errors_deg"][axis]["rms"]), f"{gain:.2f} ×" if gain else "–"]
+        title = "about boresight" if axis == "about_boresight" else axis.replace("_", " ")
+        table.add_row(title, *row, end_section=axis == BODY_AXES[-1])
+    console.print(table)
+    console.print(
+        f"An attitude for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
+        + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
+        + f"; longest outage {summary['longest_outage_s']:g} s"
+    )
+    held = [f"{mode.replace('_', ' ')} {seconds:g} s" for mode, seconds in summary["time_in_mode_s"].items() if seconds]
+    console.print("; ".join(held))
+    nees = summary["nees"]
+    if nees["mean"] is not None:
+        low, high = nees["bounds95"]
+        console.print(f"NEES {nees['mean']:.2f}; 3 expected, 95 % of such sequences {low:.2f} to {high:.2f}")
+    for status, count in summary["unsolved_by_status"].items():
+        console.print(f"  {count} × {status}")
+    console.print(f"{sequence.folder}: {', '.join(sequence.files)}")

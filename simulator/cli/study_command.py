@@ -1,0 +1,331 @@
+"""``boresight study NAME``: studies that answer one question each, in a registry by name.
+
+A study is a function whose parameters are its arguments and options on the command line; it returns the exit status.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from simulator.study.coverage import Coverage
+    from simulator.study.design import Design, Verification
+
+__all__ = ["STUDIES", "study_app"]
+
+ScenarioFile = Annotated[
+    Path,
+    typer.Argument(help="Scenario YAML, or the name of one that ships (sunsat, cubesat, tc211).", show_default=False),
+]
+SetValues = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
+]
+AlongPath = Annotated[
+    bool, typer.Option("--path", help="Along the mission's boresight path in place of the whole sky.")
+]
+Workers = Annotated[int, typer.Option("--workers", metavar="N", help="Processes on this machine.")]
+
+
+def coverage_study(
+    scenario: ScenarioFile,
+    magnitude_limit: Annotated[
+        float | None,
+        typer.Option(
+            "--magnitude-limit",
+            metavar="V",
+            help="Faintest star counted; default: the faintest that the tracker knows and the camera detects.",
+        ),
+    ] = None,
+    snr: Annotated[
+        float | None,
+        typer.Option("--snr", metavar="R", help="Signal-to-noise ratio of a detection; default: the tracker's."),
+    ] = None,
+    circle_deg: Annotated[
+        float | None,
+        typer.Option("--circle-deg", metavar="R", help="A circular field of this radius in place of the camera's."),
+    ] = None,
+    sun_deg: Annotated[float | None, typer.Option("--sun-deg", metavar="A", help="Exclusion angle of the Sun.")] = None,
+    moon_deg: Annotated[
+        float | None, typer.Option("--moon-deg", metavar="A", help="Exclusion angle of the Moon.")
+    ] = None,
+    earth_deg: Annotated[
+        float | None, typer.Option("--earth-deg", metavar="A", help="Exclusion angle from the Earth's limb.")
+    ] = None,
+    boresights: Annotated[
+        int, typer.Option("--boresights", metavar="N", help="Directions over the sky, or instants along the path.")
+    ] = 10_000,
+    rolls: Annotated[int, typer.Option("--rolls", metavar="N", help="Rolls tried at each direction.")] = 1,
+    path: AlongPath = False,
+    set_values: SetValues = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-coverage.")
+    ] = None,
+) -> int:
+    """Stars in the field over the whole sky or along the path: map, minima, availability."""
+    from simulator.checks import load_scenario
+    from simulator.paths import make_folder
+    from simulator.study.boresights import Exclusion
+    from simulator.study.coverage import RESULT_FILES, baffle_exclusion, coverage, write_coverage
+
+    loaded = load_scenario(scenario, set_values)
+    baffle = baffle_exclusion(loaded)
+    exclusion = Exclusion(
+        baffle.sun_deg if sun_deg is None else sun_deg,
+        baffle.moon_deg if moon_deg is None else moon_deg,
+        baffle.earth_deg if earth_deg is None else earth_deg,
+    )
+    folder = make_folder(out or Path("out") / f"{loaded.name}-coverage")
+    result = coverage(
+        loaded,
+        boresights,
+        path=path,
+        rolls=rolls,
+        magnitude_limit=magnitude_limit,
+        snr=snr,
+        circle_deg=circle_deg,
+        exclusion=exclusion,
+    )
+    write_coverage(result, loaded, folder)
+    _print_coverage(result, _console())
+    print(f"{folder}: {', '.join(RESULT_FILES)}")
+    return 0
+
+
+def design_study(
+    scenario: ScenarioFile,
+    over: Annotated[
+        str,
+        typer.Option("--over", metavar="PARAMETER", help="optics.aperture_mm, field (degrees) or detector.exposure_s."),
+    ],
+    low: Annotated[float, typer.Option("--from", metavar="A", help="Smallest value tried.")],
+    high: Annotated[float, typer.Option("--to", metavar="B", help="Largest value tried.")],
+    steps: Annotated[int, typer.Option("--steps", metavar="N", help="Values of the table.")] = 12,
+    stars: Annotated[int, typer.Option("--stars", metavar="K", help="Stars that an attitude needs.")] = 5,
+    availability: Annotated[
+        float,
+        typer.Option("--availability", metavar="P", help="Share of the sky, or of the time, that must have them."),
+    ] = 0.999,
+    boresights: Annotated[int, typer.Option("--boresights", metavar="N", help="Attitudes looked at.")] = 5000,
+    path: AlongPath = False,
+    verify_trials: Annotated[
+        int, typer.Option("--verify", metavar="N", help="Run so many trials of the value found; 0: none.")
+    ] = 0,
+    workers: Workers = 1,
+    set_values: SetValues = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-design.")
+    ] = None,
+) -> int:
+    """The smallest aperture, field or exposure that meets the specification and an availability."""
+    from simulator.checks import load_scenario
+    from simulator.paths import make_folder
+    from simulator.study.design import design, verify, write_design
+    from startracker.errors import InputError
+
+    if verify_trials < 0:
+        raise InputError(f"--verify: must be 0 or more, not {verify_trials}")
+    if workers < 1:
+        raise InputError(f"--workers: must be at least 1, not {workers}")
+    loaded = load_scenario(scenario, set_values)
+    folder = make_folder(out or Path("out") / f"{loaded.name}-design")
+    console = _console(error=True)
+    with console.status("reckoning") as status:
+        result = design(
+            loaded,
+            over,
+            low,
+            high,
+            steps=steps,
+            least_stars=stars,
+            least_availability=availability,
+            count=boresights,
+            path=path,
+            progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
+        )
+    write_design(result, None, folder)
+    _print_design(result, _console())
+    if verify_trials and result.best is not None:
+        with console.status(f"verifying: {verify_trials} trials"):
+            checked = verify(loaded, result, verify_trials, workers)
+        write_design(result, checked, folder)
+        _print_verification(checked, _console())
+    print(f"{folder}: design.json, design.png")
+    return 0 if result.best is not None else 1
+
+
+def budget_study(
+    scenario: ScenarioFile,
+    trials: Annotated[int, typer.Option("--trials", metavar="N", help="Trials of each run.")] = 200,
+    workers: Workers = 1,
+    set_values: SetValues = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-budget.")
+    ] = None,
+) -> int:
+    """What makes up the error: effects switched off one at a time, and the classes of ECSS-E-ST-60-20C."""
+    import json
+
+    from simulator.checks import load_scenario
+    from simulator.paths import make_folder, write_atomically
+    from simulator.study.budget import budget
+    from simulator.study.plots import save_bytes
+
+    loaded = load_scenario(scenario, set_values)
+    folder = make_folder(out or Path("out") / f"{loaded.name}-budget")
+    with _progress() as bar:
+        task = bar.add_task(f"{loaded.name}: error budget", total=None)
+        result = budget(
+            loaded, trials, workers, progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    write_atomically(folder / "budget.json", json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
+    write_atomically(folder / "budget.png", save_bytes(result.figure()))
+    print(result.table())
+    print(f"{folder}: budget.json, budget.png")
+    return 130 if result.interrupted else 0
+
+
+STUDIES: dict[str, Callable[..., int]] = {
+    "coverage": coverage_study,
+    "design": design_study,
+    "budget": budget_study,
+}
+"""Name of a study to its function."""
+
+
+class _Studies(TyperGroup):
+    """The group of studies; an unknown name is told with those that there are."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of a name."""
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            ctx.fail(f"there is no study {args[0]!r}; there are {', '.join(self.commands)}")
+        return super().resolve_command(ctx, args)
+
+
+study_app = typer.Typer(
+    cls=_Studies,
+    help="Studies that answer one question each: sky coverage, design, error budget.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for _name, _function in STUDIES.items():
+    study_app.command(_name)(_function)
+
+
+def _console(error: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=error, highlight=False, width=None if sys.stdout.isatty() or error else 110)
+
+
+def _progress() -> Progress:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = _console(error=True)
+    columns = (TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("trials, left"))
+    return Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal)
+
+
+def _table(console: Console, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if i else "left")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def _print_coverage(result: Coverage, console: Console) -> None:
+    summary = result.summary()
+    stars, what = summary["stars"], "time" if result.boresights.kind == "path" else "sky"
+    console.print(
+        f"{result.name}: stars to V = {result.magnitude_limit:.2f} ({result.limit_reason}) "
+        f"in {summary['field_deg2']:.1f} square degrees, over {summary['over']}"
+    )
+    for body, share in summary["excluded_share"].items():
+        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}")
+    if stars["min"] is None:
+        console.print("  everything is excluded")
+        return
+    low = summary["poorest"][0]
+    console.print(
+        f"  mean {stars['mean']:.2f} (spread evenly: {summary['stars_if_spread_evenly']:.2f}), "
+        f"fewest {stars['min']} at RA {low['ra_deg']:.2f}° Dec {low['dec_deg']:+.2f}° roll {low['roll_deg']:.1f}°"
+        + (f" and {summary['poorest_attitudes'] - 1} more" if summary["poorest_attitudes"] > 1 else "")
+        + f", most {stars['max']}"
+    )
+    rows = [
+        (f"at least {k}", f"{100 * summary['availability'][k]:.2f} %", f"{100 * share:.2f} %")
+        for k, share in summary["availability_where_allowed"].items()
+    ]
+    _table(console, f"share of the {what}", ("stars", "available", "where not excluded"), rows)
+
+
+def _print_design(result: Design, console: Console) -> None:
+    from simulator.study.design import PARAMETERS
+    from simulator.study.statistics import BODY_AXES, deg_text
+
+    title, unit, _ = PARAMETERS[result.parameter]
+    rows = []
+    for point in result.points:
+        if point.impossible:
+            rows.append((f"{point.value:.4g}", *["–"] * 6, "[red]cannot be[/]"))
+            continue
+        verdict = "[green]met[/]" if point.met else "[red]not met[/]"
+        rows.append(
+            (
+                f"{point.value:.4g}",
+                f"{point.magnitude_limit:.2f}",
+                f"{point.stars_mean:.1f} ({point.stars_min})",
+                *(deg_text(point.three_sigma_deg[axis]) for axis in BODY_AXES),
+                f"{100 * (point.availability or 0.0):.2f} %",
+                f"[bold]{verdict}[/]" if result.best and point.value == result.best.value else verdict,
+            )
+        )
+    headings = (
+        f"{title} \\[{unit}]",
+        "to V",
+        "stars (fewest)",
+        *(f"3σ {axis}" for axis in BODY_AXES),
+        "available",
+        "",
+    )
+    specified = ", ".join(f"{axis} {deg_text(limit)}" for axis, limit in result.specification_deg.items())
+    _table(
+        console,
+        f"{result.name}: 3σ to meet: {specified}; at least {result.least_stars} stars over "
+        f"{100 * result.least_availability:g} % of the {'time' if result.over == 'path' else 'sky'}",
+        headings,
+        rows,
+    )
+    for point in result.points:
+        if point.impossible:
+            console.print(f"  {point.value:.4g}: {point.impossible}", markup=False)
+    if result.best is None:
+        console.print(f"No {title} in this range meets everything.")
+    else:
+        console.print(f"Smallest {title} that meets everything: {result.best.value:.4g} {unit}")
+
+
+def _print_verification(checked: Verification, console: Console) -> None:
+    from simulator.study.statistics import BODY_AXES, deg_text
+
+    rows = []
+    for axis in BODY_AXES:
+        measured, predicted = checked.three_sigma_deg[axis], checked.predicted_deg[axis]
+        ratio = f"{measured / predicted:.2f}" if measured is not None and predicted else "–"
+        rows.append((axis, deg_text(predicted), deg_text(measured), ratio))
+    title = f"{checked.trials} trials, {checked.solved} solved, {checked.wrong} wrong"
+    _table(console, title, ("3σ", "predicted", "measured", "ratio"), rows)

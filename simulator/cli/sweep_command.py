@@ -1,0 +1,163 @@
+"""``boresight sweep`` and ``boresight compare``: progress over all points, and the tables."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from simulator.cli.run_command import _usable_cores
+from simulator.paths import make_folder, write_atomically
+from simulator.study.statistics import BODY_AXES
+from simulator.study.sweep_files import RESULT_FILES
+from startracker.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.study.sweep import Plan, Point, Sweep
+
+MOST_ROWS = 60
+"""Points that the terminal's table shows; all are in the files."""
+
+
+def run_sweep_command(
+    path: Path,
+    over: list[str],
+    lhs: int | None,
+    trials: int | None,
+    seed: int | None,
+    set_values: list[str],
+    workers: int | None,
+    out: Path | None,
+    resume: bool,
+) -> int:
+    """Run the sweep; exit status 0, or 130 where it was interrupted."""
+    from simulator.study.sweep import plan_sweep, run_sweep
+
+    for name, value, least in (("trials", trials, 1), ("seed", seed, 0), ("workers", workers, 1), ("lhs", lhs, 1)):
+        if value is not None and value < least:
+            raise InputError(f"--{name}: must be at least {least}, not {value}")
+    plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
+    folder = make_folder(out or Path("out") / f"{plan.scenario.name}-sweep")
+    processes = workers or _usable_cores(plan.scenario.study.trials)
+    with SweepProgress(plan) as bar:
+        sweep = run_sweep(plan, folder, workers=processes, resume=resume, progress=bar.tell)
+    _print(sweep, Console(highlight=False, width=None if sys.stdout.isatty() else 130))
+    return 130 if sweep.table["interrupted"] else 0
+
+
+def time_left_s(done: int, done_before: int, total: int, elapsed_s: float) -> float | None:
+    """Seconds that the rest will take, from the trials of this start alone: those resumed cost nothing.
+
+    None until a trial is finished.
+    """
+    here = done - done_before
+    return elapsed_s / here * (total - done) if here > 0 else None
+
+
+class SweepProgress:
+    """One bar over all trials of a sweep with the time left; without a terminal, a line a point on standard error."""
+
+    def __init__(self, plan: Plan, clock: Callable[[], float] = time.monotonic) -> None:
+        self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self.points = len(plan.points)
+        self.clock = clock
+        self.started_s = clock()
+        self.done_before: int | None = None
+        self.point: int | None = None
+        columns = (
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("trials"),
+            TimeElapsedColumn(),
+            TextColumn("left {task.fields[left]}"),
+        )
+        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        self.task = self.bar.add_task(plan.scenario.name, total=None, left="–")
+
+    def __enter__(self) -> SweepProgress:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def tell(self, done: int, total: int, point: Point) -> None:
+        """Take note of progress, as `simulator.study.sweep.run_sweep` tells it."""
+        if self.done_before is None:
+            self.done_before, self.started_s = done, self.clock()
+        left_s = time_left_s(done, self.done_before, total, self.clock() - self.started_s)
+        left = "–" if left_s is None else str(timedelta(seconds=round(left_s)))
+        self.bar.update(
+            self.task,
+            completed=done,
+            total=total,
+            description=f"point {point.index + 1} of {self.points}",
+            left=left,
+        )
+        if not self.console.is_terminal and point.index != self.point:
+            self.console.print(
+                f"point {point.index + 1} of {self.points}: {done} of {total} trials are done, {left} left"
+            )
+            self.point = point.index
+
+
+def _print(sweep: Sweep, console: Console) -> None:
+    from simulator.study.sweep_page import interval_text, percent_text, value_text
+
+    table = sweep.table
+    done = [point for point in table["points"] if "statistics" in point]
+    grid = Table(title=f"{table['name']}: rms errors (95 % interval)", title_justify="left")
+    paths = [axis["path"] for axis in table["swept"]]
+    short = [path.rpartition(".")[2] for path in paths]
+    for heading in short if len(set(short)) == len(short) else paths:
+        grid.add_column(heading, justify="right")
+    for heading in ("identified", *BODY_AXES, "wrong"):
+        grid.add_column(heading, justify="right")
+    for point in done[:MOST_ROWS]:
+        statistics = point["statistics"]
+        grid.add_row(
+            *(value_text(point["values"][axis["path"]]) for axis in table["swept"]),
+            percent_text(statistics).partition(" (")[0],
+            *(interval_text(statistics, axis) for axis in BODY_AXES),
+            f"[red]{statistics['wrong']}[/]" if statistics["wrong"] else "0",
+        )
+    console.print(grid)
+    if len(done) > MOST_ROWS:
+        console.print(f"… and {len(done) - MOST_ROWS} points more")
+    for point in table["points"]:
+        if point["status"] == "refused":
+            values = ", ".join(f"{path} {value_text(value)}" for path, value in point["values"].items())
+            console.print(f"Refused: {values}: {point['reason']}", markup=False)
+    if table["interrupted"]:
+        console.print(f"Interrupted: {len(done)} of {len(table['points'])} points are finished and kept; --resume.")
+    console.print(f"{sweep.folder}: {', '.join(RESULT_FILES)}", markup=False)
+
+
+def compare_runs(folders: list[str], out: Path) -> int:
+    """Compare runs; prints a table and writes the page."""
+    from simulator.study.compare import compare
+    from simulator.study.compare_page import comparison_page
+    from simulator.study.sweep_page import interval_text, percent_text, value_text
+
+    comparison = compare(folders)
+    write_atomically(out, comparison_page(comparison))
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    table = Table(title="rms errors (95 % interval)", title_justify="left")
+    for heading in ("run", "identified", *BODY_AXES):
+        table.add_column(heading, justify="left" if heading == "run" else "right")
+    for number, run in enumerate(comparison.runs, start=1):
+        cells = [interval_text(run.statistics, axis) for axis in BODY_AXES]
+        table.add_row(f"{number}: {run.name}", percent_text(run.statistics).partition(" (")[0], *cells)
+    console.print(table)
+    for path, values in comparison.differences.items():
+        console.print(f"{path}: " + ", ".join("–" if v is None else value_text(v) for v in values), markup=False)
+    console.print(str(out), markup=False)
+    return 0

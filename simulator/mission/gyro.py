@@ -1,0 +1,58 @@
+"""A three-axis gyro: what it measures of the body's turning from frame to frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario.schema import GyroSection
+
+FloatArray = NDArray[np.float64]
+
+DEG_SQRT_H = math.radians(1.0) / 60.0
+"""1 °/√h in rad/√s."""
+DEG_H = math.radians(1.0) / 3600.0
+"""1 °/h in rad/s."""
+
+
+def gyro_samples(
+    section: GyroSection, turns_rad: FloatArray, step_s: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Measured mean rates over the steps of a sequence, and the true bias at their ends.
+
+    measured = turn / step + mean bias + white noise of N / √step; bias = constant + first-order Gauss–Markov process
+    of standard deviation B and correlation time T, b' = e^(−h/T) b + B √(1 − e^(−2h/T)) w, its mean over a step taken
+    between the ends (IEEE Std 952-1997, annexes B and C, has the terms and the units of N and B).
+
+    Parameters
+    ----------
+    section : GyroSection
+        Its noise.
+    turns_rad : array, shape (N, 3)
+        True rotation vector of each step, in the gyro's axes: what a gyro whose coning is compensated adds up.
+    step_s : float
+        Length of a step.
+    rng : Generator
+        Draws 6 + 6 N normal numbers.
+
+    Returns
+    -------
+    rates, biases : arrays, shape (N, 3) and (N + 1, 3)
+        rad/s; the first bias is that before the first step.
+    """
+    constant, wander = rng.standard_normal((2, 3))
+    constant = constant * section.bias_deg_h * DEG_H
+    spread = section.bias_instability_deg_h * DEG_H
+    kept = math.exp(-step_s / section.bias_time_s)
+    fresh = math.sqrt(-math.expm1(-2.0 * step_s / section.bias_time_s))
+    biases = np.empty((len(turns_rad) + 1, 3))
+    wander = wander * spread
+    biases[0] = constant + wander
+    noise = rng.standard_normal((len(turns_rad), 2, 3))
+    for k in range(len(turns_rad)):
+        wander = kept * wander + spread * fresh * noise[k, 0]
+        biases[k + 1] = constant + wander
+    white = section.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / math.sqrt(step_s) * noise[:, 1]
+    return turns_rad / step_s + 0.5 * (biases[:-1] + biases[1:]) + white, biases

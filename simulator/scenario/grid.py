@@ -1,0 +1,300 @@
+"""Points of a sweep: the values that ``--over`` gives to keys, and how they are combined.
+
+``path=low:high:count`` is a range of `count` evenly spaced values, both ends among them; ``,log`` spaces them evenly in
+the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several of
+them make a full grid, whose last key changes fastest, or a Latin hypercube.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import numpy as np
+
+from simulator.scenario.document import TOLD, Table, parse_value, show_value
+from simulator.scenario.errors import Place, Problem, ScenarioError
+from simulator.scenario.fields import Key, all_keys, check_value
+from simulator.scenario.output import yaml_value
+from startracker.errors import InputError
+
+NameChecks = Mapping[str, Callable[[Any], str | None]]
+
+MAX_POINTS = 100_000
+"""More points than this are a slip of the pen: each is a Monte Carlo study of its own."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(?::({_NUMBER}))?(?:,(\w+))?")
+_EXPECTED = "must look like section.key=low:high:count, section.key=low:high:count,log or section.key=value,value,…"
+_NOT_SWEPT = {
+    "study.trials": "is given by --trials, the same at every point",
+    "name": "tells nothing apart; sweep another key",
+    "description": "tells nothing apart; sweep another key",
+}
+
+
+@dataclass(frozen=True)
+class SweptKey:
+    """A key of the scenario and the values it takes.
+
+    Parameters
+    ----------
+    key : Key
+        The key, with its type and unit.
+    values : tuple
+        The values in their order; for a range, those of the grid.
+    low, high : float, optional
+        Ends of a range; None for a list.
+    log : bool
+        Whether the range is spaced in the logarithm.
+    whole : bool
+        Whether the key takes whole numbers only, to which a range is then rounded.
+    """
+
+    key: Key
+    values: tuple[Any, ...]
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    whole: bool = False
+
+    @property
+    def path(self) -> str:
+        """Dotted path of the key."""
+        return self.key.path
+
+    @property
+    def numeric(self) -> bool:
+        """Whether every value is a number."""
+        return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in self.values)
+
+    @property
+    def label(self) -> str:
+        """Path and unit, for people."""
+        return f"{self.path} [{self.key.unit}]" if self.key.unit else self.path
+
+    def at(self, fraction: float) -> Any:
+        """Value at a fraction from 0 to below 1 of the range (of its logarithm, where so spaced), or of the list."""
+        if self.low is None or self.high is None:
+            return self.values[int(fraction * len(self.values))]
+        if self.log:
+            value = math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
+            value = min(max(value, self.low), self.high)
+        elif self.whole:  # every whole number is as likely as any other
+            return math.floor(self.low + fraction * (self.high - self.low + 1))
+        else:
+            value = self.low + fraction * (self.high - self.low)
+        return round(value) if self.whole else value
+
+
+def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> tuple[SweptKey, ...]:
+    """Every ``--over`` option read and checked against the schema.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        As after ``--over``.
+    names : mapping, optional
+        Checks of values that name something of a later stage: `simulator.checks.NAME_CHECKS`.
+
+    Raises
+    ------
+    ScenarioError
+        With every mistake: unknown keys, values that a key cannot take, keys given twice.
+    InputError
+        When there is nothing to sweep.
+    """
+    swept: dict[str, SweptKey] = {}
+    problems: list[Problem] = []
+    keys = {key.path: key for key in all_keys() if not key.section}
+    for text in texts:
+        path, equals, written = (part.strip() for part in text.partition("="))
+        place = Place(f"--over {path}", key=path)
+        if not equals or not path or not written:
+            problems.append(Problem(Place(f"--over {text}"), "", _EXPECTED))
+        elif path in swept:
+            problems.append(Problem(place, path, "given twice; write its values into one --over"))
+        elif path in _NOT_SWEPT:
+            problems.append(Problem(place, path, _NOT_SWEPT[path]))
+        elif path not in keys:
+            problems.append(Problem(place, path, _unknown(path, keys)))
+        else:
+            found = _parse(keys[path], written, place, problems)
+            if found and _check(found, place, names or {}, problems):
+                swept[path] = found
+    if problems:
+        raise ScenarioError(problems)
+    if not swept:
+        raise InputError(f"--over: nothing to sweep; {_EXPECTED}")
+    return tuple(swept.values())
+
+
+def grid(swept: Sequence[SweptKey]) -> list[tuple[Any, ...]]:
+    """Every combination of the values, the last key's changing fastest.
+
+    Raises
+    ------
+    InputError
+        For more than `MAX_POINTS`, or a range without a count.
+    """
+    for axis in swept:
+        if not axis.values:
+            raise InputError(f"--over {axis.path}: a grid needs the number of values: low:high:count")
+    count = math.prod(len(axis.values) for axis in swept)
+    _limit(count)
+    return list(itertools.product(*(axis.values for axis in swept)))
+
+
+def latin_hypercube(swept: Sequence[SweptKey], count: int, rng: np.random.Generator) -> list[tuple[Any, ...]]:
+    """Latin hypercube sample of the ranges and lists (McKay, Beckman & Conover 1979, Technometrics 21, 239).
+
+    Each range is cut into `count` equal parts (of its logarithm, where it is so spaced), and every part holds exactly
+    one point; the parts of different keys are paired at random. Of a list every value is taken equally often, to one.
+    The count of a range plays no role.
+
+    Parameters
+    ----------
+    swept : sequence of SweptKey
+        What is swept.
+    count : int
+        Number of points, at least 1.
+    rng : numpy.random.Generator
+        Source of the places and pairings.
+
+    Raises
+    ------
+    InputError
+        For a count below 1 or above `MAX_POINTS`.
+    """
+    from scipy.stats import qmc
+
+    if count < 1:
+        raise InputError(f"--lhs: must be at least 1, not {count}")
+    _limit(count)
+    sample = qmc.LatinHypercube(len(swept), rng=rng).random(count)
+    return [tuple(axis.at(float(u)) for axis, u in zip(swept, row, strict=True)) for row in sample]
+
+
+def overrides(swept: Sequence[SweptKey], values: Sequence[Any]) -> list[str]:
+    """The values of a point as ``path=value``, as ``--set`` takes them."""
+    return [f"{axis.path}={yaml_value(value)}" for axis, value in zip(swept, values, strict=True)]
+
+
+def _limit(count: int) -> None:
+    if count > MAX_POINTS:
+        raise InputError(f"--over: {count} points are more than the {MAX_POINTS} that a sweep may have; use --lhs N")
+
+
+def _unknown(path: str, keys: Mapping[str, Key]) -> str:
+    """What to say of a key that is not there: what the scenario's loader says of it, or that it is a section."""
+    if any(known.startswith(f"{path}.") for known in keys):
+        inside = [known for known in keys if known.startswith(f"{path}.")]
+        return f"is a section; sweep one of its keys: {', '.join(inside[:12])}{' …' if len(inside) > 12 else ''}"
+    from simulator.scenario.load import Scenario
+
+    try:
+        Scenario.parse("{}", [f"{path}=0"])
+    except ScenarioError as error:
+        for problem in error.problems:
+            if problem.place.source == f"--set {path}":
+                return problem.message
+    return "unknown key"
+
+
+def _parse(key: Key, written: str, place: Place, problems: list[Problem]) -> SweptKey | None:
+    match = _RANGE.fullmatch(written.replace(" ", ""))
+    if match:
+        return _range(key, match, place, problems)
+    values = []
+    for text in _split(written):
+        node = parse_value(text, place, problems)
+        if node is None or isinstance(node, Table):
+            problems.append(Problem(place, key.path, f"'{text}' is not a value; {_EXPECTED}"))
+            return None
+        if node.data is TOLD:
+            return None
+        values.append(node.data)
+    return SweptKey(key, tuple(values), whole=_whole(key.annotation))
+
+
+def _range(key: Key, match: re.Match[str], place: Place, problems: list[Problem]) -> SweptKey | None:
+    low, high = float(match[1]), float(match[2])
+    log, whole = match[4] == "log", _whole(key.annotation)
+    count = int(match[3]) if match[3] and match[3].isdigit() else None
+    message = ""
+    if match[4] not in (None, "log", "lin"):
+        message = f"'{match[4]}' is no spacing; write log, or leave it out"
+    elif match[3] and (count is None or count < 2):
+        message = f"a range needs 2 values or more, not {match[3]}"
+    elif not (math.isfinite(low) and math.isfinite(high) and low < high):
+        message = f"a range goes from a number to a greater one, not from {match[1]} to {match[2]}"
+    elif log and low <= 0:
+        message = f"a logarithmic range must lie above 0, not begin at {match[1]}"
+    elif whole and not (low.is_integer() and high.is_integer()):
+        message = "takes whole numbers only; give whole ends to the range"
+    elif count is not None and count > MAX_POINTS:
+        message = f"{count} values are more than the {MAX_POINTS} points that a sweep may have"
+    if message:
+        problems.append(Problem(place, key.path, message))
+        return None
+    values = _spaced(low, high, count, log) if count else ()
+    if whole:
+        values = tuple(round(v) for v in values)
+        if len(set(values)) < len(values):
+            message = f"only {len(set(values))} of the {count} values differ as whole numbers; ask for fewer"
+            problems.append(Problem(place, key.path, message))
+            return None
+    return SweptKey(key, values, low, high, log, whole)
+
+
+def _spaced(low: float, high: float, count: int, log: bool) -> tuple[float, ...]:
+    """Evenly spaced values with both ends exact, and the rounding of the arithmetic taken off those between."""
+    inner = (np.geomspace if log else np.linspace)(low, high, count)[1:-1]
+    return (low, *(float(f"{v:.12g}") for v in inner), high)
+
+
+def _split(text: str) -> list[str]:
+    """Parts between the commas that stand outside brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        depth += (character in "[{") - (character in "]}") if not quote else 0
+        if character == "," and not depth and not quote:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
+def _whole(annotation: Any) -> bool:
+    """Whether a key takes whole numbers and no others."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, types.UnionType):
+        branches = [part for part in get_args(annotation) if part is not type(None)]
+        return all(map(_whole, branches))
+    return annotation is int
+
+
+def _check(axis: SweptKey, place: Place, names: NameChecks, problems: list[Problem]) -> bool:
+    """Whether the key can take each of the values by itself; what physics says of them together comes later."""
+    ends: tuple[Any, ...] = () if axis.low is None else (axis.low, axis.high)
+    candidates = axis.values or (tuple(map(round, ends)) if axis.whole else ends)
+    before = len(problems)
+    for n, value in enumerate(candidates):
+        _, message = check_value(axis.key, value)
+        if not message and axis.path in names:
+            message = names[axis.path](value) or ""
+        if not message and value in candidates[:n]:
+            message = f"{show_value(value)} is given twice"
+        if message:
+            problems.append(Problem(place, axis.path, message))
+    return len(problems) == before

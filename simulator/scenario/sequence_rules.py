@@ -1,0 +1,45 @@
+"""Contradictions within a scenario's ``sequence`` section."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
+from itertools import pairwise
+from typing import Any
+
+MOST_FRAMES = 1_000_000
+LARGEST_STEP_DEG = 170.0
+"""Turn from one frame to the next; beyond half a turn its direction is not told by the two attitudes."""
+
+
+def sequence_contradictions(
+    v: Mapping[str, Any], ephemeris: tuple[datetime, datetime]
+) -> Iterator[tuple[str, str, bool]]:
+    """What does not go together: key at fault, why, and whether ``allow_unphysical`` lets it pass (never, here)."""
+    points = v["sequence.rates"]
+    for before, after in pairwise(points):
+        if after.at_s <= before.at_s:
+            message = f"points must come in order of time; {after.at_s:g} s comes after {before.at_s:g} s"
+            yield "sequence.rates", message, False
+            break
+    step_s = v["sequence.step_s"]
+    fastest = math.hypot(*v["pointing.rate_deg_s"])
+    fastest += max((math.hypot(p.roll_deg_s, p.pitch_deg_s, p.yaw_deg_s) for p in points), default=0.0)
+    if any(v["sequence.slew.turn_deg"]):
+        fastest += v["sequence.slew.max_rate_deg_s"]
+    # plain Monte Carlo scenarios may turn as fast as they like: only what the section itself asks for is refused
+    if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
+        message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° a step; use a shorter step"
+        yield "sequence.step_s", message, False
+    frames, start_s = v["sequence.frames"], v["sequence.start_s"]
+    if frames > MOST_FRAMES:
+        yield "sequence.frames", f"{frames} is more than {MOST_FRAMES}, which is what fits in memory", False
+        return
+    first, last = ephemeris
+    epoch = v["epoch"]
+    span_s = (last - first).total_seconds()
+    for key, at_s in (("sequence.start_s", start_s), ("sequence.frames", start_s + frames * step_s)):
+        if not abs(at_s) < span_s or not first <= epoch + timedelta(seconds=at_s) <= last - timedelta(days=2):
+            yield key, "the sequence leaves the ephemeris DE421 (1899 to 2053)", False
+            return

@@ -1,0 +1,277 @@
+"""Where a camera may look: attitudes spread evenly over the whole sky, or along a mission's path.
+
+Every attitude stands for the same share, of the sky or of the time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.constants import EARTH_RADIUS_KM
+from simulator.mission.clock import Clock
+from simulator.mission.orbit import build_orbit
+from simulator.mission.pointing import local_level, mounting_of
+from simulator.mission.sampling import trial_time_s
+from simulator.randomness import stream
+from simulator.scenario import Scenario
+from simulator.scene import SceneBuilder
+from simulator.sky.ephemeris import EARTH, MOON, SUN, position_au, tdb_jd
+from startracker.attitude import Attitude, direction_to_radec
+from startracker.constants import AU_KM
+from startracker.errors import InputError
+
+__all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+_PLASTIC = 0.754_877_666_246_692_8
+"""1/ρ, ρ the plastic number: steps of the roll that repeat with no step of the golden angle."""
+
+_EPHEMERIS_STEP_S = 21_600.0
+"""Sun and Moon are interpolated between places six hours apart: 0.02° for the Moon, from a²/8 of its 13° a day."""
+
+NO_EARTH = 2.0
+"""Cosine of the Earth's radius that no direction reaches."""
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """Exclusion angles, degrees; 0: none.
+
+    Parameters
+    ----------
+    sun_deg, moon_deg : float
+        Least angle between the boresight and the centre of the body.
+    earth_deg : float
+        Least angle between the boresight and the Earth's limb, lit or not.
+    """
+
+    sun_deg: float = 0.0
+    moon_deg: float = 0.0
+    earth_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("sun_deg", "moon_deg", "earth_deg"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 180.0:
+                raise InputError(f"{name.removesuffix('_deg')} exclusion: must be from 0 to 180 degrees, not {value:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Boresights:
+    """Attitudes of a camera, all of equal weight.
+
+    Parameters
+    ----------
+    kind : str
+        ``sky`` or ``path``.
+    matrices : (N, 3, 3)
+        ICRS → camera.
+    t_s : (N,)
+        Seconds after the scenario's epoch.
+    nadir : (N, 3)
+        Direction of the Earth's centre.
+    limb_cosine : (N,)
+        Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing.
+    excluded : dict of (N,) bool
+        By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken.
+    rolls : int
+        Attitudes a direction, which follow one another.
+    """
+
+    kind: str
+    matrices: FloatArray
+    t_s: FloatArray
+    nadir: FloatArray
+    limb_cosine: FloatArray
+    excluded: dict[str, BoolArray]
+    rolls: int = 1
+
+    def __len__(self) -> int:
+        return len(self.matrices)
+
+    @property
+    def directions(self) -> FloatArray:
+        """Unit vectors (N, 3) along the boresight, ICRS."""
+        return self.matrices[:, 2]
+
+    @property
+    def ra_deg(self) -> FloatArray:
+        """Right ascension (N,), 0 to 360."""
+        return np.degrees(direction_to_radec(self.directions)[0])
+
+    @property
+    def dec_deg(self) -> FloatArray:
+        """Declination (N,)."""
+        return np.degrees(direction_to_radec(self.directions)[1])
+
+    @property
+    def roll_deg(self) -> FloatArray:
+        """Position angle (N,) of the camera's up (−y), east of north, 0 to 360."""
+        east, north = _east_north(self.directions)
+        up = -self.matrices[:, 1]
+        angle = np.arctan2(np.sum(up * east, axis=1), np.sum(up * north, axis=1))
+        return np.asarray(np.degrees(angle) % 360.0)
+
+    @property
+    def allowed(self) -> BoolArray:
+        """Attitudes (N,) that break no exclusion angle."""
+        out = np.ones(len(self), dtype=bool)
+        for broken in self.excluded.values():
+            out &= ~broken
+        return out
+
+
+def sky_grid(count: int) -> FloatArray:
+    """Unit vectors (`count`, 3) spread evenly over the sphere: the Fibonacci lattice.
+
+    zᵢ = 1 − (2i + 1)/N, φᵢ = i π (3 − √5); each point stands for 4π/N (González 2010, "Measurement of areas on a
+    sphere using Fibonacci and latitude–longitude lattices", Math. Geosci. 42, 49).
+    """
+    i = np.arange(count)
+    z = 1.0 - (2.0 * i + 1.0) / count
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(_GOLDEN_ANGLE * i), radius * np.sin(_GOLDEN_ANGLE * i), z], axis=1)
+
+
+def whole_sky(
+    count: int, rolls: int = 1, scenario: Scenario | None = None, exclusion: Exclusion | None = None
+) -> Boresights:
+    """Attitudes whose boresights fill the sky evenly.
+
+    Rolls are spread evenly too: from direction to direction by a step that never repeats, and `rolls` of them a
+    direction at equal distances. The Earth hides no stars.
+
+    Parameters
+    ----------
+    count : int
+        Number of directions.
+    rolls : int
+        Rolls tried at each.
+    scenario, exclusion : optional
+        Exclusion angles, for the Sun, the Moon and the Earth as the scenario's spacecraft sees them at the epoch.
+
+    Raises
+    ------
+    InputError
+        For fewer than one direction or roll.
+    """
+    _at_least_one("boresights", count)
+    _at_least_one("rolls", rolls)
+    directions = np.repeat(sky_grid(count), rolls, axis=0)
+    turn = (np.arange(count)[:, None] * _PLASTIC + np.arange(rolls) / rolls).ravel() * (2.0 * math.pi)
+    east, north = _east_north(directions)
+    up = np.cos(turn)[:, None] * north + np.sin(turn)[:, None] * east
+    matrices = np.stack([np.cross(-up, directions), -up, directions], axis=1)
+    n = len(matrices)
+    nothing = Boresights("sky", matrices, np.zeros(n), np.zeros((n, 3)), np.full(n, NO_EARTH), {}, rolls)
+    if scenario is None or exclusion is None:
+        return nothing
+    r_km = np.broadcast_to(build_orbit(scenario.orbit, scenario.epoch).state(0.0)[0], (n, 3))
+    excluded = _excluded(exclusion, Clock(scenario.epoch), nothing.t_s, r_km, directions)
+    return Boresights("sky", matrices, nothing.t_s, nothing.nadir, nothing.limb_cosine, excluded, rolls)
+
+
+def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = None) -> Boresights:
+    """Attitudes at the instants of the scenario's trials 0 … `count` − 1, without the random pointing error.
+
+    What the Earth's solid body hides is left out of the counts, unless the scenario says ``sky.earth: false``.
+
+    Raises
+    ------
+    InputError
+        For fewer than one instant, or a scenario whose trials look at random (``study.sampling: sky``).
+    """
+    _at_least_one("boresights", count)
+    sampling = scenario.study.sampling
+    if sampling == "sky" and scenario.pointing.target is None:
+        raise InputError(
+            "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
+        )
+    orbit = build_orbit(scenario.orbit, scenario.epoch)
+    t_s = np.array([trial_time_s(sampling, scenario.seed, index, orbit.period_s) for index in range(count)])
+    r_km, v_km_s = orbit.state(t_s)
+    if scenario.pointing.target is None:
+        body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
+        turn = (mounting_of(scenario.pointing) @ body).as_matrix()
+        matrices = np.array([turn @ local_level(r, v).as_matrix() for r, v in zip(r_km, v_km_s, strict=True)])
+    else:
+        matrices = _held_on_target(scenario, t_s)
+    distance = np.linalg.norm(r_km, axis=1)
+    limb = np.sqrt(1.0 - np.minimum(EARTH_RADIUS_KM / distance, 1.0) ** 2)
+    excluded = _excluded(exclusion or Exclusion(), orbit.clock, t_s, r_km, matrices[:, 2])
+    return Boresights(
+        "path",
+        matrices,
+        t_s,
+        -r_km / distance[:, None],
+        limb if scenario.sky.earth else np.full(count, NO_EARTH),
+        excluded,
+    )
+
+
+def _held_on_target(scenario: Scenario, t_s: FloatArray) -> FloatArray:
+    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place."""
+    steady = scenario.model_copy(
+        update={
+            "pointing": scenario.pointing.model_copy(
+                update={"error_deg": 0.0, "jitter": type(scenario.pointing.jitter)()}
+            )
+        }
+    )
+    scenes = SceneBuilder(steady)
+
+    def attitude(index: int) -> FloatArray:
+        def streams(stage: str) -> np.random.Generator:
+            return stream(scenario.seed, stage, index)
+
+        return scenes.scene(index, streams, 1e-6, at_s=float(t_s[index])).pointing.camera.as_matrix()
+
+    return np.array([attitude(index) for index in range(len(t_s))])
+
+
+def _excluded(
+    exclusion: Exclusion, clock: Clock, t_s: FloatArray, r_km: FloatArray, directions: FloatArray
+) -> dict[str, BoolArray]:
+    """Which attitudes break which exclusion angle, for the angles that are set."""
+    out: dict[str, BoolArray] = {}
+    for name, target, limit in (("sun", SUN, exclusion.sun_deg), ("moon", MOON, exclusion.moon_deg)):
+        if limit > 0.0:
+            off = _angle_deg(_geocentric_km(target, clock, t_s) - r_km, directions)
+            out[name] = off < limit
+    if exclusion.earth_deg > 0.0:
+        limb = np.degrees(np.arcsin(np.minimum(EARTH_RADIUS_KM / np.linalg.norm(r_km, axis=1), 1.0)))
+        out["earth"] = _angle_deg(-r_km, directions) - limb < exclusion.earth_deg
+    return out
+
+
+def _geocentric_km(target: int, clock: Clock, t_s: FloatArray) -> FloatArray:
+    """Vector (N, 3) from the Earth's centre to a body, km, interpolated in time."""
+    first, last = float(t_s.min()), float(t_s.max())
+    nodes = np.linspace(first, last, 1 + math.ceil((last - first) / _EPHEMERIS_STEP_S)) if last > first else t_s[:1]
+    dates = [tdb_jd(*clock.tt_jd(float(t))) for t in nodes]
+    places = np.array([position_au(target, jd) - position_au(EARTH, jd) for jd in dates]) * AU_KM
+    return np.stack([np.interp(t_s, nodes, places[:, k]) for k in range(3)], axis=1)
+
+
+def _angle_deg(vectors: FloatArray, directions: FloatArray) -> FloatArray:
+    cosine = np.sum(vectors * directions, axis=1) / np.linalg.norm(vectors, axis=1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _east_north(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    ra, dec = direction_to_radec(directions)
+    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=1)
+    return east, north
+
+
+def _at_least_one(what: str, count: int) -> None:
+    if count < 1:
+        raise InputError(f"{what}: must be at least 1, not {count}")

@@ -1,0 +1,109 @@
+"""Columns of the trials as arrays, read when they are asked for: a million trials need not be in memory at once."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from startracker.errors import BoresightError
+
+CACHE_BYTES = 100_000_000
+"""Memory for columns that were read; the longest unused are dropped first."""
+
+
+class Columns(Mapping[str, NDArray[Any]]):
+    """Columns by name, each a read-only NumPy array; strings as arrays of objects.
+
+    Parameters
+    ----------
+    source : pyarrow.Table or Path
+        The trials, or the Parquet file that has them.
+
+    Raises
+    ------
+    KeyError
+        For a column that is not there.
+    BoresightError
+        When the file is another one by now.
+    """
+
+    def __init__(self, source: pa.Table | Path) -> None:
+        self._source = source
+        self._schema: pa.Schema = pq.read_schema(source) if isinstance(source, Path) else source.schema
+        self._stamp = _stamp(source)
+        self._cache: OrderedDict[str, NDArray[Any]] = OrderedDict()
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name in self._cache:
+            self._cache.move_to_end(name)
+            return self._cache[name]
+        if name not in self:
+            raise KeyError(name)
+        array = as_array(self._read(name))
+        array.flags.writeable = False
+        self._cache[name] = array
+        while len(self._cache) > 1 and sum(_memory(kept) for kept in self._cache.values()) > CACHE_BYTES:
+            self._cache.popitem(last=False)
+        return array
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._schema.names)
+
+    def __len__(self) -> int:
+        return len(self._schema.names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._schema.names
+
+    def table(self) -> pa.Table:
+        """All of them, in memory."""
+        self._check()
+        return pq.read_table(self._source) if isinstance(self._source, Path) else self._source
+
+    def _read(self, name: str) -> pa.ChunkedArray:
+        if not isinstance(self._source, Path):
+            return self._source[name]
+        self._check()
+        strings = [name] if pa.types.is_string(self._schema.field(name).type) else []
+        return pq.read_table(self._source, columns=[name], read_dictionary=strings)[name]
+
+    def _check(self) -> None:
+        if _stamp(self._source) != self._stamp:
+            raise BoresightError(f"{self._source}: moved or changed since the study was made; read it again")
+
+
+def as_array(column: pa.ChunkedArray) -> NDArray[Any]:
+    """A column as an array; equal strings are one object, however many rows have them."""
+    if pa.types.is_string(column.type):
+        column = column.dictionary_encode()
+    if not pa.types.is_dictionary(column.type):
+        return np.array(column.to_numpy())
+    if column.null_count:
+        return np.array(column.cast(pa.string()).to_numpy(), dtype=object)
+    column = column.unify_dictionaries()
+    parts = [
+        np.asarray(chunk.dictionary.to_numpy(zero_copy_only=False), dtype=object)[chunk.indices.to_numpy()]
+        for chunk in column.chunks
+    ]
+    return np.concatenate(parts) if parts else np.empty(0, dtype=object)
+
+
+def _memory(array: NDArray[Any]) -> int:
+    return array.nbytes * (10 if array.dtype == object else 1)  # a pointer, and at worst a string of its own
+
+
+def _stamp(source: pa.Table | Path) -> tuple[int, int] | None:
+    if not isinstance(source, Path):
+        return None
+    try:
+        status = source.stat()
+    except OSError:
+        return 0, 0
+    return status.st_size, status.st_mtime_ns

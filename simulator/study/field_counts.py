@@ -1,0 +1,150 @@
+"""Kernels: which stars stand in a field, at many attitudes.
+
+Stars come as unit vectors with their grid (`startracker.catalog.voxels`), the field as its outline
+(`startracker.catalog.field_shape`). Of each attitude the nadir and the cosine of the Earth's angular radius say what
+the Earth hides; a cosine above 1 leaves the Earth out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.camera import Camera
+from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
+from startracker.catalog.voxels import VoxelGrid, stars_in_cone
+
+__all__ = ["accumulate_information", "circle", "count_by_level", "outline", "solid_angle_sr"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def outline(camera: Camera) -> FieldShape:
+    """Outline of a camera's image, distortion included."""
+    return field_shape(camera, margin_px=0.0)
+
+
+def circle(radius_deg: float) -> FieldShape:
+    """Outline of a circular field about the boresight."""
+    cosine = math.cos(math.radians(radius_deg))
+    return FieldShape(np.eye(3), np.full(720, cosine), cosine)
+
+
+def solid_angle_sr(shape: FieldShape) -> float:
+    """Solid angle of an outline, ∫ (1 − cos ρ(φ)) dφ, with cos ρ linear between the nodes as the kernels take it."""
+    return 2.0 * math.pi * float(np.mean(1.0 - shape.least_cosine))
+
+
+@njit(cache=True, error_model="numpy")
+def _in_field(
+    matrix: FloatArray,
+    directions: FloatArray,
+    grid: VoxelGrid,
+    shape: FieldShape,
+    nadir: FloatArray,
+    limb_cosine: float,
+) -> IntArray:
+    """Stars on the image at the attitude `matrix` (ICRS → camera), ascending."""
+    centre = shape.axes[2]
+    cx = matrix[0, 0] * centre[0] + matrix[1, 0] * centre[1] + matrix[2, 0] * centre[2]
+    cy = matrix[0, 1] * centre[0] + matrix[1, 1] * centre[1] + matrix[2, 1] * centre[2]
+    cz = matrix[0, 2] * centre[0] + matrix[1, 2] * centre[1] + matrix[2, 2] * centre[2]
+    near = stars_in_cone(cx, cy, cz, max(shape.widest_cosine - 1e-12, -1.0), directions, grid)
+    out = np.empty(len(near), np.int64)
+    count = 0
+    for star in near:
+        u, v, w = directions[star, 0], directions[star, 1], directions[star, 2]
+        if nadir[0] * u + nadir[1] * v + nadir[2] * w > limb_cosine:
+            continue
+        x = matrix[0, 0] * u + matrix[0, 1] * v + matrix[0, 2] * w
+        y = matrix[1, 0] * u + matrix[1, 1] * v + matrix[1, 2] * w
+        z = matrix[2, 0] * u + matrix[2, 1] * v + matrix[2, 2] * w
+        if in_shape(x, y, z, shape):
+            out[count] = star
+            count += 1
+    return np.sort(out[:count])
+
+
+@njit(cache=True, error_model="numpy")
+def count_by_level(
+    matrices: FloatArray,
+    directions: FloatArray,
+    grid: VoxelGrid,
+    shape: FieldShape,
+    level: IntArray,
+    levels: int,
+    nadir: FloatArray,
+    limb_cosine: FloatArray,
+) -> IntArray:
+    """Stars in the field by level (of magnitude, say), shape (N, levels).
+
+    Parameters
+    ----------
+    matrices : (N, 3, 3)
+        ICRS → camera.
+    directions : (S, 3)
+        Unit vectors of the stars.
+    grid, shape
+        Grid of these stars; outline of the field.
+    level : (S,) int
+        Level of each star, 0 … `levels` − 1.
+    nadir, limb_cosine : (N, 3), (N,)
+        Direction of the Earth's centre, cosine of its angular radius.
+    """
+    out = np.zeros((len(matrices), levels), np.int64)
+    for n in range(len(matrices)):
+        for star in _in_field(matrices[n], directions, grid, shape, nadir[n], limb_cosine[n]):
+            out[n, level[star]] += 1
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def accumulate_information(
+    matrices: FloatArray,
+    directions: FloatArray,
+    grid: VoxelGrid,
+    shape: FieldShape,
+    weight: FloatArray,
+    most: int,
+    nadir: FloatArray,
+    limb_cosine: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """Stars in the field, and what they tell of the attitude: F = Σ wᵢ (I − bᵢ bᵢᵀ) in camera axes, rad⁻².
+
+    Shuster & Oh 1981 (J. Guidance and Control 4, 70), eq. 94: the inverse of F is the covariance of the optimal
+    attitude where wᵢ = 1/σᵢ², σᵢ the error of a direction along each of its two axes.
+
+    Parameters
+    ----------
+    weight : (S,)
+        1/σ², rad⁻², of each star; the stars come brightest first.
+    most : int
+        At most this many, the brightest, are used and counted.
+    matrices, directions, grid, shape, nadir, limb_cosine
+        As in `count_by_level`.
+
+    Returns
+    -------
+    counts : (N,) int
+    information : (N, 3, 3)
+    """
+    counts = np.zeros(len(matrices), np.int64)
+    information = np.zeros((len(matrices), 3, 3))
+    for n in range(len(matrices)):
+        stars = _in_field(matrices[n], directions, grid, shape, nadir[n], limb_cosine[n])[:most]
+        counts[n] = len(stars)
+        for star in stars:
+            w = weight[star]
+            b = np.zeros(3)
+            for i in range(3):
+                for j in range(3):
+                    b[i] += matrices[n, i, j] * directions[star, j]
+            for i in range(3):
+                information[n, i, i] += w
+                for j in range(3):
+                    information[n, i, j] -= w * b[i] * b[j]
+    return counts, information

@@ -1,0 +1,84 @@
+"""What a point of a sweep, or a run that is compared with others, comes to: rates and errors with their intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.study.intervals import moment_intervals, wilson_interval
+from simulator.study.statistics import AXES
+
+TRIAL_COLUMNS = (
+    "index",
+    "status",
+    "wrong",
+    "stars_matched",
+    *(f"error_{axis}_deg" for axis in AXES),
+    "render_ms",
+    "solve_ms",
+)
+"""Columns of the trials that `point_statistics` reads."""
+
+TIMINGS = ("median_render_ms", "median_solve_ms")
+"""The only statistics that differ between two runs of the same points."""
+
+
+def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str, Any]:
+    """Rates and errors of a set of trials, by flat names that a table's columns can have.
+
+    For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (the magnitude below which
+    99.7 % stay), and the 95 % bootstrap interval of the rms as `rms_low_deg` and `rms_high_deg`. Errors are of the
+    solved trials. The identification rate counts those solved and not wrong, with Wilson's 95 % interval.
+
+    Parameters
+    ----------
+    columns : mapping of arrays
+        Those of `TRIAL_COLUMNS`.
+    seed : int
+        Of the bootstrap.
+
+    Returns
+    -------
+    dict
+        None stands for what too few trials cannot say.
+    """
+    n = len(columns["index"])
+    solved = np.asarray(columns["status"] == "solved", dtype=bool)
+    wrong = np.asarray(columns["wrong"], dtype=bool)
+    right = int(np.sum(solved & ~wrong))
+    low, high = wilson_interval(right, n)
+    found: dict[str, Any] = {
+        "trials": n,
+        "solved": int(solved.sum()),
+        "wrong": int(wrong.sum()),
+        "identification_rate": right / n if n else None,
+        "identification_rate_low": low,
+        "identification_rate_high": high,
+        "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
+    }
+    errors = np.stack([np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved] for axis in AXES], axis=1)
+    intervals = moment_intervals(errors, seed)["rms"]
+    for k, axis in enumerate(AXES):
+        e = errors[:, k]
+        rms = math.sqrt(float(np.mean(e * e))) if len(e) else None
+        found |= {
+            f"{axis}_mean_deg": float(np.mean(e)) if len(e) else None,
+            f"{axis}_rms_deg": rms,
+            f"{axis}_rms_low_deg": _plain(intervals[k, 0]) if intervals is not None else None,
+            f"{axis}_rms_high_deg": _plain(intervals[k, 1]) if intervals is not None else None,
+            f"{axis}_three_sigma_deg": None if rms is None else 3.0 * rms,
+            f"{axis}_p997_deg": float(np.percentile(np.abs(e), 99.7)) if len(e) else None,
+        }
+    for name in TIMINGS:
+        times = np.asarray(columns[name.removeprefix("median_")], dtype=float)
+        finite = times[np.isfinite(times)]
+        found[name] = float(np.median(finite)) if len(finite) else None
+    return found
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,102 @@
+"""Blocks of trials on processes of this machine; a process that dies costs only the time of its blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+
+from simulator.scenario import Scenario
+from simulator.study.blocks import MAX_ATTEMPTS, Blocks, Result, run_block
+from simulator.study.trial import TrialRunner
+from startracker.errors import BoresightError
+
+STOP_CHECK_S = 0.2
+"""Seconds between looks at whether the run is to stop."""
+
+_runner: TrialRunner | None = None
+
+
+def run_in_pool(
+    scenario: Scenario, blocks: Blocks, workers: int, stop: threading.Event
+) -> Generator[Result, None, None]:
+    """Finished blocks in the order in which they come, only a few under way at a time, so that memory stays flat.
+
+    A stop drops the blocks that no worker has begun and waits, a moment, for the others. When a worker dies its blocks
+    are run again by a new pool.
+
+    Raises
+    ------
+    BoresightError
+        When the workers die with the same block again and again.
+    """
+    while blocks and not stop.is_set():
+        pending: dict[Future[Result], range] = {}
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(scenario,))
+        try:
+            while blocks or pending:
+                if stop.is_set():
+                    blocks.drop()
+                    pending = {future: block for future, block in pending.items() if not future.cancel()}
+                with _no_interrupt_for_children():
+                    while blocks and len(pending) < 2 * workers:
+                        block = blocks.take()
+                        try:
+                            pending[pool.submit(_run_block, block)] = block
+                        except BrokenProcessPool:
+                            pending[Future()] = block
+                            raise
+                ready, _ = wait(pending, timeout=STOP_CHECK_S, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    result = future.result()
+                    blocks.finished(result)
+                    del pending[future]
+                    yield result
+        except BrokenProcessPool:
+            if not blocks.give_back(sorted(pending.values(), key=lambda block: block.start)):
+                raise BoresightError(
+                    f"the worker processes died {MAX_ATTEMPTS} times with the same trials (out of memory?); the "
+                    "finished trials are kept: run again with --resume and fewer --workers"
+                ) from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start_worker(scenario: Scenario) -> None:
+    global _runner  # noqa: PLW0603 - one runner a process is what a worker is
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _runner = TrialRunner(scenario)
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed tells nobody, and its workers would wait for more blocks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _run_block(block: range) -> Result:
+    assert _runner is not None
+    return run_block(_runner.run, block)
+
+
+@contextlib.contextmanager
+def _no_interrupt_for_children() -> Iterator[None]:
+    """Processes started within ignore Ctrl-C from their first instruction on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,64 @@
+"""A study whose trials cost nothing, for tests of the engine that runs and keeps them.
+
+`FakeRunner` makes rows with the columns of real ones from (seed, index) alone. As a script it runs such a study, in
+processes that load this file too; as a preload of dask workers it gives them the same trials:
+
+    python fake_study.py OUT TRIALS WORKERS SLEEP_S [resume]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from simulator.scenario import Scenario
+from simulator.study import blocks, dask_pool, engine, process_pool
+from simulator.study.statistics import AXES, CAMERA_AXES
+
+SLEEP_S = float(sys.argv[4]) if __name__ in {"__main__", "__mp_main__"} else 0.002
+
+
+class FakeRunner:
+    def __init__(self, scenario: Scenario) -> None:
+        self.seed = scenario.seed
+
+    def run(self, index: int) -> dict[str, object]:
+        if SLEEP_S:
+            time.sleep(SLEEP_S)
+        values = np.random.Generator(np.random.Philox(key=[self.seed, index])).normal(size=40).tolist()
+        row: dict[str, object] = {
+            "index": index,
+            "t_s": values[0],
+            "utc": f"2026-03-21T12:{index // 60 % 60:02d}:{index % 60:02d}.{index % 1000:03d}",
+            "status": "solved" if values[1] < 2 else "too_few_stars",
+            "reason": "" if values[1] < 2 else f"{index % 3} stars found",
+            "wrong": False,
+            "stars_matched": 9 + index % 7,
+            "stars_misidentified": 0,
+            "stars_in_field": 20,
+        }
+        row |= {f"error_{axis}_deg": values[2 + k] * 1e-3 for k, axis in enumerate(AXES)}
+        row |= {f"sigma_{axis}_deg": 1e-3 for axis in CAMERA_AXES}
+        row |= {f"bound_{axis}_deg": 1e-3 for axis in CAMERA_AXES}
+        row |= {f"q{k}": values[10 + k] for k in range(24)}
+        row["nees"] = values[8] ** 2 + values[9] ** 2 + values[10] ** 2
+        row |= {"render_ms": time.perf_counter(), "solve_ms": 1.0}
+        return row
+
+
+for module in (dask_pool, engine, process_pool):
+    module.TrialRunner = FakeRunner
+
+if __name__ == "__main__":
+    blocks.TARGET_S = 0.1  # many blocks in little time
+    folder, trials, workers = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    folder.mkdir(exist_ok=True)
+    done = engine.run_trials(
+        Scenario.load("cubesat"), trials, workers=workers, folder=folder, resume="resume" in sys.argv,
+        progress=lambda finished, _: print(finished, flush=True),
+    )  # fmt: skip
+    done.store.write(folder / "trials.parquet", trials)
+    engine.discard_parts(folder)

@@ -1,0 +1,96 @@
+"""The same rows on a dask cluster, whatever happens to its workers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from simulator.scenario import Scenario
+from simulator.study import dask_pool
+from simulator.study.blocks import run_block
+from simulator.study.engine import run_trials
+from startracker.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = Path(__file__).with_name("fake_study.py")
+TRIALS = 1000
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Scheduler and two workers as processes of their own; the workers' trials cost nothing."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__ADMIN__LOG_FORMAT": "%(message)s"}
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": tmp_path}
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+    worker = [*dask, "worker", "--scheduler-file", file, "--nthreads", "1", "--no-dashboard", "--preload", SCRIPT]
+    processes = [subprocess.Popen(command, **quiet) for command in (scheduler, [*worker, "--nworkers", "2"])]
+    try:
+        import json
+
+        deadline = time.monotonic() + 60
+        while not file.exists() or not file.read_text().endswith("}"):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.send_signal(signal.SIGINT)
+        for process in processes:
+            process.wait(timeout=30)
+
+
+def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypatch):
+    from distributed import Client
+
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
+    killed = []
+
+    def kill_a_worker(done, _):
+        if not killed and done > 100:
+            with Client(cluster, set_as_default=False) as client:
+                pids = client.run(os.getpid)
+            killed.append(min(pids.values()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    scenario = Scenario.load("cubesat")
+    done = run_trials(scenario, TRIALS, dask=cluster, folder=tmp_path, progress=kill_a_worker)
+    assert killed
+    assert done.finished == TRIALS
+    assert done.workers in (1, 2)  # as many as there were at the last look
+    runner = _fake_runner()(scenario)
+    wanted = run_block(runner.run, range(TRIALS)).table
+    kept = [name for name in wanted.column_names if not name.endswith("_ms")]
+    assert done.table.select(kept).equals(wanted.select(kept))
+
+
+def _fake_runner():
+    import runpy
+
+    from simulator.study import engine, process_pool
+
+    before = engine.TrialRunner
+    try:
+        return runpy.run_path(str(SCRIPT))["FakeRunner"]
+    finally:
+        for module in (engine, process_pool, dask_pool):
+            module.TrialRunner = before
+
+
+def test_no_package_no_scheduler_and_no_version_in_common_are_one_line(monkeypatch):
+    scenario = Scenario.load("cubesat")
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
+    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+        with pytest.raises(InputError, match="no scheduler answers there") as told:
+            run_trials(scenario, 10, dask=address)
+        assert "\n" not in str(told.value)
+    with pytest.raises(InputError, match="install the same on all"):
+        dask_pool._run_block(scenario, "key", "0.0.0", range(3))
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'boresight\[dask\]'"):
+        run_trials(scenario, 10, dask="tcp://127.0.0.1:8786")

@@ -1,0 +1,54 @@
+"""Rendered sequences: the filter is as wrong as it says, and a filter that is told too little is found out.
+
+The mean of N independent NEES of an attitude is χ²(3 N)/N, of standard deviation √(6/N); errors of successive frames
+hang together, and N is the effective number that the autocorrelation leaves (`effective_number`). Four deviations of
+all sequences together are allowed: one in 16,000.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from simulator import Scenario
+from simulator.study.sequence import run_sequence
+
+SMALL = [
+    "detector.width=384",
+    "detector.height=384",
+    "optics.focal_length_mm=12",
+    "optics.aperture_mm=12",
+    "optics.distortion.k1=0",
+    "sky.magnitude_limit=7",
+    "detector.exposure_s=0.1",
+    "pointing.rate_deg_s=[0.03, 0.02, 0.04]",
+]
+
+
+def sequence_of(*overrides):
+    return run_sequence(Scenario.load("cubesat", overrides=[*SMALL, *overrides]))
+
+
+def test_errors_are_as_the_covariance_says():
+    """With a gyro the truth is what the filter assumes of it: white noise, and a bias that wanders."""
+    weighed, number, inside, values = 0.0, 0.0, 0, 0
+    for seed in (1, 2, 3, 4):
+        sequence = sequence_of("sequence.gyro.use=true", "sequence.frames=50", f"seed={seed}")
+        nees, columns = sequence.summary["nees"], sequence.columns
+        assert sequence.summary["solved"] == 50
+        weighed += nees["mean"] * nees["effective_frames"]
+        number += nees["effective_frames"]
+        for axis in ("roll", "pitch", "yaw"):
+            inside += int(np.sum(np.abs(columns[f"error_{axis}_deg"]) < 3.0 * columns[f"sigma_{axis}_deg"]))
+            values += 50
+    assert number > 60
+    assert abs(weighed / number - 3.0) < 4.0 * math.sqrt(6.0 / number)
+    # 99.7 % of normal errors within 3 σ; the count is binomial, of some third as many independent values
+    assert inside / values > 0.9973 - 4.0 * math.sqrt(0.0027 / (values / 3.0))
+
+
+@pytest.mark.parametrize(("walk", "consistent"), [("auto", True), ("1e-5", False)])
+def test_too_little_process_noise_is_found_out(walk, consistent):
+    """A body that turns against the level it holds changes its rate by ω × n, 6e-5 °/s²; 1e-5 °/s/√s is too little."""
+    nees = sequence_of(f"sequence.rate_walk_deg_s_sqrt_s={walk}", "sequence.frames=40").summary["nees"]
+    assert (nees["mean"] < nees["bounds95"][1]) == consistent

@@ -1,0 +1,120 @@
+"""The design helper: its answer is the smallest, its table tells the truth, mistakes are told."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from simulator.checks import load_scenario
+from simulator.focal_plane import camera_of
+from simulator.study.boresights import whole_sky
+from simulator.study.design import PARAMETERS, changed, design, predict, verify, write_design
+from startracker.errors import InputError
+
+SMALL = ["detector.width=256", "detector.height=256", "optics.focal_length_mm=8", "optics.aperture_mm=6"]
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("cubesat", SMALL)
+
+
+@pytest.fixture(scope="module")
+def result(scenario):
+    return design(scenario, "optics.aperture_mm", 1.0, 20.0, steps=5, count=600, least_availability=0.99)
+
+
+def meets(scenario, point, specification):
+    return point.availability >= 0.99 and all(point.three_sigma_deg[a] <= v for a, v in specification.items())
+
+
+def test_the_answer_is_the_smallest_that_meets_everything(scenario, result):
+    best, looks = result.best, whole_sky(600)
+    assert 1.0 < best.value < 20.0
+    again = predict(changed(scenario, "optics.aperture_mm", best.value), looks, 5)
+    assert meets(scenario, again, result.specification_deg)
+    smaller = predict(changed(scenario, "optics.aperture_mm", 0.99 * best.value), looks, 5)
+    assert not meets(scenario, smaller, result.specification_deg)
+    assert best == min((p for p in result.points if p.met), key=lambda p: p.value)
+
+
+def test_what_cannot_be_is_told_and_passed_over(scenario, result):
+    last = result.points[-1]  # f/0.4
+    assert last.value == 20.0
+    assert not last.met
+    assert "no lens in air is faster" in last.impossible
+
+
+def test_accuracy_and_stars_grow_with_the_aperture(result):
+    seen = [p for p in result.points if not p.impossible]
+    for less, more in pairwise(seen):
+        assert less.stars_mean <= more.stars_mean
+        assert less.availability <= more.availability
+    assert seen[0].availability == 0.0
+    assert seen[0].three_sigma_deg["roll"] is None
+    assert seen[-1].three_sigma_deg["roll"] < result.best.three_sigma_deg["roll"]
+
+
+def test_prediction_follows_the_exact_law_of_exposure_without_noise():
+    # read noise, dark current and sky off, the camera held still: all errors go with 1/√exposure, and a
+    # little faster for what read noise of 0.001 electrons hides of the image's far tail: information beyond 4 σ, 0.2 %
+    quiet = load_scenario(
+        "cubesat",
+        [*SMALL, "detector.read_noise_e=0.001", "detector.dark_current_e_s=0", "sky.background=false",
+         "detector.prnu=0", "detector.adc_bits=null", "detector.gain_e_per_dn=1", "detector.full_well_e=1e12",
+         "pointing.target=[0, 0, 0]",
+         "tracker.magnitude_limit=5"],
+    )  # fmt: skip
+    looks = whole_sky(200)
+    once, four = (predict(changed(quiet, "detector.exposure_s", t), looks, 3) for t in (0.1, 0.4))
+    assert once.stars_mean == four.stars_mean
+    for axis in ("roll", "pitch", "yaw"):
+        assert once.three_sigma_deg[axis] / four.three_sigma_deg[axis] == pytest.approx(2.0, rel=3e-3)
+
+
+@pytest.mark.parametrize("projection", ["pinhole", "equidistant", "equisolid"])
+def test_the_field_is_the_one_asked_for(scenario, projection):
+    other = load_scenario("cubesat", [*SMALL, f"optics.projection={projection}", "optics.distortion={k1: 0}"])
+    assert camera_of(changed(other, "field", 24.0)).fov_deg == pytest.approx(24.0, abs=1e-9)
+
+
+def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):
+    none = design(scenario, "detector.exposure_s", 1e-5, 1e-4, steps=2, count=100)
+    assert none.best is None
+    write_design(none, None, tmp_path)
+    told = json.loads((tmp_path / "design.json").read_text())
+    assert told["best"] is None
+    assert len(told["points"]) == 2
+    with pytest.raises(InputError, match="nothing to verify"):
+        verify(scenario, none, 5)
+
+
+def test_a_run_of_the_answer_stands_beside_its_prediction(scenario):
+    found = design(scenario, "optics.aperture_mm", 5.0, 6.0, steps=2, count=300, least_availability=0.5)
+    checked = verify(scenario, found, 24)
+    assert checked.solved >= 20
+    # 3σ from 24 trials scatters by 3/√(2·24) = 43 % at k = 3; the sky's poorest fields weigh most, so a factor of two
+    for axis in ("roll", "pitch", "yaw"):
+        assert 0.5 < checked.three_sigma_deg[axis] / checked.predicted_deg[axis] < 2.0
+
+
+def test_wrong_numbers_are_told(scenario):
+    for wrong, words in (
+        ({"parameter": "optics.aperture"}, "there are " + ", ".join(PARAMETERS)),
+        ({"low": 5.0, "high": 5.0}, "0 < from < to"),
+        ({"low": math.nan}, "0 < from < to"),
+        ({"steps": 1}, "at least 2"),
+        ({"least_stars": 0}, "at least 1"),
+        ({"least_availability": 1.5}, "from 0 to 1"),
+        ({"parameter": "field", "high": 200.0}, "below 170"),
+    ):
+        arguments = {"parameter": "detector.exposure_s", "low": 0.01, "high": 0.1, "steps": 2, "count": 10} | wrong
+        if "170" in words:
+            points = design(scenario, **arguments).points
+            assert words in points[-1].impossible
+            continue
+        with pytest.raises(InputError, match=words):
+            design(scenario, **arguments)
+    assert np.isfinite(design(scenario, "detector.exposure_s", 0.05, 0.1, steps=2, count=50).points[0].stars_mean)

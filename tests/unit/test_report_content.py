@@ -1,0 +1,208 @@
+"""What the report says, for studies whose answer is known: written down here by hand, not computed by the code."""
+
+import json
+
+import numpy as np
+import pytest
+
+from simulator.cli import main
+from simulator.scenario import Scenario
+from simulator.study.pdf import pdf_of
+from simulator.study.report import build_report, html_of
+from simulator.study.report_content import content_of, outlier_positions, percent_text
+from simulator.study.report_frames import chosen_trials
+from simulator.study.report_plots import panels
+from simulator.study.run import run
+from simulator.study.statistics import AXES, BODY_AXES, summarise
+from simulator.study.trial import TrialRunner
+from startracker.catalog import load_catalog
+
+SPECIFICATION = {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}
+ARCSEC = 1 / 3600
+SMALL = ["detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28", "optics.psf.sigma_px=0.7"]
+
+
+def trials(n=400, seed=3, **sigma_deg):
+    """Columns of n trials with normal errors of known deviations; roll 10 arcsec, pitch 100, yaw 20 unless told."""
+    rng = np.random.default_rng(seed)
+    sigma = {"roll": 10 * ARCSEC, "pitch": 100 * ARCSEC, "yaw": 20 * ARCSEC} | sigma_deg
+    errors = {axis: rng.normal(0, sigma[axis], n) for axis in BODY_AXES}
+    errors |= {"cross_x": errors["roll"], "cross_y": errors["yaw"], "about_boresight": errors["pitch"]}
+    return {
+        "index": np.arange(n),
+        "t_s": np.linspace(0, 3.0e7, n),
+        "utc": np.array([f"2026-01-01T00:00:{i % 60:02d}" for i in range(n)], dtype=object),
+        "status": np.array(["solved"] * n, dtype=object),
+        "reason": np.array([""] * n, dtype=object),
+        "wrong": np.zeros(n, dtype=bool),
+        "true_ra_deg": rng.uniform(0, 360, n),
+        "true_dec_deg": rng.uniform(-90, 90, n),
+        "stars_matched": rng.integers(4, 30, n),
+        "stars_in_field": np.full(n, 30),
+        "stars_misidentified": np.zeros(n, dtype=int),
+        "residual_rms_px": np.full(n, 0.1),
+        **{f"error_{axis}_deg": errors[axis] for axis in AXES},
+    }
+
+
+def summary_of(columns, **more):
+    return summarise(columns, SPECIFICATION, 1) | {
+        "name": "t", "seed": 1, "version": "1", "requested": len(columns["index"]), "interrupted": False,
+        "unphysical": [], "workers": 1, "elapsed_s": 1.0, "trials_per_second": 1.0,
+        "median_ms": {"render": 1.0, "solve": None}, "versions": {"python": "3"},
+    } | more  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return Scenario.load("cubesat", SMALL)
+
+
+def test_answer_of_a_study_that_meets_its_specification(scenario):
+    columns = trials()
+    answer = content_of(scenario, summary_of(columns), columns).answer
+    assert answer.met
+    assert answer.verdict == "Yes: the specification is met about all three axes."
+    # 3 sigma: 30, 300 and 60 arcsec of 90, 1029.6 and 90; yaw is the tightest, at 1.5. The rms of 400 normal errors is
+    # known to 1 / sqrt(800) = 3.5 %, so that 4 sigma of it are 0.21
+    assert "yaw" in answer.margin
+    factors = {row[0]: float(row[4].split()[0]) for row in answer.axes.rows}
+    assert factors["yaw"] == pytest.approx(1.5, rel=0.15)
+    assert factors["roll"] == pytest.approx(3.0, rel=0.15)
+    assert factors["pitch"] == pytest.approx(3.432, rel=0.15)
+    assert [row[5] for row in answer.axes.rows] == ["met"] * 3
+    # Wilson's interval at 400 of 400: 400 / (400 + 1.95996²) = 99.05 %
+    assert answer.rates.rows[0][1:] == ("400 of 400", "100.00 %", "99.05 % to 100.00 %")
+    assert answer.rates.rows[2][1:] == ("0 of 400", "0.00 %", "0.00 % to 0.95 %")
+
+
+def test_answer_of_a_study_that_does_not(scenario):
+    columns = trials(roll=60 * ARCSEC, yaw=45 * ARCSEC)
+    answer = content_of(scenario, summary_of(columns), columns).answer
+    assert not answer.met
+    assert answer.verdict == "No: the specification is not met about roll and yaw."
+    assert answer.margin.startswith("At the worst axis, roll, the error is")
+
+
+def test_a_wrong_attitude_spoils_the_answer(scenario):
+    columns = trials()
+    columns["wrong"][7] = True
+    content = content_of(scenario, summary_of(columns), columns)
+    assert (
+        content.answer.verdict
+        == "No: the axes are within their specification, but 1 of the accepted attitudes are wrong."
+    )
+    assert content.outliers.rows[0][0] == "7"
+
+
+def test_few_trials_near_the_limit_are_called_undecided(scenario):
+    columns = trials(n=12, yaw=30 * ARCSEC)  # 3 sigma = 90 arcsec, known to a fifth
+    assert "more trials would tell" in content_of(scenario, summary_of(columns), columns).answer.margin
+
+
+def test_columns_of_an_older_run_are_enough(scenario):
+    """Neither bounds, nor NEES, nor intervals, nor outliers: what is not there is not talked about."""
+    columns = trials()
+    columns["status"][3] = "no_stars"
+    old = summary_of(columns)
+    for key in ("bound_ratio", "nees", "outliers", "outliers_count"):
+        del old[key]
+    old["errors_deg"] = {
+        axis: {k: v for k, v in e.items() if "interval" not in k} for axis, e in old["errors_deg"].items()
+    }
+    content = content_of(scenario, old, columns)
+    assert "Cramér" not in " ".join(content.answer.limits)
+    assert content.answer.axes.rows[0][2] == "–"
+    assert [row[2] for row in content.outliers.rows] == ["no_stars"]
+    found = panels(columns, SPECIFICATION, load_catalog("bsc5"))
+    assert [panel.title for panel in found.trends] == ["Error against number of stars"]
+
+
+def test_limits_are_told_from_the_bound_and_the_budget(scenario):
+    columns = trials()
+    columns |= {f"bound_{axis}_deg": np.full(400, value * ARCSEC) for axis, value in
+                (("cross_x", 10.0), ("cross_y", 20.0), ("about_boresight", 50.0))}  # fmt: skip
+    columns["nees"] = np.random.default_rng(1).chisquare(3, 400)
+    share = {"rms_off_deg": 1.0, "added_rms_deg": 0.8, "added_rms_interval95_deg": [0.7, 0.9]}
+    unsure = share | {"added_rms_deg": 0.9, "added_rms_interval95_deg": [-0.2, 1.5]}
+    budget = {
+        "trials": 50, "seed": 1, "rms_deg": dict.fromkeys(AXES[3:], 1.0), "remainder": None, "classes": [],
+        "effects": [
+            {"name": name, "axes": dict.fromkeys(AXES[3:], of)}
+            for name, of in (("shot noise", share), ("cosmic rays", unsure))
+        ],
+    }  # fmt: skip
+    content = content_of(scenario, summary_of(columns), columns, budget)
+    said = " ".join(content.answer.limits)
+    assert "it lies in the processing" in said  # twice the bound about the boresight
+    assert "up to 50 %" in said or "up to 49 %" in said or "up to 51 %" in said or "up to 52 %" in said
+    assert "tells the truth" in said
+    assert "shot noise 64 %" in said  # 0.8² of the mean square; what may be nothing is not named
+    assert "cosmic rays" not in said
+    assert content.budget.rows[0][0] == "cosmic rays"
+    assert content.budget.rows[-1][0] == "the error"
+
+
+def test_chosen_frames():
+    columns = trials(n=5)
+    for axis, errors in (("roll", [1, 2, 3, 4, 50]), ("pitch", [0] * 5), ("yaw", [0] * 5)):
+        columns[f"error_{axis}_deg"] = np.array(errors) * ARCSEC
+    assert chosen_trials(columns, SPECIFICATION) == [("best", 0), ("median", 2), ("worst", 4)]
+    columns["status"][:] = "no_stars"
+    assert chosen_trials(columns, SPECIFICATION) == [("first not solved", 0)]
+
+
+def test_outliers_are_found_by_their_index():
+    columns = trials(n=6)
+    columns["index"] = np.array([0, 2, 4, 6, 8, 10])
+    columns["status"][1] = "ambiguous"
+    found = outlier_positions(columns, {"outliers": [{"index": 8, "why": "large"}, {"index": 9, "why": "not there"}]})
+    assert found == [(1, "ambiguous"), (4, "large")]
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(1.0, "100.00 %"), (0.5, "50.00 %"), (0.99999, "99.999 %"), (1e-5, "0.001 %"), (0.0, "0.00 %")]
+)
+def test_shares_keep_the_digits_that_tell_them_from_all_and_nothing(share, text):
+    assert percent_text(share) == text
+
+
+def test_nothing_solved_still_makes_a_report(scenario):
+    small = scenario.with_values(trials=2)
+    columns = trials(n=2)
+    columns["status"][:] = "no_stars"
+    for axis in AXES:
+        columns[f"error_{axis}_deg"][:] = np.nan
+    report = build_report(small, summary_of(columns), columns)
+    assert "No frame was solved." in html_of(report)
+    assert pdf_of(report).startswith(b"%PDF")
+
+
+def test_runner_of_the_run_is_used_again(scenario, monkeypatch):
+    runner = TrialRunner(scenario)
+    columns = trials(n=3)
+    monkeypatch.setattr("simulator.study.report_frames.TrialRunner", None)  # a second one would fail
+    assert len(build_report(scenario, summary_of(columns), columns, runner=runner).frames) == 3
+
+
+def test_report_command_writes_both_again_and_refuses_what_is_no_run(tmp_path, capsys, monkeypatch):
+    def boresight(*arguments):
+        monkeypatch.setattr("sys.argv", ["boresight", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        return stop.value.code
+
+    run(Scenario.load("cubesat", SMALL), trials=3, out=tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_bytes()
+    assert boresight("report", tmp_path / "out", "--pdf") == 0
+    assert (tmp_path / "out" / "report.html").read_bytes() == page
+    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
+    (tmp_path / "b.json").write_text(json.dumps({"effects": [], "classes": [], "rms_deg": {}, "scenario": "other"}))
+    for arguments, told in (
+        ([str(tmp_path)], "not the folder of a finished run"),
+        ([str(tmp_path / "out"), "--budget", str(tmp_path / "none.json")], "cannot be read"),
+        ([str(tmp_path / "out"), "--budget", str(tmp_path / "b.json")], "the budget is that of 'other'"),
+    ):
+        capsys.readouterr()
+        assert boresight("report", *arguments) == 2
+        assert told in capsys.readouterr().err

@@ -1,0 +1,132 @@
+"""The error budget against errors that are put together from known parts, and on a small camera for real."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from simulator.scenario import Scenario
+from simulator.scene import SceneBuilder
+from simulator.study import budget as module
+from simulator.study.budget import CLASSES, EFFECTS, budget, effective
+from simulator.study.statistics import AXES
+from startracker.errors import BoresightError, InputError
+
+SMALL = ("detector.width=256", "detector.height=256", "optics.focal_length_mm=12", "optics.aperture_mm=8.5")
+QUIET = (
+    "detector.hot_pixel_fraction=0", "detector.dark_current_e_s=0", "detector.dsnu=0", "sky.background=false",
+    "sky.light_deflection=false", "sky.planets=false", "sky.magnitude_limit=6.5", "detector.adc_bits=null",
+    "detector.gain_e_per_dn=3", "pointing.target=[83.8, -1.2, 20.0]",
+)  # fmt: skip
+PARTS = {"shot": 3.0, "read": 2.0, "prnu": 1.0, "floor": 0.5}
+N = 2000
+
+
+def fake_run(scenario, trials, **_):
+    """Errors in arcseconds as the sum of independent normal parts, each there where its effect is on."""
+    on = {
+        "shot": scenario.detector.shot_noise,
+        "read": scenario.detector.read_noise_e > 0,
+        "prnu": scenario.detector.prnu > 0,
+        "floor": True,
+    }
+    parts = [PARTS[k] * np.random.default_rng([j, 5]).normal(size=trials) for j, k in enumerate(PARTS) if on[k]]
+    table = {f"error_{axis}_deg": np.sum(parts, axis=0) / 3600 for axis in AXES}
+    table |= {"status": ["solved"] * (trials - 1) + ["no_match"], "wrong": [False] * trials}
+    return SimpleNamespace(table=pa.table(table), interrupted=False)
+
+
+def test_known_parts_are_found(monkeypatch):
+    """The mean of e² less that without, over N trials, is σ² plus twice the mean of σ z times the rest: its standard
+    deviation is σ √(2 σ² + 4 rest²) / √N; four of these, in terms of the root: half of it over σ."""
+    monkeypatch.setattr(module, "run_trials", fake_run)
+    told = []
+    found = budget(
+        Scenario.load("cubesat", overrides=QUIET), N, progress=lambda done, total: told.append((done, total))
+    )
+    assert [row.name for row in found.effects] == ["shot noise", "read noise", "response non-uniformity"]
+    total = sum(v * v for v in PARTS.values())
+    for row, part in zip(found.effects, ("shot", "read", "prnu"), strict=True):
+        sigma, rest = PARTS[part], total - PARTS[part] ** 2
+        spread = 0.5 * np.sqrt((2 * sigma**2 + 4 * rest) / N)
+        assert row.added_rms_deg("cross_x") * 3600 == pytest.approx(sigma, abs=4 * spread)
+        low, high = row.interval_deg2["cross_x"]
+        assert low < row.added_deg2["cross_x"] < high
+        assert (high - low) * 3600**2 == pytest.approx(2 * 1.96 * 2 * sigma * spread, rel=0.25)
+    assert [(row.name, row.kind) for row in found.classes] == [
+        (CLASSES["pixel_spatial"], "pixel_spatial"),
+        (CLASSES["temporal"], "temporal"),
+    ]
+    temporal = np.hypot(PARTS["shot"], PARTS["read"])
+    spread = 0.5 * np.sqrt((2 * temporal**2 + 4 * (total - temporal**2)) / N)
+    assert found.classes[1].added_rms_deg("about_boresight") * 3600 == pytest.approx(temporal, abs=4 * spread)
+    assert found.remainder.rms_off_deg["cross_y"] * 3600 == pytest.approx(0.5, rel=4 / np.sqrt(2 * N))
+    assert (found.solved, found.trials, found.effects[0].trials) == (N - 1, N, N - 1)
+    assert not told  # the runs were not real
+    assert budget(Scenario.load("cubesat", overrides=QUIET), N) == found
+    entry = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert entry["effects"][0]["axes"]["cross_x"]["added_rms_deg"] == found.effects[0].added_rms_deg("cross_x")
+    text = found.table()
+    assert text.index("shot noise") < text.index("read noise") < text.index("response non-uniformity")
+    figure = found.figure()
+    assert len(figure.axes) == 2
+    assert next(label.get_text() for label in figure.axes[0].get_yticklabels()) == "shot noise"
+
+
+def test_an_interrupt_keeps_what_is_done(monkeypatch):
+    calls = []
+
+    def stopped(scenario, trials, **_):
+        calls.append(scenario)
+        return SimpleNamespace(table=fake_run(scenario, trials).table, interrupted=len(calls) == 3)
+
+    monkeypatch.setattr(module, "run_trials", stopped)
+    found = budget(Scenario.load("cubesat", overrides=QUIET), 50)
+    assert (found.interrupted, [row.name for row in found.effects], found.remainder) == (True, ["shot noise"], None)
+    assert "Interrupted" in found.table()
+    calls.append(None)
+    calls[:] = [None, None]
+    with pytest.raises(BoresightError, match="nothing to report"):
+        budget(Scenario.load("cubesat", overrides=QUIET), 50)
+
+
+def test_one_trial_is_no_budget():
+    with pytest.raises(InputError, match="at least 2"):
+        budget(Scenario.load("cubesat"), 1)
+
+
+def test_every_effect_can_be_switched_off_in_every_shipped_scenario():
+    for name in ("cubesat", "sunsat"):
+        scenario = Scenario.load(name)
+        for effect in EFFECTS:
+            changes = effect.off(scenario)
+            without = module.changed(scenario, changes)
+            assert not effective(without, effect.off(without)), effect.name
+            assert effect.kind in CLASSES
+
+
+def test_smear_off_is_a_camera_that_stands_still():
+    scenario = Scenario.load("cubesat", overrides=["pointing.error_deg=0", "sky.magnitude_limit=3"])
+    effect = next(effect for effect in EFFECTS if effect.name == "smear by rates")
+
+    def rate(of):
+        scene = SceneBuilder(of).scene(0, lambda stage: np.random.default_rng(1), 0.1)
+        return float(np.linalg.norm(scene.pointing.rate_camera_rad_s))
+
+    # the orbital rate of the circular state and that of the nodal period differ by J2, some 1e-3
+    assert rate(module.changed(scenario, effect.off(scenario))) < 5e-3 * rate(scenario)
+
+
+def test_for_real():
+    """Read noise of 60 electrons is most of what a small camera without other noise has."""
+    overrides = [*SMALL, *QUIET, "detector.read_noise_e=60", "detector.shot_noise=false", "detector.prnu=0"]
+    scenario = Scenario.load("cubesat", overrides=overrides)
+    told = []
+    found = budget(scenario, 4, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (3 * 4, 3 * 4)  # everything, one effect, nothing
+    (row,) = found.effects
+    assert (row.name, found.classes[0].name) == ("read noise", CLASSES["temporal"])
+    assert row.added_deg2["cross_x"] > 0.5 * found.rms_deg["cross_x"] ** 2
+    assert found.remainder.rms_off_deg == row.rms_off_deg
