@@ -28,7 +28,7 @@ app.add_typer(study_app, name="study")
 
 ScenarioFile = Annotated[
     Path,
-    typer.Argument(help="Scenario YAML, or the name of one that ships (sunsat, cubesat, tc211).", show_default=False),
+    typer.Argument(help="Scenario YAML, or one that ships (sunsat, cubesat, tc211, orbit, slew).", show_default=False),
 ]
 ScenarioFiles = Annotated[
     list[Path],
