@@ -48,6 +48,8 @@ IMAGE_FLOOR_PX = 0.1
 """Added to the centroids' errors for identification alone: what camera model and blends may add."""
 WORST_PX = 5.0
 """A centroid with a larger error says nothing worth knowing."""
+MISFIT_PX = 3.0
+"""Centroids of an image that are off by more than this are not those of stars."""
 _AXES = math.sqrt(3.0)
 
 
@@ -155,17 +157,23 @@ class StarTracker:
             steps = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=steps)
         hint = _prior(prior, prior_deg)
-        looks: tuple[FoundStars, ...] = (found,)
+        looks, steps = [found], found.steps
         if found.smeared:  # the streaks' own measurement is far better, and most often there
-            again = self._look_again(found, clock, saturation_dn, gain_e_per_dn)
-            looks = (found,) if again is None else (again, found)
-        solution = self._solve(looks[0].xy, looks[0].flux, looks[0].variance_px2, hint, observer, clock)
-        if not solution.solved and (len(looks) == 2 or not found.smeared):
-            other = found if found.smeared else self._look_again(found, clock, saturation_dn, gain_e_per_dn)
-            if other is not None:
-                first, solution = solution, self._solve(other.xy, other.flux, other.variance_px2, hint, observer, clock)
-                looks = (replace(other, steps=(*looks[0].steps, *first.steps, *other.steps)),)
-        found = looks[0]
+            looks[:0] = self._look_again(found, clock, saturation_dn, gain_e_per_dn)
+            steps = looks[0].steps
+        first = looks[0]
+        solution = self._solve(first.xy, first.flux, first.variance_px2, hint, observer, clock)
+        if not _sound(solution, first is found):
+            others = looks[1:] if found.smeared else self._look_again(found, clock, saturation_dn, gain_e_per_dn)
+            for other in others:
+                steps = (*steps, *solution.steps, *other.steps)
+                first = other
+                solution = self._solve(other.xy, other.flux, other.variance_px2, hint, observer, clock)
+        if solution.solved and not _sound(solution, first is found):
+            within = f"they fit only within {_misfit_px(solution):.1f} px, as pieces of streaks do"
+            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, first.xy)
+            solution = replace(refused, steps=solution.steps)
+        found = replace(first, steps=steps)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
@@ -301,10 +309,11 @@ class StarTracker:
 
     def _look_again(
         self, found: FoundStars, clock: Clock, saturation_dn: float | None, gain_e_per_dn: float | None
-    ) -> FoundStars | None:
-        return look_again(
+    ) -> list[FoundStars]:
+        again = look_again(
             found, self.detection, self.camera, clock, saturation_dn=saturation_dn, gain_e_per_dn=gain_e_per_dn
         )
+        return [] if again is None else [again]
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
@@ -317,6 +326,19 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
+
+
+def _misfit_px(solution: Solution) -> float:
+    """Root mean square distance of the stars from where the solution puts them."""
+    return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
+
+
+def _sound(solution: Solution, of_spots: bool) -> bool:
+    """Whether a field is solved, and its stars, where they were taken for spots, are where they should be.
+
+    Pieces of streaks are near their stars, so that the field is found, but all off alike.
+    """
+    return solution.solved and not (of_spots and _misfit_px(solution) > MISFIT_PX)
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
