@@ -171,13 +171,14 @@ class Scenario(ScenarioModel):
                 problems += [Problem(Place(option), "", message)] if message else []
         if problems:
             raise ScenarioError(problems)
-        return self._changed(changed)
+        return self.changed(changed)
 
     def noiseless(self) -> Scenario:
         """The same without background, noise, saturation, digitisation and flaws of the detector."""
-        return self._changed(flatten(self) | _NOISELESS)
+        return self.changed(flatten(self) | _NOISELESS)
 
-    def _changed(self, flat: dict[str, Any]) -> Scenario:
+    def changed(self, flat: dict[str, Any]) -> Scenario:
+        """The scenario of these values by dotted key, checked anew; files it names stay relative to its own place."""
         scenario = type(self).model_validate(nest(flat))
         scenario._path = self._path
         return scenario

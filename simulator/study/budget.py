@@ -321,7 +321,7 @@ def effective(scenario: Scenario, changes: Changes) -> Changes:
 
 def changed(scenario: Scenario, changes: Changes) -> Scenario:
     """The scenario with keys, by dotted path, set to other values."""
-    return scenario._changed(flatten(scenario) | changes)
+    return scenario.changed(flatten(scenario) | changes)
 
 
 def _joined(members: list[tuple[Effect, Changes]]) -> Changes:

@@ -354,7 +354,7 @@ def _point(
 def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
     """The scenario with other values of keys, checked as a file is; `InputError` where no such camera can be."""
     try:
-        return scenario._changed(flatten(scenario) | keys)
+        return scenario.changed(flatten(scenario) | keys)
     except ValidationError as error:
         told = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
         raise InputError("; ".join(" ".join(text.split()) for text in told)) from error

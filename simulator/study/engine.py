@@ -8,13 +8,11 @@ alone.
 from __future__ import annotations
 
 import contextlib
-import signal
 import threading
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import FrameType
 
 import pyarrow as pa
 
@@ -22,6 +20,7 @@ from simulator.scenario import Scenario
 from simulator.study.blocks import Blocks, Result, run_block
 from simulator.study.parts import PartStore, discard_parts
 from simulator.study.process_pool import run_in_pool
+from simulator.study.stopping import stop_on_signal
 from simulator.study.trial import TrialRunner
 from startracker.errors import InputError
 
@@ -109,7 +108,7 @@ def run_trials(
     done = taken_over = trials - blocks.left
     if progress:
         progress(done, trials)
-    with _stop_on_signal() as stop:
+    with stop_on_signal() as stop:
         with contextlib.closing(_results(scenario, blocks, workers, dask, stop)) as results:
             for result in results:
                 store.put(result.block, result.table)
@@ -140,27 +139,3 @@ def _run_here(scenario: Scenario, blocks: Blocks, stop: threading.Event) -> Gene
         if result.block:
             blocks.finished(result)
             yield result
-
-
-@contextlib.contextmanager
-def _stop_on_signal() -> Iterator[threading.Event]:
-    """Event that Ctrl-C, or a polite kill, sets; a second Ctrl-C interrupts at once.
-
-    An exception raised wherever the signal happens to arrive could come out of compiled code as something else.
-    """
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
