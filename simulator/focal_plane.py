@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,16 @@ from simulator.scene import Scene
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import occulted, stray_sources
 from simulator.sky.photometry import Photometer
+from simulator.sky.solar_system import Bodies
 from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _EDGE_MARGIN_PX = 160.0
 """Stars up to this far outside the detector are drawn where their wings reach in; those of a million electrons do."""
 
+_KIND = "U8"
 _DISK_PX = 1.5
 """Bodies of a larger radius are drawn as disks, smaller ones as points through the PSF."""
 
@@ -74,14 +78,33 @@ class Exposure:
     excluded: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Light:
+class _Seen(NamedTuple):
+    """Sources whose light reaches the detector: their rows, and what was found on the way."""
+
+    rows: IntArray
+    in_camera: FloatArray
+    xy: FloatArray
+    electrons: FloatArray
+
+
+class _Light(NamedTuple):
     """Sources of one exposure with what drawing them needs; columns of equal length N."""
 
     sources: TrueSources
+    in_camera: FloatArray
     radius_rad: FloatArray
     lit: FloatArray
     sun_angle_rad: FloatArray
+
+    @classmethod
+    def joined(cls, first: _Light, second: _Light) -> _Light:
+        """One after the other."""
+        columns = [np.concatenate(pair) for pair in zip(first[1:], second[1:], strict=True)]
+        sources = {
+            column.name: np.concatenate([getattr(light.sources, column.name) for light in (first, second)])
+            for column in fields(TrueSources)
+        }
+        return cls(TrueSources(**sources), *columns)
 
 
 class FocalPlane:
@@ -116,6 +139,10 @@ class FocalPlane:
         )
         area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
         self.photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
+        self.s10_e_s_pixel = self.photometer.background_e_s_pixel(
+            1.0, 1.0 / (self.true_camera.fx * self.true_camera.fy)
+        )
+        """Electrons a second and pixel of diffuse light of 1 S10."""
         self.psfs = build_psf_set(
             optics.psf,
             optics.focal_length_mm / optics.aperture_mm,
@@ -151,61 +178,93 @@ class FocalPlane:
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene) -> _Light:
         """Every source whose light reaches the detector, at mid-exposure."""
-        camera, scenario = self.true_camera, self.scenario
-        exposure_s = scenario.detector.exposure_s
-        stars, bodies, pointing = scene.stars, scene.bodies, scene.pointing
-        streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * exposure_s
+        camera, pointing, bodies = self.true_camera, scene.pointing, scene.bodies
+        streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * self.scenario.detector.exposure_s
+        stars = self._reaching(
+            scene, scene.star_directions, scene.catalog.v_mag[scene.rows], scene.star_b_v, scene.star_giant, streak_rad
+        )
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
         reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
-        direction = np.concatenate([scene.star_directions, bodies.direction[near]])
-        v_mag = np.concatenate([stars.v_mag, bodies.v_mag[near]])
-        b_v = np.concatenate([scene.star_b_v, bodies.b_v[near]])
-        giant = np.concatenate([scene.star_giant, np.zeros(len(near))])  # bodies shine by sunlight
-        kinds = [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name[near]]
-        in_camera = pointing.camera.apply(direction)
-        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * exposure_s
+        if not len(near):
+            return self._of_stars(scene, stars)
+        bodies = bodies.select(near)
+        # they shine by sunlight
+        found = self._reaching(
+            scene,
+            bodies.direction,
+            bodies.v_mag,
+            bodies.b_v,
+            np.zeros(len(near)),
+            bodies.angular_radius_rad + streak_rad,
+        )
+        return _Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
+
+    def _of_stars(self, scene: Scene, seen: _Seen) -> _Light:
+        catalog, rows, none = scene.catalog, scene.rows[seen.rows], np.zeros(len(seen.rows))
+        sources = TrueSources(
+            id=catalog.id[rows],
+            name=catalog.star_name[rows],
+            kind=np.full(len(rows), "star", dtype=_KIND),
+            xy=seen.xy,
+            direction=scene.star_directions[seen.rows],
+            v_mag=catalog.v_mag[rows],
+            b_v=scene.star_b_v[seen.rows],
+            electrons=seen.electrons,
+            variable=catalog.variable[rows],
+        )
+        return _Light(sources, seen.in_camera, none, none + 1.0, none)
+
+    def _of_bodies(self, scene: Scene, bodies: Bodies, seen: _Seen) -> _Light:
+        bodies = bodies.select(seen.rows)
+        angles = [
+            sun_angle_rad(self.true_camera, scene.pointing.camera, u, scene.sun_direction) for u in bodies.direction
+        ]
+        sources = TrueSources(
+            id=np.zeros(len(bodies), np.int64),
+            name=bodies.name,
+            kind=np.array(
+                [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name], dtype=_KIND
+            ),
+            xy=seen.xy,
+            direction=bodies.direction,
+            v_mag=bodies.v_mag,
+            b_v=bodies.b_v,
+            electrons=seen.electrons,
+            variable=np.zeros(len(bodies), dtype=bool),
+        )
+        lit = bodies.illuminated_fraction if self.sky.phases else np.ones(len(bodies))
+        return _Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
+
+    def _reaching(
+        self,
+        scene: Scene,
+        direction: FloatArray,
+        v_mag: FloatArray,
+        b_v: FloatArray,
+        giant: FloatArray,
+        extent_rad: float | FloatArray,
+    ) -> _Seen:
+        """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
+        free."""
+        camera, scenario = self.true_camera, self.scenario
+        in_camera = scene.pointing.camera.apply(direction)
+        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * scenario.detector.exposure_s
         if self.illumination is not None:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
-        sources = TrueSources(
-            id=np.concatenate([stars.id, np.zeros(len(near), np.int64)]),
-            name=np.concatenate([stars.star_name, bodies.name[near]]),
-            kind=np.array(["star"] * len(stars) + kinds, dtype="U8"),
-            xy=camera.project(in_camera),
-            direction=direction,
-            v_mag=v_mag,
-            b_v=b_v,
-            electrons=electrons,
-            variable=np.concatenate([stars.variable, np.zeros(len(near), dtype=bool)]),
-        )
-        none = np.zeros(len(stars))
-        radius_rad = np.concatenate([none, bodies.angular_radius_rad[near]])
-        phase = bodies.illuminated_fraction[near] if self.sky.phases else np.ones(len(near))
-        angles = [sun_angle_rad(camera, pointing.camera, u, scene.sun_direction) for u in bodies.direction[near]]
-        reaching = self._reaching(sources, radius_rad + streak_rad)
+        xy = camera.project(in_camera)
+        extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
+        x, y = xy[:, 0], xy[:, 1]
+        outside = np.maximum(np.maximum(-x, x - camera.width), np.maximum(-y, y - camera.height))
+        rows = np.flatnonzero(outside <= extent_px)
         if self.sky.earth:
-            reaching = reaching[~occulted(direction[reaching], scene.r_km)]
-        return _Light(
-            sources.select(reaching),
-            radius_rad[reaching],
-            np.concatenate([none + 1.0, phase])[reaching],
-            np.concatenate([none, angles])[reaching],
-        )
-
-    def _reaching(self, sources: TrueSources, extent_rad: FloatArray) -> NDArray[np.int64]:
-        """Rows of the sources whose image, drawn out by disk and streak, reaches the detector."""
-        camera = self.true_camera
-        extent_px = self.psfs.radius_px(sources.electrons) + extent_rad / camera.pixel_rad
-        outside = np.maximum(
-            np.maximum(-sources.xy[:, 0], sources.xy[:, 0] - camera.width),
-            np.maximum(-sources.xy[:, 1], sources.xy[:, 1] - camera.height),
-        )
-        return np.flatnonzero(outside <= extent_px)
+            rows = rows[~occulted(direction[rows], scene.r_km)]
+        return _Seen(rows, in_camera[rows], xy[rows], electrons[rows])
 
     def _paths(self, light: _Light, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions (N, K, 2) over the exposure, weights (K,), and electrons (N,) gathered in it."""
         camera, detector, sources = self.true_camera, self.scenario.detector, light.sources
-        directions = scene.pointing.camera.apply(sources.direction)
+        directions = light.in_camera
         rate = scene.pointing.rate_camera_rad_s
         margin_px = _EDGE_MARGIN_PX + float(np.max(light.radius_rad, initial=0.0)) / camera.pixel_rad
         feature_px = self.psfs.feature_px
@@ -261,8 +320,7 @@ class FocalPlane:
         """Diffuse sky, Earth and its limb."""
         camera, scenario = self.true_camera, self.scenario
         s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
-        solid_angle_sr = 1.0 / (camera.fx * camera.fy)
-        each = self.photometer.background_e_s_pixel(1.0, solid_angle_sr) * scenario.detector.exposure_s
+        each = self.s10_e_s_pixel * scenario.detector.exposure_s
         return s10 * each if self.illumination is None else s10 * each * self.illumination
 
     def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:

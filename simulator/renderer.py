@@ -87,8 +87,9 @@ class Renderer:
 
         scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s)
         light = self.focal_plane.expose(scene)
-        mean_e = light.mean_e + light.background_e
-        readout = detect(mean_e, detector, self.pattern, streams)
+        mean_e = light.mean_e
+        mean_e += light.background_e
+        readout = detect(mean_e, detector, self.pattern, streams, keep_charge=False)
 
         frame = Frame(
             image=readout.image,

@@ -18,7 +18,7 @@ from simulator.mission.pointing import Pointing, hold, point, point_at_random, t
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
 from simulator.scenario import Scenario
-from simulator.sky.apparent import SkyIndex, apparent_directions
+from simulator.sky.apparent import SkyIndex
 from simulator.sky.colours import spectral_coordinates
 from simulator.sky.observer import observe
 from simulator.sky.solar_system import Bodies, solar_system, sun_position_au
@@ -29,6 +29,7 @@ from startracker.catalog.stars import StarCatalog
 from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Streams = Callable[[str], np.random.Generator]
 
 
@@ -50,8 +51,10 @@ class Scene:
         Attitudes and rate; the true attitude is the mean over the exposure where there is jitter.
     jitter : JitterPath, optional
         Turning of the camera about that attitude during the exposure.
-    stars : StarCatalog
-        Stars in and around the field.
+    catalog : StarCatalog
+        All stars of the sky.
+    rows : int array, shape (N,)
+        Those of them in and around the field.
     star_directions : array, shape (N, 3)
         Where each appears, ICRS axes.
     star_b_v, star_giant : array, shape (N,)
@@ -66,11 +69,17 @@ class Scene:
     sun_direction: FloatArray
     pointing: Pointing
     jitter: JitterPath | None
-    stars: StarCatalog
+    catalog: StarCatalog
+    rows: IntArray
     star_directions: FloatArray
     star_b_v: FloatArray
     star_giant: FloatArray
     bodies: Bodies
+
+    @property
+    def stars(self) -> StarCatalog:
+        """The stars in and around the field as a catalogue of their own."""
+        return self.catalog.select(self.rows)
 
 
 class SceneBuilder:
@@ -139,14 +148,13 @@ class SceneBuilder:
         if attitude is not None:
             pointing = turned_to(pointing, attitude, rate_camera_rad_s)
         pointing, jitter = self._shaken(pointing, streams)
-        streak_rad = float(np.linalg.norm(pointing.rate_camera_rad_s)) * scenario.detector.exposure_s
+        streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * scenario.detector.exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
-        stars = self.sky.catalog.select(rows)
-        directions = apparent_directions(stars, observer, sun_au, scenario.sky)
+        directions = self.sky.apparent(rows, observer, sun_au, scenario.sky)
         assert observer.position_au is not None
         to_sun = sun_au - observer.position_au
-        sun_direction = to_sun / np.linalg.norm(to_sun)
+        sun_direction = to_sun / math.hypot(*to_sun.tolist())
         return Scene(
             t_s=t_s,
             r_km=r_km,
@@ -154,7 +162,8 @@ class SceneBuilder:
             sun_direction=sun_direction,
             pointing=pointing,
             jitter=jitter,
-            stars=stars,
+            catalog=self.sky.catalog,
+            rows=rows,
             star_directions=directions,
             star_b_v=self._b_v[rows],
             star_giant=self._giant[rows],

@@ -49,7 +49,7 @@ def quat_to_matrix(quat: FloatArray) -> FloatArray:
 
     Markley & Crassidis 2014, *Fundamentals of Spacecraft Attitude Determination and Control*, eq. 2.125.
     """
-    x, y, z, w = quat
+    x, y, z, w = np.asarray(quat, dtype=float).tolist()  # plain floats: a tenth of the time of NumPy's scalars
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
@@ -65,26 +65,26 @@ def matrix_to_quat(matrix: FloatArray) -> FloatArray:
     Shepperd's method: the largest of the four candidates is divided by, never a small one
     (Markley & Crassidis 2014, section 2.9.3).
     """
-    m = matrix
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    squares = np.array([1 + 2 * m[0, 0] - trace, 1 + 2 * m[1, 1] - trace, 1 + 2 * m[2, 2] - trace, 1 + trace])
-    rows = np.array(
-        [
-            [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] - m[2, 1]],
-            [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[2, 0] - m[0, 2]],
-            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[0, 1] - m[1, 0]],
-            [m[1, 2] - m[2, 1], m[2, 0] - m[0, 2], m[0, 1] - m[1, 0], squares[3]],
-        ]
-    )
-    row = rows[int(np.argmax(squares))]
-    quat: FloatArray = row / math.sqrt(float(row @ row))
-    return -quat if quat[3] < 0 else quat
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=float).tolist()
+    trace = a + e + i
+    squares = (1 + 2 * a - trace, 1 + 2 * e - trace, 1 + 2 * i - trace, 1 + trace)
+    largest = squares.index(max(squares))
+    x, y, z, w = (
+        (squares[0], b + d, c + g, f - h),
+        (b + d, squares[1], f + h, g - c),
+        (c + g, f + h, squares[2], b - d),
+        (f - h, g - c, b - d, squares[3]),
+    )[largest]
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0:
+        length = -length
+    return np.array([x / length, y / length, z / length, w / length])
 
 
 def quat_multiply(second: FloatArray, first: FloatArray) -> FloatArray:
     """Quaternion of ``quat_to_matrix(second) @ quat_to_matrix(first)`` (Markley & Crassidis 2014, eq. 2.82a)."""
-    x1, y1, z1, w1 = second
-    x2, y2, z2, w2 = first
+    x1, y1, z1, w1 = np.asarray(second, dtype=float).tolist()
+    x2, y2, z2, w2 = np.asarray(first, dtype=float).tolist()
     return np.array(
         [
             w1 * x2 + x1 * w2 - y1 * z2 + z1 * y2,
@@ -97,10 +97,15 @@ def quat_multiply(second: FloatArray, first: FloatArray) -> FloatArray:
 
 def rotation_vector_to_matrix(vector: ArrayLike) -> FloatArray:
     """Matrix turning *coordinates* when the frame turns by the rotation vector (radians, right-handed, any angle)."""
-    theta = np.asarray(vector, dtype=float)
-    angle = math.sqrt(float(theta @ theta))
-    half_sinc = 0.5 * np.sinc(angle / (2 * math.pi))
-    return quat_to_matrix(np.append(theta * half_sinc, math.cos(angle / 2)))
+    return quat_to_matrix(_rotation_vector_to_quat(vector))
+
+
+def _rotation_vector_to_quat(vector: ArrayLike) -> FloatArray:
+    """Quaternion (x, y, z, w) of `rotation_vector_to_matrix`; w < 0 for angles beyond π."""
+    x, y, z = np.asarray(vector, dtype=float).tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    half_sinc = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    return np.array([x * half_sinc, y * half_sinc, z * half_sinc, math.cos(0.5 * angle)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +126,16 @@ class Attitude:
 
     def __post_init__(self) -> None:
         quat = np.array(self.quat, dtype=float)
-        largest = float(np.abs(quat).max()) if quat.shape == (4,) else math.nan
-        if not (math.isfinite(largest) and largest > 0):
+        x, y, z, w = quat.tolist() if quat.shape == (4,) else (math.nan,) * 4
+        largest = max(abs(x), abs(y), abs(z), abs(w))
+        finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
+        if not (finite and largest > 0):
             raise InputError(f"an attitude needs a finite quaternion (x, y, z, w) that is not zero; got {self.quat}")
-        quat /= largest  # so that squares neither overflow nor vanish
-        quat /= math.sqrt(float(quat @ quat))
-        if quat[3] < 0:
-            quat = -quat
+        x, y, z, w = x / largest, y / largest, z / largest, w / largest  # so that squares neither overflow nor vanish
+        length = math.sqrt(x * x + y * y + z * z + w * w)
+        if w < 0:
+            length = -length
+        quat[0], quat[1], quat[2], quat[3] = x / length, y / length, z / length, w / length
         quat.flags.writeable = False
         object.__setattr__(self, "quat", quat)
 
@@ -136,7 +144,7 @@ class Attitude:
     def from_matrix(cls, matrix: ArrayLike, source: str = "icrs", target: str = "camera") -> Attitude:
         """Attitude of a proper rotation matrix, ``v_target = matrix @ v_source``."""
         m = np.asarray(matrix, dtype=float)
-        if m.shape != (3, 3) or not np.allclose(m @ m.T, np.eye(3), atol=1e-6) or np.linalg.det(m) < 0:
+        if m.shape != (3, 3) or not _is_rotation(m):
             raise InputError("an attitude matrix must be 3×3, orthogonal and of determinant +1")
         return cls(matrix_to_quat(m), source, target)
 
@@ -156,7 +164,7 @@ class Attitude:
     @classmethod
     def from_rotation_vector(cls, vector_rad: ArrayLike, source: str, target: str) -> Attitude:
         """Attitude of the frame reached by turning the source frame by a rotation vector (radians)."""
-        return cls(matrix_to_quat(rotation_vector_to_matrix(vector_rad)), source, target)
+        return cls(_rotation_vector_to_quat(vector_rad), source, target)
 
     # ------------------------------------------------------------------ given as
     def as_quat(self) -> FloatArray:
@@ -176,12 +184,14 @@ class Attitude:
     @property
     def ra_deg(self) -> float:
         """Right ascension of the boresight, degrees in [0, 360)."""
-        return math.degrees(float(direction_to_radec(self.boresight)[0]))
+        x, y, _ = self.boresight.tolist()
+        return math.degrees(_right_ascension(x, y))
 
     @property
     def dec_deg(self) -> float:
         """Declination of the boresight, degrees."""
-        return math.degrees(float(direction_to_radec(self.boresight)[1]))
+        x, y, z = self.boresight.tolist()
+        return math.degrees(math.atan2(z, math.hypot(x, y)))
 
     @property
     def roll_deg(self) -> float:
@@ -189,11 +199,11 @@ class Attitude:
 
         At a celestial pole north is the limit along the meridian of `ra_deg`.
         """
-        matrix = self.as_matrix()
-        ra, dec = (float(angle) for angle in direction_to_radec(matrix[2]))
-        north = np.array([-math.sin(dec) * math.cos(ra), -math.sin(dec) * math.sin(ra), math.cos(dec)])
-        east = np.array([-math.sin(ra), math.cos(ra), 0.0])
-        roll = math.degrees(math.atan2(float(-matrix[1] @ east), float(-matrix[1] @ north))) % 360.0
+        _, (a, b, c), (x, y, z) = self.as_matrix().tolist()
+        ra, across = _right_ascension(x, y), math.hypot(x, y)  # cos Dec; sin Dec is z
+        north = z * (math.cos(ra) * a + math.sin(ra) * b) - across * c
+        east = math.sin(ra) * a - math.cos(ra) * b
+        roll = math.degrees(math.atan2(east, north)) % 360.0
         return 0.0 if roll >= 360.0 else roll
 
     # ------------------------------------------------------------------ put together
@@ -224,17 +234,34 @@ class Attitude:
             raise FrameMismatchError(
                 f"{self.source} → {self.target} and {other.source} → {other.target} cannot be compared"
             )
-        x, y, z, w = quat_multiply(other.quat, self.inverse.quat)
-        vector = np.array([x, y, z]) * (1.0 if w >= 0 else -1.0)
-        sine = math.sqrt(float(vector @ vector))
-        angle = 2.0 * math.atan2(sine, abs(float(w)))
-        return vector * (angle / sine if sine > 0 else 2.0)
+        x, y, z, w = quat_multiply(other.quat, self.inverse.quat).tolist()
+        sine = math.sqrt(x * x + y * y + z * z)
+        angle = 2.0 * math.atan2(sine, abs(w))
+        scale = (angle / sine if sine > 0 else 2.0) * (1.0 if w >= 0 else -1.0)
+        return np.array([x * scale, y * scale, z * scale])
 
     def angle_to(self, other: Attitude) -> float:
         """Angle of the rotation between two attitudes, radians."""
-        return float(np.linalg.norm(self.rotation_vector_to(other)))
+        return math.hypot(*self.rotation_vector_to(other).tolist())
 
     def __repr__(self) -> str:
         if (self.source, self.target) == ("icrs", "camera"):
             return f"Attitude(ra={self.ra_deg:.5f}°, dec={self.dec_deg:+.5f}°, roll={self.roll_deg:.5f}°)"
         return f"Attitude({self.source} → {self.target}, quat={np.array2string(self.quat, precision=6)})"
+
+
+def _is_rotation(matrix: FloatArray) -> bool:
+    """Whether a matrix (3, 3) is orthogonal, within 1e-5 in the lengths of its rows, and of positive determinant."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    lengths = (a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i)
+    slants = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    orthogonal = all(abs(square - 1.0) <= 1.1e-5 for square in lengths) and all(abs(slant) <= 1e-6 for slant in slants)
+    return orthogonal and a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
+
+
+def _right_ascension(x: float, y: float) -> float:
+    """Angle of (x, y) from +x towards +y, radians in [0, 2π)."""
+    angle = math.atan2(y, x)
+    if angle < 0.0:
+        angle += 2.0 * math.pi
+    return 0.0 if angle >= 2.0 * math.pi else angle + 0.0  # of a tiny negative angle 2π itself is left; no −0.0

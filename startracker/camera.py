@@ -6,6 +6,7 @@ A pixel's centre has integer coordinates, (0, 0) is the centre of the first pixe
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import math
 import os
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.distortion import Distortion, distort, undistort
+from startracker.distortion import Distortion, project_pinhole, unproject_pinhole
 from startracker.errors import InputError
 from startracker.fisheye import PROJECTIONS, fisheye_project, fisheye_unproject, limit_rad
 
@@ -225,7 +226,7 @@ class Camera:
         """Largest angle from the boresight at which the camera sees: 89.9° for a pinhole, the edge of a fisheye."""
         return math.radians(89.9) if self.projection == "pinhole" else self._fisheye[2]
 
-    @property
+    @functools.cached_property
     def half_diagonal_rad(self) -> float:
         """Largest angle between the boresight and a corner of the image, distortion included."""
         x, y = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
@@ -243,7 +244,12 @@ class Camera:
         """Angle of one pixel at the centre of the field, radians."""
         return 1.0 / math.sqrt(self.fx * self.fy)
 
-    @property
+    @functools.cached_property
+    def _pinhole(self) -> tuple[FloatArray, float, float, float, float]:
+        """Distortion and scale as the kernel takes them."""
+        return self.distortion.as_array(), self.parity * self.fx, self.fy, self.cx, self.cy
+
+    @functools.cached_property
     def _fisheye(self) -> tuple[FloatArray, bool, float]:
         """Coefficients, whether equisolid, and the largest angle, as the kernels take them."""
         lens = self.distortion
@@ -259,27 +265,19 @@ class Camera:
         image, so select by angle first (`half_diagonal_rad`).
         """
         v = np.atleast_2d(np.asarray(vectors, dtype=float))
-        if self.projection != "pinhole":
-            xy = fisheye_project(v, *self._fisheye)
-        else:
-            z = np.where(v[:, 2] > 1e-9, v[:, 2], np.nan)
-            xy = np.stack([v[:, 0] / z, v[:, 1] / z], axis=1)
-            if not self.distortion.is_zero:
-                xy = distort(xy, self.distortion.as_array())
+        if self.projection == "pinhole":
+            return np.asarray(project_pinhole(v, *self._pinhole))
+        xy = fisheye_project(v, *self._fisheye)
         return np.stack([self.parity * self.fx * xy[:, 0] + self.cx, self.fy * xy[:, 1] + self.cy], axis=1)
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
         """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone, and
         outside a fisheye's image circle."""
         p = np.atleast_2d(np.asarray(xy, dtype=float))
+        if self.projection == "pinhole":
+            return np.asarray(unproject_pinhole(p, *self._pinhole))
         normalised = np.stack([self.parity * (p[:, 0] - self.cx) / self.fx, (p[:, 1] - self.cy) / self.fy], axis=1)
-        if self.projection != "pinhole":
-            return np.asarray(fisheye_unproject(normalised, *self._fisheye))
-        if not self.distortion.is_zero:
-            normalised = undistort(normalised, self.distortion.as_array())
-        vectors = np.concatenate([normalised, np.ones((len(p), 1))], axis=1)
-        unit: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-        return unit
+        return np.asarray(fisheye_unproject(normalised, *self._fisheye))
 
     def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
         """Whether pixels (N, 2) lie on the image, grown by a margin."""

@@ -12,6 +12,7 @@ and the order of the coefficients are those of OpenCV's ``calib3d`` module.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +77,20 @@ def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
         out[i, 0], out[i, 1] = _distort_point(xy[i, 0], xy[i, 1], k)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
+    """Pixels (N, 2) of vectors (N, 3) in camera axes through a pinhole and its distortion `k`; NaN where z ≤ 1e-9."""
+    out = np.empty((len(vectors), 2))
+    for i in range(len(vectors)):
+        z = vectors[i, 2]
+        if not z > 1e-9:
+            out[i, 0], out[i, 1] = np.nan, np.nan
+            continue
+        x, y = _distort_point(vectors[i, 0] / z, vectors[i, 1] / z, k)
+        out[i, 0], out[i, 1] = fx * x + cx, fy * y + cy
     return out
 
 
@@ -146,4 +161,22 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
             out[i, 0], out[i, 1] = x, y
         else:
             out[i, 0], out[i, 1] = np.nan, np.nan
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
+    """Unit vectors (N, 3) in camera axes of pixels (N, 2): the inverse of `project_pinhole`; NaN as `undistort` has it."""
+    normalised = np.empty((len(xy), 2))
+    for i in range(len(xy)):
+        normalised[i, 0], normalised[i, 1] = (xy[i, 0] - cx) / fx, (xy[i, 1] - cy) / fy
+    for value in k:
+        if value != 0.0:
+            normalised = undistort(normalised, k)
+            break
+    out = np.empty((len(xy), 3))
+    for i in range(len(xy)):
+        x, y = normalised[i, 0], normalised[i, 1]
+        length = math.sqrt(x * x + y * y + 1.0)
+        out[i, 0], out[i, 1], out[i, 2] = x / length, y / length, 1.0 / length
     return out

@@ -17,6 +17,7 @@ from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.constants import ARCSEC_RAD
 from startracker.detection.background import Background
+from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots
 from startracker.settings import DetectionSettings
 from startracker.solution import Solution, Status
@@ -37,24 +38,31 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-_LATTICE = 64
+_LATTICE = 32
 _FEW_STARS = 6
 
 
-def _sample(plane: NDArray[Any]) -> NDArray[Any]:
-    """About 64 × 64 of a plane's pixels, evenly spread; the finite ones."""
-    rows, columns = (max(1, size // _LATTICE) for size in plane.shape)
-    values = plane[rows // 2 :: rows, columns // 2 :: columns].ravel()
-    return np.asarray(values[np.isfinite(values)])
+def _steps(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Steps of a lattice of about 32 × 32 places."""
+    return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
+
+
+def _extent(values: FloatArray) -> tuple[float, float, float]:
+    """Least, median, largest."""
+    ordered = np.sort(values, axis=None)
+    last = len(ordered) - 1
+    return float(ordered[0]), 0.5 * (float(ordered[last // 2]) + float(ordered[(last + 1) // 2])), float(ordered[last])
 
 
 def image_step(image: NDArray[Any], saturated_share: float, saturation_dn: float) -> Step:
     """Size, type, range and saturation of an image (H, W)."""
     height, width = image.shape
     text = f"{width}×{height} pixels, {image.dtype}"
-    sample = _sample(image)
+    rows, columns = _steps(image.shape)
+    sample = image[rows // 2 :: rows, columns // 2 :: columns].ravel()
+    sample = sample[np.isfinite(sample)]
     if len(sample):
-        low, middle, high = np.percentile(sample, (0.0, 50.0, 100.0))
+        low, middle, high = _extent(sample)
         text += f", values {low:g} to {high:g} (median {middle:g}, sampled)"
     if math.isfinite(saturation_dn):
         text += f"; {_share(saturated_share)} at saturation ({saturation_dn:g})"
@@ -63,14 +71,15 @@ def image_step(image: NDArray[Any], saturated_share: float, saturation_dn: float
 
 def background_step(background: Background) -> Step:
     """Background and noise over the image: least, median, largest."""
-    level = np.percentile(_sample(background.level), (0.0, 50.0, 100.0))
-    noise = np.percentile(_sample(background.noise), (0.0, 50.0, 100.0))
+    steps = _steps(background.shape)
+    level = _extent(sample_plane(background.level_plane, *steps))
+    noise = _extent(sample_plane(background.noise_plane, *steps))
     return Step("background", f"level {_range(level)} DN, noise of a pixel {_range(noise)} DN (min / median / max)")
 
 
 def detection_steps(spots: Spots, settings: DetectionSettings, background: Background) -> tuple[Step, ...]:
     """Threshold, candidates kept, and those rejected by reason, where the detector counts them."""
-    noise = float(np.median(_sample(background.noise)))
+    noise = _extent(sample_plane(background.noise_plane, *_steps(background.shape)))[1]
     first = f"threshold {settings.threshold_sigma:g} σ ({settings.threshold_sigma * noise:.3g} DN above the background)"
     rejected: Mapping[str, int] = getattr(spots, "rejected", {})
     found = len(spots) + sum(rejected.values())
@@ -94,7 +103,7 @@ def centroid_step(centroids: Centroids) -> Step:
     if not len(centroids):
         return Step("centroids", "none")
     sigma = np.sqrt(np.trace(centroids.covariance, axis1=1, axis2=2) / 2.0)
-    low, middle, high = np.percentile(sigma, (0.0, 50.0, 100.0))
+    low, middle, high = _extent(sigma)
     return Step(
         "centroids",
         f"{len(centroids)} over {_magnitudes(centroids.flux)}, standard error {low:.2g} / {middle:.2g} / {high:.2g} px"
@@ -237,7 +246,7 @@ def _magnitudes(flux: FloatArray) -> str:
     return f"{2.5 * math.log10(good.max() / good.min()):.1f} mag" if len(good) else "no flux"
 
 
-def _range(values: FloatArray) -> str:
+def _range(values: tuple[float, float, float]) -> str:
     return " / ".join(f"{value:.4g}" for value in values)
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
@@ -86,9 +87,10 @@ def refine(
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
     used, same = pairs, False
+    directions = camera.unproject(xy)
     for _ in range(12):
         stars, reference = used[:, 0], guide.directions[used[:, 1]]
-        vectors = camera.unproject(xy[stars])
+        vectors = camera.unproject(xy[stars]) if free_focal else directions[stars]
         matrix = fit_rotation(vectors, reference, 1.0 / sigma[stars] ** 2)
         if free_focal:
             camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
@@ -141,11 +143,12 @@ def _normal(
     return normal, right
 
 
+@njit(cache=True, error_model="numpy")
 def _robust_scale(residual: FloatArray, sigma: FloatArray, known: bool) -> float:
     """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
     length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
     freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
-    scale = float(np.median(length)) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
+    scale = np.median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:
         return max(scale, _UNKNOWN_FLOOR_PX)
     # where many stars agree better than they claim to, as without noise, a blend among them shows

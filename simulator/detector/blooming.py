@@ -12,7 +12,7 @@ _SETTLED = 1e-9
 """Charge above the full well, relative to it, that is no longer followed."""
 
 
-def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float = 1.0) -> FloatArray:
+def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) -> FloatArray:
     """Charge that pixels hold, (H, W) electrons, in place.
 
     Channel stops keep charge from its neighbours in the row, while along the column only the potential of the clocks
@@ -26,10 +26,8 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float = 1
     full_well_e : float
         Full well.
     antiblooming : float
-        Share of the charge above the full well that is drained: 1: all, charge is clipped; 0: all of it blooms.
+        Share of the charge above the full well that is drained: 1: all of it, as `exposure.clip` does; 0: all blooms.
     """
-    if antiblooming >= 1.0:
-        return np.minimum(electrons, full_well_e, out=electrons)
     full = np.flatnonzero(electrons.max(axis=0) > full_well_e)
     bloom(electrons, full, full_well_e, 1.0 - antiblooming)
     return electrons

@@ -2,94 +2,101 @@
 
 `CHARGE` is what happens in the pixels, in electrons; `READOUT` what happens on the way to the numbers of the frame.
 An effect that is off is passed over: it costs nothing, changes nothing and draws from no stream. Each random effect has
-a stream of its own, by name, so that switching one changes no other's draws.
+a stream of its own, by name, so that switching one changes no other's draws. Neighbours in the order that act on each
+pixel by itself are walked together (`pixels.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector import blooming, cosmic_rays, exposure, readout, transfer
+from simulator.detector import blooming, cosmic_rays, pixels, readout, transfer
 from simulator.detector.fixed_pattern import FixedPattern
+from simulator.detector.pixels import Step, of_map, walk
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
-Array = NDArray[Any]
+FloatArray = NDArray[np.float64]
 Streams = Callable[[str], np.random.Generator]
+FrameEffect = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its name, whether a detector has it, and what it makes of the signal, in place or anew."""
+    """One effect: its name, whether a detector has it, and what it does: a step on each pixel, or to a whole frame."""
 
     name: str
     on: Callable[[DetectorSection, FixedPattern], bool]
-    apply: Callable[[Array, DetectorSection, FixedPattern, Streams], Array]
+    act: Callable[[DetectorSection, FixedPattern, Streams], Step | FrameEffect]
 
 
-# s: signal (H, W); d: detector section; p: fixed pattern; rng: random stream by name
+# d: detector section; p: fixed pattern; rng: random stream by name; s: signal (H, W), changed in place or anew
 CHARGE: tuple[Effect, ...] = (
     Effect(
         "photo_response",  # mean photo-electrons → the same, by the response of each pixel
         lambda d, p: np.ndim(p.prnu) > 0 or p.prnu != 1.0,
-        lambda s, d, p, rng: exposure.photo_response(s, p.prnu),
+        lambda d, p, rng: of_map(pixels.PHOTO_RESPONSE, p.prnu),
     ),
     Effect(
         "dark_signal",  # + mean dark electrons: temperature, DSNU, hot pixels
         lambda d, p: np.ndim(p.dark_e) > 0 or bool(p.dark_e > 0),
-        lambda s, d, p, rng: exposure.dark_signal(s, p.dark_e),
+        lambda d, p, rng: of_map(pixels.DARK_SIGNAL, p.dark_e),
     ),
     Effect(
         "shot_noise",  # mean → counted electrons
         lambda d, p: d.shot_noise,
-        lambda s, d, p, rng: exposure.shot_noise(s, rng("shot_noise")),
+        lambda d, p, rng: Step(pixels.SHOT_NOISE, rng=rng("shot_noise")),
     ),
     Effect(
         "cosmic_rays",  # + charge along the tracks of particles
         lambda d, p: d.cosmic_rays.rate_cm2_s > 0,
-        lambda s, d, p, rng: cosmic_rays.add_cosmic_rays(s, d, rng("cosmic_rays")),
+        lambda d, p, rng: lambda s: cosmic_rays.add_cosmic_rays(s, d, rng("cosmic_rays")),
     ),
     Effect(
         "full_well",  # the rest drains or blooms
         lambda d, p: True,
-        lambda s, d, p, rng: blooming.full_well(s, d.full_well_e, d.antiblooming),
+        lambda d, p, rng: (
+            Step(pixels.CLIP, (d.full_well_e,))
+            if d.antiblooming >= 1.0
+            else lambda s: blooming.full_well(s, d.full_well_e, d.antiblooming)
+        ),
     ),
 )
 READOUT: tuple[Effect, ...] = (
     Effect(
         "charge_transfer",  # trails of what the transfers leave behind
         lambda d, p: d.cti_parallel > 0 or d.cti_serial > 0,
-        lambda s, d, p, rng: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
+        lambda d, p, rng: lambda s: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
     ),
     Effect(
         "reset_noise",
         lambda d, p: d.reset_capacitance_ff > 0,
-        lambda s, d, p, rng: readout.gaussian_noise(s, readout.section_reset_noise_e(d), rng("reset_noise")),
+        lambda d, p, rng: Step(pixels.NORMAL_NOISE, (readout.section_reset_noise_e(d),), rng=rng("reset_noise")),
     ),
     Effect(
         "read_noise",
         lambda d, p: d.read_noise_e > 0,
-        lambda s, d, p, rng: readout.gaussian_noise(s, d.read_noise_e, rng("read_noise")),
+        lambda d, p, rng: Step(pixels.NORMAL_NOISE, (d.read_noise_e,), rng=rng("read_noise")),
     ),
     Effect(
         "nonlinearity",
         lambda d, p: any(d.nonlinearity),
-        lambda s, d, p, rng: readout.bend(s, d.full_well_e, d.nonlinearity),
+        lambda d, p, rng: Step(pixels.BEND, (d.full_well_e, *d.nonlinearity)),
     ),
     Effect(
         "gain_offset",  # electrons → DN
         lambda d, p: True,
-        lambda s, d, p, rng: readout.amplify(s, readout.gain_e_per_dn(d), d.offset_dn),
+        lambda d, p, rng: Step(pixels.AMPLIFY, (readout.gain_e_per_dn(d), d.offset_dn)),
     ),
     Effect(
         "adc",  # fractional DN → whole DN
         lambda d, p: d.adc_bits is not None,
-        lambda s, d, p, rng: readout.convert(s, 2 ** (d.adc_bits or 0) - 1),
+        lambda d, p, rng: Step(pixels.CONVERT, (2.0 ** (d.adc_bits or 0) - 1.0,)),
     ),
 )
 
@@ -102,10 +109,11 @@ class Readout:
     ----------
     image : (H, W) uint16, or float64 without a converter
         Digital numbers.
-    electrons : (H, W) float64
-        Charge in the pixels at the end of the exposure, before the noise of the readout.
-    saturated : (H, W) bool
+    electrons : (H, W) float64, optional
+        Charge in the pixels at the end of the exposure, before the noise of the readout; None where it was not kept.
+    saturated : (H, W) bool, optional
         Pixels at the full well or at the top of the converter: truth, which a tracker has to find by `saturation_dn`.
+        None where the charge was not kept.
     saturation_dn : float
         DN from which on a pixel counts as saturated.
     gain_e_per_dn : float
@@ -113,14 +121,19 @@ class Readout:
     """
 
     image: NDArray[np.uint16] | NDArray[np.float64]
-    electrons: NDArray[np.float64]
-    saturated: NDArray[np.bool_]
+    electrons: FloatArray | None
+    saturated: NDArray[np.bool_] | None
     saturation_dn: float
     gain_e_per_dn: float
 
 
 def detect(
-    mean_photo_e: NDArray[np.float64], section: DetectorSection, pattern: FixedPattern, streams: Streams
+    mean_photo_e: FloatArray,
+    section: DetectorSection,
+    pattern: FixedPattern,
+    streams: Streams,
+    *,
+    keep_charge: bool = True,
 ) -> Readout:
     """Expose and read out the detector.
 
@@ -136,6 +149,8 @@ def detect(
     streams : callable
         Gives the generator of a stream by name: ``shot_noise``, ``cosmic_rays``, ``reset_noise``, ``read_noise``. Asked
         only for those that are on.
+    keep_charge : bool
+        Also hand out the charge before readout; the image is the same without, and sooner there.
 
     Raises
     ------
@@ -148,20 +163,38 @@ def detect(
     for name, array in named.items():
         if np.shape(array) != shape and (array is mean_photo_e or np.ndim(array) > 0):
             raise InputError(f"{name} has the shape {np.shape(array)}; this detector has {shape} (rows, columns)")
-    if not (np.min(mean_photo_e) >= 0.0 and np.max(mean_photo_e) < np.inf):
-        raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
-
-    electrons = np.array(mean_photo_e, dtype=np.float64, order="C")
-    for effect in CHARGE:
-        if effect.on(section, pattern):
-            electrons = effect.apply(electrons, section, pattern, streams)
-    image: Array = electrons.copy()
-    for effect in READOUT:
-        if effect.on(section, pattern):
-            image = effect.apply(image, section, pattern, streams)
-
-    saturated = electrons >= section.full_well_e
+    charge = [Step(pixels.LIGHT), *_acts(CHARGE, section, pattern, streams)]
+    read = _acts(READOUT, section, pattern, streams)
     top = readout.highest_dn(section)
-    if top is not None:
-        saturated |= image >= top
+    light = np.ascontiguousarray(mean_photo_e, dtype=np.float64)
+    image: NDArray[Any] = np.empty(shape, dtype=np.float64 if top is None else np.uint16)
+    electrons = saturated = None
+    if keep_charge:
+        electrons = np.empty(shape)
+        _run(light, charge, electrons)
+        _run(electrons, read, image)
+        saturated = electrons >= section.full_well_e
+        if top is not None:
+            saturated |= image >= top
+    else:
+        _run(light, charge + read, image)
     return Readout(image, electrons, saturated, readout.saturation_dn(section), readout.gain_e_per_dn(section))
+
+
+def _acts(
+    effects: Iterable[Effect], section: DetectorSection, pattern: FixedPattern, streams: Streams
+) -> list[Step | FrameEffect]:
+    return [effect.act(section, pattern, streams) for effect in effects if effect.on(section, pattern)]
+
+
+def _run(signal: FloatArray, acts: Iterable[Step | FrameEffect], out: NDArray[Any]) -> None:
+    """Take an image, which stays as it is, through steps and effects on whole frames, into `out`."""
+    steps: list[Step] = []
+    for act in acts:
+        if isinstance(act, Step):
+            steps.append(act)
+        else:
+            room = np.empty_like(signal)
+            walk(signal, steps, room)
+            signal, steps = act(room), []
+    walk(signal, steps, out)

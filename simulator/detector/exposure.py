@@ -1,33 +1,57 @@
-"""From light to charge: what happens in a pixel while the shutter is open. Each step works in place."""
+"""From light to charge: what happens in a pixel while the shutter is open. Kernels work in place on runs of pixels;
+counting the electrons is in `poisson.py`."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.poisson import draw_poisson
+FloatArray = NDArray[np.float64]
 
 
-def photo_response(mean_e: NDArray[np.float64], prnu: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Mean photo-electrons of pixels that do not respond alike: mean × relative response, (H, W) electrons.
+@numba.njit(cache=True, error_model="numpy")
+def is_light(mean_e: FloatArray) -> bool:
+    """Whether all of the means (N,) are numbers, finite and not negative."""
+    wrong = 0
+    for i in range(mean_e.size):
+        wrong += not ((mean_e[i] >= 0.0) & (mean_e[i] < np.inf))
+    return wrong == 0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def photo_response(mean_e: FloatArray, response: float, responses: FloatArray) -> None:
+    """Mean photo-electrons (N,) of pixels that do not respond alike: mean × relative response.
 
     The non-uniformity acts on the mean, before the shot noise: it changes how many photons are detected, and the
-    detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*).
+    detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*). `responses` (N,) has that of each pixel;
+    where it is empty, `response` is that of all.
     """
-    mean_e *= prnu
-    return mean_e
+    if responses.size == 0:
+        for i in range(mean_e.size):
+            mean_e[i] *= response
+    else:
+        for i in range(mean_e.size):
+            mean_e[i] *= responses[i]
 
 
-def dark_signal(mean_e: NDArray[np.float64], dark_e: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Mean electrons of light and dark current together, (H, W) electrons."""
-    mean_e += dark_e
-    return mean_e
-
-
-def shot_noise(mean_e: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Electrons collected: Poisson numbers of the means, (H, W), whole numbers.
+@numba.njit(cache=True, error_model="numpy")
+def dark_signal(mean_e: FloatArray, dark_e: float, darks_e: FloatArray) -> None:
+    """Mean electrons (N,) of light and dark current together; `darks_e` (N,), or where it is empty `dark_e` for all.
 
     Photo-electrons and dark electrons are independent Poisson numbers, so that one draw of their summed mean has
-    exactly the distribution of their sum. Raises `InputError` for a mean below zero or not a number.
+    exactly the distribution of their sum.
     """
-    return draw_poisson(mean_e, rng, in_place=True)
+    if darks_e.size == 0:
+        for i in range(mean_e.size):
+            mean_e[i] += dark_e
+    else:
+        for i in range(mean_e.size):
+            mean_e[i] += darks_e[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def clip(electrons: FloatArray, full_well_e: float) -> None:
+    """Charge (N,) that pixels hold, electrons, where a drain takes all above the full well."""
+    for i in range(electrons.size):
+        electrons[i] = min(electrons[i], full_well_e)

@@ -1,132 +1,128 @@
-"""Exact normal numbers for an image, each from the number of its pixel: the ziggurat of Marsaglia & Tsang (2000).
+"""Normal numbers for an image, each from the word of its pixel: the inverse of the distribution function.
 
-The area under exp(−x²/2) is covered by 256 layers of equal area. A layer is chosen by 8 bits of a word and a place in
-it by 53; in 98.5 % of cases the place lies under the curve beyond doubt. Otherwise it is compared with the curve, or
-drawn from the tail, with bits of the pixel's own further counters. Exact to the resolution of 53 bits, as NumPy's own.
+A word w of 32 bits stands for the probability u = (w + ½)/2³². In the middle, which is all but 1 word in 4,000,
+
+    x = Φ⁻¹(u) = (2u − 1) P(−ln 4u(1 − u)),
+
+with P a polynomial of degree 10 (the form is Giles's 2010, "Approximating the erfinv function"; the coefficients are
+fitted here, to 9e-8) in single precision: |x − Φ⁻¹(u)| < 1e-6, so that the distribution function is nowhere off by more
+than 4e-7. In the tails, where one word spans much, 53 more bits of the pixel follow the word, and the inverse is that
+of a double: beyond 3.66 σ the numbers are exact, and reach as far as 10 σ.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.philox import Words, block, draw_key, fill_words, to_unit
+from simulator.detector.fused import fma
+from simulator.detector.philox import Key, Words, further_bits
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
 
-LAYERS = 256
-TAIL_START = 3.6541528853610088
-"""Where the tail begins, for 256 layers (Marsaglia & Tsang 2000)."""
-_PAIRS = 2048  # pairs of pixels at a time: their words stay in the cache
-_LAYER_BITS, _SIGN_BIT, _ONE = np.uint64(0xFF), np.uint64(0x100), np.uint64(1)
+TAIL = np.float32(3.66)
+"""Where the tails begin."""
+WORD = 2.0**-32
+
+_P0, _P1, _P2 = np.float32(2.628710547034861), np.float32(0.3229416960379922), np.float32(-0.01021186580633677)
+_P3, _P4, _P5 = np.float32(-2.8766899738652606e-04), np.float32(1.6799162282434642e-04), np.float32(-2.22371866131e-05)
+_P6, _P7, _P8 = np.float32(7.115696431741468e-07), np.float32(2.966971531025157e-07), np.float32(-4.949062150374e-08)
+_P9, _P10, _CENTRE = np.float32(-6.931944184747422e-10), np.float32(5.538620913011903e-10), np.float32(4.0)
+# ln(1 + z) = z − z²/2 + z³ L(z) for √½ ≤ 1 + z < √2 (Moshier, Cephes: logf)
+_L0, _L1, _L2 = np.float32(7.0376836292e-2), np.float32(-1.1514610310e-1), np.float32(1.1676998740e-1)
+_L3, _L4, _L5 = np.float32(-1.2420140846e-1), np.float32(1.4249322787e-1), np.float32(-1.6668057665e-1)
+_L6, _L7, _L8 = np.float32(2.0000714765e-1), np.float32(-2.4999993993e-1), np.float32(3.3333331174e-1)
+_LN2, _ROOT_HALF, _MANTISSA, _BITS = np.float32(math.log(2.0)), np.int32(0x3F3504F3), np.int32(0x7FFFFF), np.int32(23)
+_MIDDLE, _LARGEST, _SIGN = np.uint32(2**31), np.int32(2**31 - 1), np.int32(31)
+_ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-32), np.float32(2.0**-31)
 
 
-def add_normal(image: FloatArray, sigma: float, rng: np.random.Generator) -> None:
-    """Add independent normal numbers of mean 0 to an image, in place.
+@numba.njit(inline="always")
+def _log(y):  # type: ignore[no-untyped-def]
+    """Natural logarithm in single precision that the compiler computes for many numbers at once."""
+    bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
+    exponent = np.float32(np.int32(bits >> _BITS))
+    z = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32) - _ONE
+    poly = fma(fma(fma(fma(_L0, z, _L1), z, _L2), z, _L3), z, _L4)
+    poly = fma(fma(fma(fma(poly, z, _L5), z, _L6), z, _L7), z, _L8)
+    return fma(exponent, _LN2, fma(z * z, fma(z, poly, -_HALF), z))
+
+
+@numba.njit(inline="always")
+def _words_to_middle(word):  # type: ignore[no-untyped-def]
+    """How many words lie between this one and the middle, 0 to 2³¹ − 1, int32."""
+    centred = np.int32(word ^ _MIDDLE)
+    return np.int32(centred ^ np.int32(centred >> _SIGN))
+
+
+@numba.njit(inline="always")
+def tail_words(word):  # type: ignore[no-untyped-def]
+    """How many words lie beyond this one, on its own side of the middle: 0 to 2³¹ − 1, int32."""
+    return np.int32(_LARGEST - _words_to_middle(word))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def normal_from_words(words: Words, out: SingleArray) -> None:
+    """Φ⁻¹((words + ½)/2³²) to single precision into `out` (≥ N,); in the tails something beyond `TAIL`."""
+    for i in range(words.size):
+        x = (np.float32(_words_to_middle(words[i])) + _HALF) * _TWICE  # |2u − 1|
+        p = (np.float32(tail_words(words[i])) + _HALF) * _UNIT  # u or 1 − u, whichever is small
+        t = -_log(np.float32(4.0) * p * (_ONE - p)) - _CENTRE
+        poly = fma(fma(fma(fma(fma(_P10, t, _P9), t, _P8), t, _P7), t, _P6), t, _P5)
+        number = x * fma(fma(fma(fma(fma(poly, t, _P4), t, _P3), t, _P2), t, _P1), t, _P0)
+        out[i] = number if words[i] >= _MIDDLE else -number
+
+
+@numba.njit(cache=True, error_model="numpy")
+def upper_quantile(p: float) -> float:
+    """x ≥ 0 with 1 − Φ(x) = p, 0 < p ≤ ½, to a double's precision: two steps of Halley's from a formula good to 4.5e-4
+    (Abramowitz & Stegun 1964, 26.2.23)."""
+    t = math.sqrt(-2.0 * math.log(p))
+    x = t - (2.515517 + t * (0.802853 + t * 0.010328)) / (1.0 + t * (1.432788 + t * (0.189269 + t * 0.001308)))
+    for _ in range(2):
+        step = (0.5 * math.erfc(x * math.sqrt(0.5)) - p) * math.sqrt(2.0 * math.pi) * math.exp(0.5 * x * x)
+        x += step / (1.0 - 0.5 * x * step)
+    return x
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_normal(signal: FloatArray, sigma: float, key: Key, first: int, words: Words, normal: SingleArray) -> None:
+    """Add normal numbers of mean 0 to a run of pixels, in place.
 
     Parameters
     ----------
-    image : (...) float64, contiguous
-        Changed in place. Pixel k (in memory order) takes number k of the stream, whatever its value.
+    signal : (N,) float64
+        Changed in place.
     sigma : float
         Standard deviation.
-    rng : numpy.random.Generator
-        The stream; gives the key.
+    key : (2,) uint64
+        Of the stream.
+    first : int
+        Number of the first pixel.
+    words : (≥ N,) uint32
+        Those of the pixels.
+    normal : (≥ N,) float32
+        Room.
     """
-    if not image.flags.c_contiguous:
-        raise ValueError("add_normal works in place on C-contiguous arrays only")
-    _add_normal(image.reshape(-1), sigma, draw_key(rng), *ziggurat())
-
-
-def draw_normal(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """Standard normal numbers, those that `add_normal` adds with the same stream."""
-    numbers = np.zeros(shape)
-    add_normal(numbers, 1.0, rng)
-    return numbers
-
-
-@cache
-def ziggurat() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Layers of the ziggurat.
-
-    Returns
-    -------
-    width : (LAYERS + 1,) float64
-        x of each layer, falling; that of the lowest counts its tail in: area / f(TAIL_START). The last is 0.
-    sure : (LAYERS,) float64
-        Share of each layer that lies under the curve whatever the height.
-    height : (LAYERS + 1,) float64
-        f(x) = exp(−x²/2) at each x; 0 for the lowest.
-    """
-    area = TAIL_START * math.exp(-0.5 * TAIL_START**2) + math.sqrt(math.pi / 2) * math.erfc(TAIL_START / math.sqrt(2))
-    width = np.zeros(LAYERS + 1)
-    width[0] = area / math.exp(-0.5 * TAIL_START**2)
-    width[1] = TAIL_START
-    for i in range(2, LAYERS):
-        width[i] = math.sqrt(-2.0 * math.log(area / width[i - 1] + math.exp(-0.5 * width[i - 1] ** 2)))
-    height = np.exp(-0.5 * width**2)
-    height[0] = 0.0
-    tables = (width, width[1:] / width[:-1], height)
-    for table in tables:
-        table.setflags(write=False)
-    return tables
+    n = signal.size
+    normal_from_words(words, normal)
+    tails = np.int32(0)
+    for i in range(n):
+        tails = np.int32(tails + np.int32(abs(normal[i]) > TAIL))
+    if tails > 0:
+        settle_tails(normal[:n], key, first, words)
+    for i in range(n):
+        signal[i] += sigma * np.float64(normal[i])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_normal(
-    image: FloatArray, sigma: float, key: Words, width: FloatArray, sure: FloatArray, height: FloatArray
-) -> None:
-    n = image.size
-    a = np.empty(_PAIRS, dtype=np.uint64)
-    b = np.empty(_PAIRS, dtype=np.uint64)
-    for start in range(0, n, 2 * _PAIRS):
-        pairs = min(_PAIRS, (n - start + 1) // 2)
-        fill_words(key, np.uint64(start // 2), np.uint64(0), a[:pairs], b[:pairs])
-        for i in range(min(2 * _PAIRS, n - start)):
-            word = b[i >> 1] if i & 1 else a[i >> 1]
-            layer = word & _LAYER_BITS
-            u = to_unit(word)
-            if u < sure[layer]:
-                x = u * width[layer]
-            else:
-                x = slow_path(word, np.uint64(start + i), key, width, sure, height)
-                word = np.uint64(0) if x >= 0.0 else _SIGN_BIT
-                x = abs(x)
-            image[start + i] += -sigma * x if word & _SIGN_BIT else sigma * x
-
-
-@numba.njit(cache=True, error_model="numpy")
-def slow_path(
-    word: np.uint64,
-    pixel: np.uint64,
-    key: Words,
-    width: FloatArray,
-    sure: FloatArray,
-    height: FloatArray,
-) -> float:
-    """Normal number of a word that is not settled at once, with bits of the pixel's lanes 1, 2, …"""
-    lane = np.uint64(0)
-    while True:
-        layer = word & _LAYER_BITS
-        sign = -1.0 if word & _SIGN_BIT else 1.0
-        x = to_unit(word) * width[layer]
-        if to_unit(word) < sure[layer]:
-            return float(sign * x)
-        lane += _ONE
-        a, b = block(key[0], key[1], pixel, lane)
-        if layer == 0:
-            while True:  # tail (Marsaglia 1964): 1 − u, so that the logarithm is finite
-                x = -math.log(1.0 - to_unit(a)) / TAIL_START
-                y = -math.log(1.0 - to_unit(b))
-                if y + y > x * x:
-                    return sign * (TAIL_START + x)
-                lane += _ONE
-                a, b = block(key[0], key[1], pixel, lane)
-        low, high = height[layer], height[layer + _ONE]
-        if low + to_unit(a) * (high - low) < math.exp(-0.5 * x * x):
-            return float(sign * x)
-        word = b
+def settle_tails(normal: SingleArray, key: Key, first: int, words: Words) -> None:
+    """The tails' own numbers in place of those beyond `TAIL`."""
+    for i in range(normal.size):
+        if abs(normal[i]) > TAIL:
+            x = upper_quantile((tail_words(words[i]) + further_bits(key, first + i)) * WORD)
+            normal[i] = x if words[i] >= _MIDDLE else -x

@@ -1,178 +1,292 @@
-"""Exact Poisson numbers for an image of means, fast where the mean is low, as it is over most of the sky.
+"""Exact Poisson numbers for an image of means, each the quantile of a uniform number that belongs to its pixel.
 
-A mean below `TABLE_LIMIT` is split into the next lower multiple of 1/`STEPS` and a rest: a Poisson number of the sum is
-the sum of two Poisson numbers. The first comes from an alias table of its rate (Walker 1977; Vose 1991) at one look-up,
-the second, which is nearly always zero, by inversion. Both are exact to the rounding of a double. Higher means go to
-NumPy's generator (PTRS, Hörmann 1993), exact as well. Nowhere is a normal distribution taken for a Poisson one.
+N is the least n with P(≤ n) > u for u = (w + f)/2³²: the word w of 32 bits settles nearly every pixel, 53 further bits
+are drawn where it does not. Three ways lead to the same number:
+
+- Means from `LOWEST` to `HIGHEST`: P(< x) = u, continued from whole n to real x by the incomplete gamma function,
+  has the uniform expansion x = λ g(s) + b(s) + c(s)/λ, s = Φ⁻¹(u)/√λ (Temme 1992; Giles 2016, "Algorithm 955:
+  approximation of the inverse Poisson cumulative distribution function"); its polynomials are fitted here, to
+  1.6e-3/λ. Where x is farther than 2e-3/λ + 2e-5 + 2.5e-7 λ from a whole number (the latter two for single
+  precision), N is its whole part beyond doubt.
+- Lower means: u is compared with P(≤ 0), P(≤ 1), … in single precision, and settles where it is not within
+  `_MARGIN_LOW` of any.
+- Everything else, 1 pixel in 1,000, the tails and the cores of bright stars: the distribution function in double
+  precision (`quantile`).
+
+So no approximation decides anything, and the numbers are exact to the rounding of a double. The normal distribution is
+nowhere taken for a Poisson one.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, xlogy
 
-from simulator.detector.philox import Words, draw_key, fill_words, to_unit
-from startracker.errors import InputError
+from simulator.detector.fused import fma
+from simulator.detector.normal import TAIL, WORD, normal_from_words, tail_words, upper_quantile
+from simulator.detector.philox import Key, Words, further_bits
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
 
-TABLE_LIMIT = 128
-"""Means from here on are NumPy's to draw."""
-STEPS = 16
-"""Tables for each unit of the mean."""
-SUPPORT = 256
-"""Numbers 0 to 255 in each table: a mean of 128 exceeds 255 once in 10²² draws."""
 LARGEST_MEAN = 1e18
 """Largest mean that can be counted in 64 bits with its noise."""
+LOWEST, HIGHEST = np.float32(6.0), np.float32(65536.0)
+"""Means of the expansion."""
+LOW_NUMBERS = 16
+"""Numbers that the comparison of low means looks at; more have a probability of 1e-4."""
 
-_BLOCK = 4096  # pixels at a time: their random words stay in the cache
-_COLUMN_SHIFT, _BYTE, _BYTE_BITS = np.uint64(56), np.uint64(255), np.uint64(8)
-_FRACTION_SHIFT = np.uint64(11)
+_MARGIN, _MARGIN_EACH, _MARGIN_SHARE = np.float32(2e-5), np.float32(2e-3), np.float32(2.5e-7)
+_MARGIN_LOW = np.float32(2e-6)
+_FEW = 256
+"""Where fewer than one mean in so many is low, or is not, these few are not worth a pass of their own."""
+_OPEN = np.float32(-1.0)
+_LOWER_HALF, _BELOW_LOWEST = np.uint32(2**31), np.float32(2.0**-32)
+_DECIDE, _ROUNDING = 4096.0, 2.0**40
+_A2, _A3, _A4 = np.float32(0.16666667), np.float32(-0.013889015), np.float32(0.0037486294)
+_A5, _A6, _A7 = np.float32(-0.0011268197), np.float32(0.00015250674), np.float32(-0.0006608383)
+_A8, _A9 = np.float32(0.00054183431), np.float32(-5.8597872e-05)
+_B0, _B1, _B2 = np.float32(0.33333333), np.float32(-0.027776094), np.float32(0.0080365973)
+_B3, _B4, _B5, _B6 = (
+    np.float32(-0.0064341256),
+    np.float32(0.0074305549),
+    np.float32(0.0046913608),
+    np.float32(-0.0045050602),
+)
+_C0, _C1, _C2 = np.float32(-0.0186457), np.float32(0.022937551), np.float32(-0.026661108)
+_LOG2_E, _LN2, _EXPONENT, _BITS = (
+    np.float32(1.0 / math.log(2.0)),
+    np.float32(math.log(2.0)),
+    np.int32(127),
+    np.int32(23),
+)
+_E2, _E3, _E4 = np.float32(0.5), np.float32(-1.0 / 6), np.float32(1.0 / 24)
+_E5, _E6, _E7 = np.float32(-1.0 / 120), np.float32(1.0 / 720), np.float32(-1.0 / 5040)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_STIRLING = np.array(
+    [
+        math.nan, 0.08106146679532726, 0.0413406959554093, 0.02767792568499834,
+        0.020790672103765093, 0.016644691189821193, 0.013876128823070748, 0.01189670994589177,
+        0.010411265261972096, 0.009255462182712733, 0.00833056343336287, 0.007573675487951841,
+        0.00694284010720953, 0.006408994188004207, 0.0059513701127588475, 0.005554733551962801,
+    ]
+)  # fmt: skip
+"""ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-def draw_poisson(mean: NDArray[np.float64], rng: np.random.Generator, *, in_place: bool = False) -> NDArray[np.float64]:
-    """Poisson numbers of given means.
-
-    Every pixel takes 128 random bits by its number, whatever its mean; the bright ones are drawn afterwards. So a star
-    changes no other pixel's noise.
+@numba.njit(cache=True, error_model="numpy")
+def shot_noise(signal: FloatArray, key: Key, first: int, words: Words, mean: SingleArray, number: SingleArray) -> bool:
+    """Poisson numbers in place of a run of means; False where one of them is negative, NaN or above `LARGEST_MEAN`.
 
     Parameters
     ----------
-    mean : (...) float64
-        Means, 0 to `LARGEST_MEAN`.
-    rng : numpy.random.Generator
-        The stream.
-    in_place : bool
-        Put the numbers into `mean` itself, which then must be C-contiguous float64.
-
-    Returns
-    -------
-    (...) float64
-        Whole numbers.
-
-    Raises
-    ------
-    InputError
-        When a mean is negative, not a number or beyond `LARGEST_MEAN`.
+    signal : (N,) float64
+        Means; changed in place.
+    key : (2,) uint64
+        Of the stream.
+    first : int
+        Number of the first pixel.
+    words : (≥ N,) uint32
+        Those of the pixels.
+    mean, number : (≥ N,) float32
+        Room.
     """
-    flat = np.ascontiguousarray(mean, dtype=np.float64).ravel()
-    if flat.size == 0:
-        return flat.reshape(np.shape(mean))
-    lowest, highest = flat.min(), flat.max()  # NaN passes through both
-    if not (lowest >= 0.0 and highest <= LARGEST_MEAN):
-        raise InputError(
-            f"mean electrons run from {lowest:.6g} to {highest:.6g} a pixel; they must lie in 0 to {LARGEST_MEAN:g}"
-        )
-    if in_place and not np.shares_memory(flat, mean):
-        raise ValueError("draw_poisson works in place on C-contiguous float64 arrays only")
-    out = flat if in_place else np.empty_like(flat)
-    bright = np.flatnonzero(flat >= TABLE_LIMIT) if highest >= TABLE_LIMIT else None
-    key = draw_key(rng)
-    bright_numbers = None if bright is None else rng.poisson(flat[bright])
-    _poisson_image(flat, key, alias_tables(), out)
-    if bright is not None:
-        out[bright] = bright_numbers
-    return out.reshape(np.shape(mean))
+    n = signal.size
+    wrong = 0
+    for i in range(n):
+        wrong += not ((signal[i] >= 0.0) & (signal[i] <= LARGEST_MEAN))
+    if wrong > 0:
+        return False
+    for i in range(n):
+        mean[i] = np.float32(signal[i])
+    low = np.int32(0)
+    for i in range(n):
+        low = np.int32(low + np.int32(mean[i] < LOWEST))
+    if _FEW * (n - low) > n:
+        normal_from_words(words, number)
+        expand(mean, number[:n])
+    else:
+        for i in range(n):
+            number[i] = _OPEN
+    if _FEW * low > n:
+        compare(words[:n], mean, number)
+    unsettled = np.int32(0)
+    for i in range(n):
+        unsettled = np.int32(unsettled + np.int32(number[i] < _ZERO))
+    if unsettled > 0:
+        settle(signal, key, first, words, number)
+    else:
+        for i in range(n):
+            signal[i] = np.float64(number[i])
+    return True
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _poisson_image(mean: FloatArray, key: Words, table: Words, out: FloatArray) -> None:
-    a = np.empty(_BLOCK, dtype=np.uint64)
-    b = np.empty(_BLOCK, dtype=np.uint64)
-    for start in range(0, mean.size, _BLOCK):
-        stop = min(start + _BLOCK, mean.size)
-        fill_words(key, np.uint64(start), np.uint64(0), a[: stop - start], b[: stop - start])
-        poisson_from_words(mean[start:stop], a, b, table, out[start:stop])
+def settle(signal: FloatArray, key: Key, first: int, words: Words, number: SingleArray) -> None:
+    """Numbers in place of the means: those found, and for the rest the quantile itself."""
+    for i in range(signal.size):
+        if number[i] < _ZERO:
+            signal[i] = quantile(words[i], further_bits(key, first + i), signal[i])
+        else:
+            signal[i] = np.float64(number[i])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def poisson_from_words(mean: FloatArray, first: Words, second: Words, table: Words, out: FloatArray) -> None:
-    """Poisson numbers of the means below `TABLE_LIMIT` from two random words each; other elements are left alone.
-
-    Parameters
-    ----------
-    mean : (N,) float64
-        Means, not negative.
-    first, second : (≥ N,) uint64
-        Random words. Of the first, 8 bits choose the column of the table and 53 whether it is kept; 53 of the second
-        are the uniform number that the rest inverts.
-    table : (TABLE_LIMIT × STEPS, SUPPORT) uint64
-        From `alias_tables`.
-    out : (N,) float64
-        Takes the numbers; may be `mean`.
-    """
-    for i in range(mean.size):
-        if not mean[i] < TABLE_LIMIT:
-            continue
-        row = int(mean[i] * STEPS)
-        column = first[i] >> _COLUMN_SHIFT
-        entry = table[row, column]
-        kept = ((first[i] << _BYTE_BITS) >> _FRACTION_SHIFT) < (entry >> _BYTE_BITS)
-        count = int(column if kept else entry & _BYTE)
-
-        rest = mean[i] - row / STEPS
-        v = to_unit(second[i])
-        if v >= 1.0 - rest:  # 1 − r ≤ exp(−r): below it the number is zero, and the exponential is spared
-            probability = math.exp(-rest)
-            cumulative = probability
-            more = 0
-            while v >= cumulative and more < 20:  # P(more ≥ 20) < 10⁻³⁶: a guard against rounding near v = 1
-                more += 1
-                probability *= rest / more
-                cumulative += probability
-            count += more
-        out[i] = count
+def expand(mean: SingleArray, number: SingleArray) -> None:
+    """Quantiles by the expansion, from the normal ones in `number` and in their place; −1 where it does not settle."""
+    for i in range(number.size):
+        rate, w = mean[i], number[i]
+        root = np.float32(math.sqrt(rate))
+        each = _ONE / root
+        s = w * each
+        a = fma(fma(fma(fma(fma(fma(fma(_A9, s, _A8), s, _A7), s, _A6), s, _A5), s, _A4), s, _A3), s, _A2)
+        b = fma(fma(fma(fma(fma(fma(_B6, s, _B5), s, _B4), s, _B3), s, _B2), s, _B1), s, _B0)
+        c = fma(fma(_C2, s, _C1), s, _C0)
+        square = each * each
+        x = rate + fma(w, fma(w, a, root), fma(c, square, b))
+        whole = np.float32(np.floor(x))
+        margin = fma(_MARGIN_SHARE, rate, fma(_MARGIN_EACH, square, _MARGIN))
+        settled = (x - whole > margin) & (x - whole < _ONE - margin) & (abs(w) < TAIL)
+        number[i] = whole if settled & (x > _ZERO) & (rate >= LOWEST) & (rate < HIGHEST) else _OPEN
 
 
-@cache
-def alias_tables() -> Words:
-    """Alias tables of the Poisson distributions with mean 0, 1/STEPS, 2/STEPS, … below `TABLE_LIMIT`.
+@numba.njit(inline="always")
+def _exp_minus(rate):  # type: ignore[no-untyped-def]
+    """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, for many numbers at once."""
+    m = np.float32(np.rint(rate * _LOG2_E))
+    r = fma(-m, _LN2, rate)
+    poly = fma(fma(fma(fma(fma(fma(_E7, r, _E6), r, _E5), r, _E4), r, _E3), r, _E2), r, -_ONE)
+    return fma(poly, r, _ONE) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
 
-    Returns
-    -------
-    (TABLE_LIMIT × STEPS, SUPPORT) uint64
-        For column k of a row: its probability of staying k, in units of 2⁻⁵³, above the lowest byte; there, what it
-        becomes otherwise. In one word, so that a draw fetches one.
-    """
-    rate = np.arange(TABLE_LIMIT * STEPS)[:, None] / STEPS
-    number = np.arange(SUPPORT)
-    probability = np.exp(xlogy(number, rate) - rate - gammaln(number + 1.0))
-    probability /= probability.sum(axis=1, keepdims=True)
-    keep = np.ones(probability.shape)
-    alias = np.zeros(probability.shape, dtype=np.uint8)
-    _fill_alias_tables(probability, keep, alias)
-    table: Words = (np.rint(keep * 2.0**53).astype(np.uint64) << _BYTE_BITS) | alias
-    table.setflags(write=False)
-    return table
+
+@numba.njit(inline="always")
+def _next(rate, u, k, probability, cumulative, number, near):  # type: ignore[no-untyped-def]
+    """One more number, k, of the comparison."""
+    probability = probability * (rate * np.float32(1.0 / k))
+    cumulative = cumulative + probability
+    return (
+        probability,
+        cumulative,
+        number + (_ONE if u > cumulative else _ZERO),
+        min(near, np.float32(abs(u - cumulative))),
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fill_alias_tables(probability: FloatArray, keep: FloatArray, alias: NDArray[np.uint8]) -> None:
-    rows, columns = probability.shape
-    small = np.empty(columns, dtype=np.int64)
-    large = np.empty(columns, dtype=np.int64)
-    for row in range(rows):
-        share = probability[row] * columns
-        n_small = n_large = 0
-        for column in range(columns):
-            if share[column] < 1.0:
-                small[n_small] = column
-                n_small += 1
-            else:
-                large[n_large] = column
-                n_large += 1
-        while n_small > 0 and n_large > 0:
-            n_small -= 1
-            lack, give = small[n_small], large[n_large - 1]
-            keep[row, lack] = share[lack]
-            alias[row, lack] = give
-            share[give] -= 1.0 - share[lack]
-            if share[give] < 1.0:
-                n_large -= 1
-                small[n_small] = give
-                n_small += 1
+def compare(words: Words, mean: SingleArray, number: SingleArray) -> None:
+    """Quantiles of the means below `LOWEST` into `number`, −1 where not settled; others are left alone."""
+    for i in range(words.size):
+        rate = mean[i]
+        p = _exp_minus(rate)
+        u = np.float32(words[i]) * _BELOW_LOWEST
+        c, n, near = p, _ONE if u > p else _ZERO, np.float32(abs(u - p))
+        p, c, n, near = _next(rate, u, 1, p, c, n, near)
+        p, c, n, near = _next(rate, u, 2, p, c, n, near)
+        p, c, n, near = _next(rate, u, 3, p, c, n, near)
+        p, c, n, near = _next(rate, u, 4, p, c, n, near)
+        p, c, n, near = _next(rate, u, 5, p, c, n, near)
+        p, c, n, near = _next(rate, u, 6, p, c, n, near)
+        p, c, n, near = _next(rate, u, 7, p, c, n, near)
+        p, c, n, near = _next(rate, u, 8, p, c, n, near)
+        p, c, n, near = _next(rate, u, 9, p, c, n, near)
+        p, c, n, near = _next(rate, u, 10, p, c, n, near)
+        p, c, n, near = _next(rate, u, 11, p, c, n, near)
+        p, c, n, near = _next(rate, u, 12, p, c, n, near)
+        p, c, n, near = _next(rate, u, 13, p, c, n, near)
+        p, c, n, near = _next(rate, u, 14, p, c, n, near)
+        p, c, n, near = _next(rate, u, 15, p, c, n, near)
+        p, c, n, near = _next(rate, u, 16, p, c, n, near)
+        found = n if (near > _MARGIN_LOW) & (n <= np.float32(LOW_NUMBERS)) else _OPEN
+        number[i] = found if rate < LOWEST else number[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def quantile(word: np.uint32, fraction: float, mean: float) -> float:
+    """Least n with P(≤ n) > u, u = (word + fraction)/2³², by the distribution function itself in double precision.
+
+    The search starts from the Cornish–Fisher expansion (Giles 2016), which for means from 4,096 on is good to 1e-4 and
+    then settles most at once. Beyond 2⁴⁰, where a double has no digits left for a probability of whole numbers, it
+    stands alone: right to the rounding of a double.
+    """
+    if mean == 0.0:
+        return 0.0
+    lower = word < _LOWER_HALF
+    tail = (tail_words(word) + (fraction if lower else 1.0 - fraction)) * WORD
+    w = upper_quantile(tail)
+    w = -w if lower else w
+    root, w2 = math.sqrt(mean), w * w
+    x = mean + root * w + (1.0 / 3 + w2 / 6)
+    if mean >= _DECIDE:
+        x += -w * (1.0 / 36 + w2 / 72) / root + (w2 * w2 / 270 + w2 * (7.0 / 810) - 8.0 / 405) / mean
+        near = abs(x - np.rint(x))
+        if (near > 1e-4 + 1e-15 * mean and abs(w) < 6.0) or mean > _ROUNDING:
+            return float(math.floor(x))
+    n = max(float(math.floor(x)), 0.0)
+    if lower:
+        n = min(n, float(math.floor(mean)))  # half of the numbers exceed λ − 1, however low λ
+        below = cumulative(n, mean)
+        while n > 0 and below - probability(n, mean) > tail:
+            below -= probability(n, mean)
+            n -= 1.0
+        while below <= tail:
+            n += 1.0
+            below += probability(n, mean)
+    else:
+        above = exceeding(n, mean)
+        while n > 0 and above + probability(n, mean) < tail:
+            above += probability(n, mean)
+            n -= 1.0
+        while above >= tail:
+            n += 1.0
+            above -= probability(n, mean)
+    return n
+
+
+@numba.njit(cache=True, error_model="numpy")
+def probability(n: float, mean: float) -> float:
+    """Poisson probability of n, by its distance from the peak (Loader 2000): no large terms cancel."""
+    if n == 0.0:
+        return math.exp(-mean)
+    if n < 16.0:
+        stirling = _STIRLING[int(n)]
+    else:
+        square = 1.0 / (n * n)
+        stirling = (1.0 / 12 - square * (1.0 / 360 - square * (1.0 / 1260 - square / 1680))) / n
+    difference = n - mean
+    if abs(difference) < 0.1 * (n + mean):  # n ln(n/λ) + λ − n as a series
+        v = difference / (n + mean)
+        deviance, term, square = difference * v, 2.0 * n * v, v * v
+        for j in range(3, 1000, 2):
+            term *= square
+            before = deviance
+            deviance += term / j
+            if deviance == before:
+                break
+    else:
+        deviance = n * math.log(n / mean) - difference
+    return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * n)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def cumulative(n: float, mean: float) -> float:
+    """P(≤ n) of Poisson's distribution."""
+    term, total, k = 1.0, 1.0, n
+    while k > 0.0 and term > 1e-17 * total:
+        term *= k / mean
+        total += term
+        k -= 1.0
+    return float(probability(n, mean) * total)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def exceeding(n: float, mean: float) -> float:
+    """P(> n) of Poisson's distribution."""
+    term, total, k = 1.0, 1.0, n + 2.0
+    while term > 1e-17 * total:
+        term *= mean / k
+        total += term
+        k += 1.0
+    return float(probability(n + 1.0, mean) * total)

@@ -1,4 +1,5 @@
-"""From charge to numbers: output node, amplifier, converter. Each step but the last works in place."""
+"""From charge to numbers: output node, amplifier, converter. Kernels work in place on runs of pixels; reset noise and
+read noise, sums of very many thermal motions and not counts, are the normal numbers of `normal.py`."""
 
 from __future__ import annotations
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
-from simulator.detector.normal import add_normal
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
+
+FloatArray = NDArray[np.float64]
 
 SATURATION_MARGIN_SIGMA = 3.0
 """A full pixel reads less than this many standard deviations of the readout noise below its mean in 0.1 % of cases."""
@@ -37,51 +39,31 @@ def section_reset_noise_e(section: DetectorSection) -> float:
     return reset_noise_e(section.reset_capacitance_ff * 1e-15, section.temperature_c)
 
 
-def gaussian_noise(electrons: NDArray[np.float64], sigma_e: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Charge as the amplifier sees it: electrons + normal noise of `sigma_e`, (H, W) electrons, negative ones included.
-
-    Reset noise and read noise are sums of very many thermal motions, not counts: normal is what they are.
-    """
-    add_normal(electrons, sigma_e, rng)
-    return electrons
-
-
-def bend(electrons: NDArray[np.float64], full_well_e: float, nonlinearity: tuple[float, float]) -> NDArray[np.float64]:
-    """Signal of an output stage that is not quite linear, (H, W) electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
+@numba.njit(cache=True, error_model="numpy")
+def bend(electrons: FloatArray, full_well_e: float, second: float, third: float) -> None:
+    """Signal (N,) of an output stage that is not quite linear, electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
 
     c₂ and c₃ are the relative departures from a straight line at the full well that the terms of second and third order
     bring; small signals keep the gain (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the few percent
     of a source follower, not the knee of a saturating amplifier.
     """
-    second, third = nonlinearity
-    relative = electrons / full_well_e
-    relative *= second + third * relative
-    relative += 1.0
-    electrons *= relative
-    return electrons
-
-
-def amplify(electrons: NDArray[np.float64], gain_e_per_dn: float, offset_dn: float) -> NDArray[np.float64]:
-    """Signal at the converter: electrons / gain + offset, (H, W) fractional DN."""
-    electrons /= gain_e_per_dn
-    electrons += offset_dn
-    return electrons
-
-
-def convert(signal_dn: NDArray[np.float64], highest_dn: int) -> NDArray[np.uint16]:
-    """Numbers of the converter: rounded to the nearest and clipped to 0 … `highest_dn`.
-
-    Always uint16, whatever the number of bits up to 16, so that no arithmetic on an 8-bit frame wraps by surprise.
-    """
-    numbers = np.empty(signal_dn.shape, dtype=np.uint16)
-    _convert(np.ascontiguousarray(signal_dn).reshape(-1), float(highest_dn), numbers.reshape(-1))
-    return numbers
+    for i in range(electrons.size):
+        relative = electrons[i] / full_well_e
+        electrons[i] *= 1.0 + relative * (second + third * relative)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _convert(signal_dn: NDArray[np.float64], highest: float, numbers: NDArray[np.uint16]) -> None:
+def amplify(electrons: FloatArray, gain_e_per_dn: float, offset_dn: float) -> None:
+    """Signal (N,) at the converter: electrons / gain + offset, fractional DN."""
+    for i in range(electrons.size):
+        electrons[i] = electrons[i] / gain_e_per_dn + offset_dn
+
+
+@numba.njit(cache=True, error_model="numpy")
+def convert(signal_dn: FloatArray, highest_dn: float) -> None:
+    """Numbers (N,) of the converter: rounded to the nearest and clipped to 0 … `highest_dn`."""
     for i in range(signal_dn.size):
-        numbers[i] = np.uint16(min(max(np.rint(signal_dn[i]), 0.0), highest))
+        signal_dn[i] = min(max(np.rint(signal_dn[i]), 0.0), highest_dn)
 
 
 def highest_dn(section: DetectorSection) -> int | None:

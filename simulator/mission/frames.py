@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import erfa
@@ -16,10 +17,19 @@ FloatArray = NDArray[np.float64]
 def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) from GCRS into the true equator and equinox of date.
 
-    Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``), evaluated anew at each instant (about
-    30 µs); what the model leaves out of the pole's motion (free core nutation) is below 0.4 mas, 1.5 cm at 800 km.
+    Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``); what the model leaves out of the pole's
+    motion (free core nutation) is below 0.4 mas, 1.5 cm at 800 km. The matrix of a single instant is read-only.
     """
-    matrix: FloatArray = erfa.pnm06a(*clock.tt_jd(t_s))
+    if np.ndim(t_s) == 0:
+        return _matrix(*clock.tt_jd(float(t_s)))
+    matrices: FloatArray = erfa.pnm06a(*clock.tt_jd(t_s))
+    return matrices
+
+
+@functools.lru_cache(maxsize=4)  # orbit and statistics ask for the same instant in turn; it takes 20 µs
+def _matrix(jd1: float, jd2: float) -> FloatArray:
+    matrix: FloatArray = erfa.ufunc.pnm06a(jd1, jd2)
+    matrix.flags.writeable = False
     return matrix
 
 

@@ -128,17 +128,20 @@ class J2Orbit:
 
     def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
-        t = np.asarray(t_s, dtype=float)
+        single = np.ndim(t_s) == 0
+        t = float(t_s) if single else np.asarray(t_s, dtype=float)  # type: ignore[arg-type]
         cos_i, sin_i = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
         node = self.elements.raan_rad + self.nodal_rate_rad_s * t
         u = self.elements.argument_of_latitude_rad + self._latitude_rate * t
-        cos_n, sin_n, cos_u, sin_u = np.cos(node), np.sin(node), np.cos(u), np.sin(u)
+        cos, sin = (math.cos, math.sin) if single else (np.cos, np.sin)
+        cos_n, sin_n, cos_u, sin_u = cos(node), sin(node), cos(u), sin(u)
         radial = [cos_n * cos_u - sin_n * cos_i * sin_u, sin_n * cos_u + cos_n * cos_i * sin_u, sin_i * sin_u]
         ahead = [-cos_n * sin_u - sin_n * cos_i * cos_u, -sin_n * sin_u + cos_n * cos_i * cos_u, sin_i * cos_u]
         radius = self.elements.semi_major_axis_km
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
         matrix = true_of_date(self.clock, t)
-        return _to_gcrs(matrix, radius * np.stack(radial, axis=-1)), _to_gcrs(matrix, speed * np.stack(ahead, axis=-1))
+        r, v = (np.array(axes) if single else np.stack(axes, axis=-1) for axes in (radial, ahead))
+        return _to_gcrs(matrix, radius * r), _to_gcrs(matrix, speed * v)
 
 
 @dataclass(frozen=True)

@@ -101,10 +101,12 @@ def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
         Where position and velocity span no plane.
     """
     r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
-    momentum = np.cross(r, v)
-    if not float(np.linalg.norm(momentum)) > 1e-9 * float(np.linalg.norm(r) * np.linalg.norm(v)):
+    place, momentum = r.tolist(), _cross(r.tolist(), v.tolist())
+    distance, turn = math.hypot(*place), math.hypot(*momentum)
+    if not turn > 1e-9 * distance * math.hypot(*v.tolist()):
         raise InputError(f"no local level: position {r} km and velocity {v} km/s span no plane")
-    return Attitude.from_matrix(_axes(r, v), "icrs", "local_level")
+    z, y = [-a / distance for a in place], [-a / turn for a in momentum]
+    return Attitude.from_matrix(np.array([_cross(y, z), y, z]), "icrs", "local_level")
 
 
 def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: np.random.Generator) -> Pointing:
@@ -129,7 +131,7 @@ def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: n
         For an unknown mounting, or a state without an orbital plane.
     """
     nominal = _offset(section) @ local_level(r_km, v_km_s)
-    orbital_rate = float(np.linalg.norm(np.cross(r_km, v_km_s)) / (r_km @ r_km))
+    orbital_rate = math.hypot(*_cross(r_km.tolist(), v_km_s.tolist())) / float(r_km @ r_km)
     return _pointing(section, nominal, orbital_rate, rng.uniform(-1.0, 1.0, 3))
 
 
@@ -210,6 +212,10 @@ def boresight_path(orbit: Orbit, section: PointingSection, t_s: ArrayLike) -> Bo
     ra, dec = np.degrees(direction_to_radec(direction))
     ra_date, dec_date = np.degrees(direction_to_radec(of_date))
     return BoresightPath(ra, dec, ra_date, dec_date)
+
+
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _axes(r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:

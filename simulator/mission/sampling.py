@@ -5,6 +5,8 @@ The times do not depend on the number of trials or workers, so that any trial ca
 
 from __future__ import annotations
 
+import functools
+
 from simulator.randomness import stream
 
 TROPICAL_YEAR_S = 365.2422 * 86_400.0
@@ -22,6 +24,10 @@ def trial_time_s(sampling: str, seed: int, index: int, period_s: float) -> float
     """
     if sampling == "sky":
         return 0.0
-    start = float(stream(seed, "sampling").random())
     span = TROPICAL_YEAR_S if sampling == "mission_year" else period_s
-    return ((start + index * _GOLDEN) % 1.0) * span
+    return ((_start(seed) + index * _GOLDEN) % 1.0) * span
+
+
+@functools.lru_cache(maxsize=64)
+def _start(seed: int) -> float:
+    return float(stream(seed, "sampling").random())

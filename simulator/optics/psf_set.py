@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -77,7 +78,7 @@ class PsfSet:
             self._psfs = {}
             self._made: dict[tuple[float, ...], list[Psf]] = {}
             corner = self._zone(self._zone_count - 1)[-1]
-        ends = [*self._zone(0), corner]
+        ends = list(dict.fromkeys([*self._zone(0), corner]))  # a single image once
         self._widest = ends
         self.feature_px = min(psf.feature_px for psf in ends)
         """Finest structure of all images, for the sampling of smeared paths."""
@@ -86,7 +87,7 @@ class PsfSet:
 
     def radius_px(self, electrons: ArrayLike) -> FloatArray:
         """How far stars may reach, pixels: the most of the images on the axis and of the reddest in a corner."""
-        return np.asarray(np.max([psf.radius_px(electrons) for psf in self._widest], axis=0))
+        return functools.reduce(np.maximum, [psf.radius_px(electrons) for psf in self._widest])
 
     def psf(self, b_v: float = DEFAULT_B_V, xy: tuple[float, float] | None = None) -> Psf:
         """The image of a star of a colour at a place (the centre of the image if left out)."""

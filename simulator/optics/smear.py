@@ -6,6 +6,7 @@ import functools
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.jitter import JitterPath
@@ -128,20 +129,50 @@ def wander_length_px(camera: Camera, jitter: JitterPath, exposure_s: float, limi
 
 def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, limit_rad: float) -> float:
     """Length of the longest path on the image, by chords."""
-    angle = float(np.linalg.norm(turn))
+    angle = math.hypot(*turn.tolist())
     if angle == 0.0 or len(directions) == 0:
         return 0.0
     chords = 8 + math.ceil(angle / math.radians(5.0))
     xy = _positions(camera, directions, _rotations(turn, np.linspace(-0.5, 0.5, chords + 1)), limit_rad)
-    return float(np.nansum(np.linalg.norm(np.diff(xy, axis=1), axis=2), axis=1).max())
+    return float(_longest(xy))
+
+
+@njit(cache=True, error_model="numpy")
+def _longest(xy: FloatArray) -> float:
+    """Kernel: length of the longest of paths (N, K, 2); chords from or to a NaN do not count."""
+    longest = 0.0
+    for n in range(len(xy)):
+        length = 0.0
+        for k in range(xy.shape[1] - 1):
+            dx, dy = xy[n, k + 1, 0] - xy[n, k, 0], xy[n, k + 1, 1] - xy[n, k, 1]
+            chord = math.sqrt(dx * dx + dy * dy)
+            if not math.isnan(chord):
+                length += chord
+        longest = max(longest, length)
+    return longest
 
 
 def _positions(camera: Camera, directions: FloatArray, rotations: FloatArray, limit_rad: float) -> FloatArray:
     """(N, K, 2) pixels of directions (N, 3) turned by matrices (K, 3, 3)."""
-    vectors = np.einsum("kij,nj->nki", rotations, directions).reshape(-1, 3)
-    xy = camera.project(vectors)
-    xy[vectors[:, 2] < math.cos(limit_rad)] = np.nan
-    return np.asarray(xy.reshape(len(directions), len(rotations), 2))
+    vectors = _turned(directions, rotations, math.cos(limit_rad))
+    return camera.project(vectors).reshape(len(directions), len(rotations), 2)
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(directions: FloatArray, rotations: FloatArray, least_z: float) -> FloatArray:
+    """Kernel: (N K, 3) directions (N, 3) turned by each matrix (K, 3, 3); NaN where z comes out below `least_z`."""
+    out = np.empty((len(directions) * len(rotations), 3))
+    for n in range(len(directions)):
+        x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
+        for k in range(len(rotations)):
+            i, m = n * len(rotations) + k, rotations[k]
+            out[i, 2] = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z
+            if out[i, 2] < least_z:
+                out[i, :] = np.nan
+                continue
+            out[i, 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z
+            out[i, 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z
+    return out
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
@@ -154,15 +185,18 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
+@njit(cache=True, error_model="numpy")
 def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
     """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` × `turn`."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return np.tile(np.eye(3), (len(moments), 1, 1))
-    x, y, z = turn / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, versine = np.sin(angle * moments), 2.0 * np.sin(0.5 * angle * moments) ** 2
-    return np.asarray(np.eye(3) + sine[:, None, None] * cross + versine[:, None, None] * (cross @ cross))
+    out = np.zeros((len(moments), 3, 3))
+    angle = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    x, y, z = (turn[0] / angle, turn[1] / angle, turn[2] / angle) if angle > 0.0 else (0.0, 0.0, 0.0)
+    for k in range(len(moments)):
+        sine, versine = math.sin(angle * moments[k]), 2.0 * math.sin(0.5 * angle * moments[k]) ** 2
+        out[k, 0] = 1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y
+        out[k, 1] = versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x
+        out[k, 2] = versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y)
+    return out
 
 
 @functools.lru_cache(maxsize=256)

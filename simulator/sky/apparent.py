@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import erfa
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from simulator.sky.light import aberrated, bent, unit
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S
-from startracker.observer import Observer, aberrate
+from startracker.observer import Observer
 
 if TYPE_CHECKING:
     from simulator.scenario.schema import SkySection
@@ -56,20 +57,9 @@ def apparent_directions(
     Jupiter).
     """
     u, motion = catalog.space_motion()
-    position = observer.position_au
-    if section.proper_motion:
-        years = np.full(len(catalog), observer.epoch_jyear - catalog.epoch_jyear)
-        if position is not None:
-            years += (u @ position) * _AU_LIGHT_TIME_JYEAR
-        u = u + years[:, None] * motion
-    if section.parallax and position is not None:
-        u = u - catalog.parallax_rad[:, None] * position
-    u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    if section.light_deflection and sun_au is not None and position is not None:
-        u = bend_by_sun(u, position - np.asarray(sun_au, dtype=float))
-    if section.aberration and observer.velocity_km_s is not None:
-        u = aberrate(u, observer.velocity_km_s)
-    return u
+    return _apparent(
+        np.arange(len(catalog)), u, motion, catalog.parallax_rad, catalog.epoch_jyear, observer, sun_au, section
+    )
 
 
 def bend_by_sun(directions: FloatArray, from_sun_au: FloatArray) -> FloatArray:
@@ -85,8 +75,95 @@ def bend_by_sun(directions: FloatArray, from_sun_au: FloatArray) -> FloatArray:
     from_sun_au : float array, shape (3,)
         From the Sun to the observer, au.
     """
-    distance = math.sqrt(float(from_sun_au @ from_sun_au))
-    return np.asarray(erfa.ufunc.ldsun(directions, from_sun_au / distance, distance), dtype=np.float64)
+    out = np.empty((len(directions), 3))
+    _bend(np.asarray(directions, dtype=float), np.asarray(from_sun_au, dtype=float), out)
+    return out
+
+
+def _apparent(
+    rows: IntArray,
+    u: FloatArray,
+    motion: FloatArray,
+    parallax_rad: FloatArray,
+    catalog_epoch_jyear: float,
+    observer: Observer,
+    sun_au: ArrayLike | None,
+    section: SkySection,
+) -> FloatArray:
+    """`apparent_directions` of some rows of a catalogue's space motion."""
+    position, velocity, sun = observer.position_au, observer.velocity_km_s, sun_au
+    nowhere = np.zeros(3)
+    out = np.empty((len(rows), 3))
+    _directions(
+        out,
+        rows,
+        u,
+        motion,
+        parallax_rad,
+        observer.epoch_jyear - catalog_epoch_jyear,
+        nowhere if position is None else position,
+        nowhere if sun is None else np.asarray(sun, dtype=float),
+        nowhere if velocity is None else velocity,
+        section.proper_motion,
+        section.parallax and position is not None,
+        section.light_deflection and position is not None and sun is not None,
+        section.aberration and velocity is not None,
+    )
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _directions(
+    out: FloatArray,
+    rows: IntArray,
+    u: FloatArray,
+    motion: FloatArray,
+    parallax_rad: FloatArray,
+    years: float,
+    position: FloatArray,
+    sun: FloatArray,
+    velocity_km_s: FloatArray,
+    proper: bool,
+    near: bool,
+    bends: bool,
+    moves: bool,
+) -> None:
+    """Kernel of `apparent_directions`; a switch for each effect, an observer without a place stands at zero."""
+    ex, ey, ez = position[0] - sun[0], position[1] - sun[1], position[2] - sun[2]
+    distance = math.sqrt(ex * ex + ey * ey + ez * ez)
+    e = (ex / distance, ey / distance, ez / distance)
+    velocity = (velocity_km_s[0], velocity_km_s[1], velocity_km_s[2])
+    for n in range(len(rows)):
+        row = rows[n]
+        x, y, z = u[row, 0], u[row, 1], u[row, 2]
+        if proper:
+            t = years + (x * position[0] + y * position[1] + z * position[2]) * _AU_LIGHT_TIME_JYEAR
+            x, y, z = x + t * motion[row, 0], y + t * motion[row, 1], z + t * motion[row, 2]
+        if near:
+            w = parallax_rad[row]
+            x, y, z = x - w * position[0], y - w * position[1], z - w * position[2]
+        p = unit(x, y, z)
+        if bends:
+            p = bent(p, p, e, distance, _limit(distance))
+        if moves:
+            p = aberrated(p, velocity)
+        out[n, 0], out[n, 1], out[n, 2] = p
+
+
+@njit(cache=True, error_model="numpy")
+def _bend(directions: FloatArray, from_sun: FloatArray, out: FloatArray) -> None:
+    """Kernel of `bend_by_sun`."""
+    distance = math.sqrt(from_sun[0] ** 2 + from_sun[1] ** 2 + from_sun[2] ** 2)
+    e = (from_sun[0] / distance, from_sun[1] / distance, from_sun[2] / distance)
+    for n in range(len(directions)):
+        p = (directions[n, 0], directions[n, 1], directions[n, 2])
+        out[n, 0], out[n, 1], out[n, 2] = bent(p, p, e, distance, _limit(distance))
+
+
+@njit(cache=True, error_model="numpy")
+def _limit(distance_au: float) -> float:
+    """``eraLdsun`` holds the bending back within 4.9′ of the Sun's centre, less from beyond 1 au."""
+    return 1e-6 / max(distance_au * distance_au, 1.0)
 
 
 class SkyIndex:
@@ -100,9 +177,9 @@ class SkyIndex:
 
     def __init__(self, catalog: StarCatalog) -> None:
         self.catalog = catalog
-        directions, motion = catalog.space_motion()
-        across = motion - directions * np.einsum("ij,ij->i", directions, motion)[:, None]
-        self._tree = cKDTree(directions)
+        self._u, self._motion = catalog.space_motion()
+        across = self._motion - self._u * np.einsum("ij,ij->i", self._u, self._motion)[:, None]
+        self._tree = cKDTree(self._u)
         self._fastest_rad_yr = float(np.sqrt((across**2).sum(axis=1).max(initial=0.0)))
 
     def near(self, direction: ArrayLike, radius_rad: float, epoch_jyear: float) -> IntArray:
@@ -139,5 +216,12 @@ class SkyIndex:
         StarCatalog, float array of shape (N, 3)
             Stars in the order of the catalogue, among them a few outside `radius_rad`, and apparent unit vectors.
         """
-        stars = self.catalog.select(self.near(direction, radius_rad, observer.epoch_jyear))
-        return stars, apparent_directions(stars, observer, sun_au, section)
+        rows = self.near(direction, radius_rad, observer.epoch_jyear)
+        return self.catalog.select(rows), self.apparent(rows, observer, sun_au, section)
+
+    def apparent(self, rows: IntArray, observer: Observer, sun_au: ArrayLike | None, section: SkySection) -> FloatArray:
+        """`apparent_directions` of some rows of the catalogue."""
+        catalog = self.catalog
+        return _apparent(
+            rows, self._u, self._motion, catalog.parallax_rad, catalog.epoch_jyear, observer, sun_au, section
+        )

@@ -56,7 +56,7 @@ _AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
 
 def angular_radius_rad(r_km: ArrayLike) -> float:
     """Angle between the Earth's centre and its horizon, arcsin(R/r), from a position (3,); 90° on the ground."""
-    return math.asin(min(EARTH_RADIUS_KM / float(np.linalg.norm(np.asarray(r_km, dtype=float))), 1.0))
+    return math.asin(min(EARTH_RADIUS_KM / math.hypot(*np.asarray(r_km, dtype=float).tolist()), 1.0))
 
 
 def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
@@ -72,15 +72,15 @@ def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
         Position of the spacecraft from the Earth's centre.
     """
     r = np.asarray(r_km, dtype=float)
-    cosine = np.atleast_2d(np.asarray(directions, dtype=float)) @ (-r / np.linalg.norm(r))
+    cosine = np.atleast_2d(np.asarray(directions, dtype=float)) @ (r / -math.hypot(*r.tolist()))
     return np.asarray(cosine > math.cos(angular_radius_rad(r)))
 
 
 def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
     """Whether the Earth with its atmosphere may reach into the image: a circle around the image is tested."""
     r = np.asarray(r_km, dtype=float)
-    distance = float(np.linalg.norm(r))
-    nadir = float(np.clip(attitude.boresight @ (-r / distance), -1.0, 1.0))
+    distance = math.hypot(*r.tolist())
+    nadir = min(max(float(attitude.boresight @ r) / -distance, -1.0), 1.0)
     reach = math.asin(min((EARTH_RADIUS_KM + ATMOSPHERE_TOP_KM) / distance, 1.0))
     return math.acos(nadir) < reach + camera.half_diagonal_rad
 

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.curves import Curve
-from simulator.sky.colours import population_giant_share
+from simulator.sky.colours import GIANT_SHARE
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA
 from startracker.errors import InputError
 from startracker.registry import lookup
@@ -192,25 +193,50 @@ class Photometer:
 def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> FloatArray:
     """Tables (dwarfs, giants, late giants; each (M,) or (M, K)) at stars (N,): (N,) or (N, K)."""
     colour = np.asarray(b_v, dtype=float)
-    colour = np.clip(np.where(np.isnan(colour), DEFAULT_B_V, colour), *B_V_RANGE)
     share = np.asarray(math.nan if giant is None else giant, dtype=float)
-    share = np.where(np.isnan(share), population_giant_share(colour), share)
-    colour, share = np.broadcast_arrays(colour, share)
-    late = share >= LATE_GIANT[0]
-    tail = (1,) * (tables[0].ndim - 1)
-    part = np.clip(share, 0.0, 1.0).reshape(share.shape + tail)
-    value = _linear(tables[0], colour, _B_V_GRID) * (1.0 - part) + _linear(tables[1], colour, _B_V_GRID) * part
-    if late.any():
-        value = np.where(late.reshape(late.shape + tail), _linear(tables[2], share, _LATE_GRID), value)
-    return np.asarray(value)
+    if colour.shape != share.shape:
+        colour, share = (np.array(column) for column in np.broadcast_arrays(colour, share))
+    tail = tables[0].shape[1:]
+    flat = [table.reshape(len(table), -1) for table in tables]
+    out = np.empty((colour.size, flat[0].shape[1]))
+    _look_up(out, colour.ravel(), share.ravel(), *flat)
+    return out.reshape(colour.shape + tail)
 
 
-def _linear(table: FloatArray, at: FloatArray, grid: FloatArray) -> FloatArray:
-    """Straight lines between the rows of a table on an even grid; the ends are kept beyond it."""
-    place = np.clip((at - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
-    left = np.minimum(place.astype(np.int64), len(grid) - 2)
-    part = (place - left).reshape(at.shape + (1,) * (table.ndim - 1))
-    return np.asarray(table[left] * (1.0 - part) + table[left + 1] * part)
+_SHARE_B_V, _SHARE = np.array(GIANT_SHARE).T.copy()
+_B_V_STEP, _LATE_STEP = float(_B_V_GRID[1] - _B_V_GRID[0]), float(_LATE_GRID[1] - _LATE_GRID[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _look_up(
+    out: FloatArray, b_v: FloatArray, giant: FloatArray, dwarfs: FloatArray, giants: FloatArray, late: FloatArray
+) -> None:
+    """Kernel: the tables (M, K) at the colours and classes of stars (N,), see `Photometer`, into `out` (N, K)."""
+    for n in range(len(b_v)):
+        colour, share = b_v[n], giant[n]
+        if math.isnan(colour):
+            colour = DEFAULT_B_V
+        colour = min(max(colour, B_V_RANGE[0]), B_V_RANGE[1])
+        if math.isnan(share):
+            share = np.interp(colour, _SHARE_B_V, _SHARE)
+        if share >= LATE_GIANT[0]:
+            row, part = _place((share - LATE_GIANT[0]) / _LATE_STEP, len(late))
+            for k in range(out.shape[1]):
+                out[n, k] = late[row, k] * (1.0 - part) + late[row + 1, k] * part
+            continue
+        row, part = _place((colour - B_V_RANGE[0]) / _B_V_STEP, len(dwarfs))
+        share = min(max(share, 0.0), 1.0)
+        for k in range(out.shape[1]):
+            dwarf = dwarfs[row, k] * (1.0 - part) + dwarfs[row + 1, k] * part
+            out[n, k] = dwarf * (1.0 - share) + (giants[row, k] * (1.0 - part) + giants[row + 1, k] * part) * share
+
+
+@njit(cache=True, error_model="numpy")
+def _place(at: float, rows: int) -> tuple[int, float]:
+    """Row of an even table below a place counted in rows, and the part of a step beyond it; ends are kept beyond."""
+    at = min(max(at, 0.0), rows - 1.0)
+    row = min(int(at), rows - 2)
+    return row, at - row
 
 
 def _sampled(response: Curve) -> tuple[FloatArray, FloatArray]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-import erfa
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from simulator.sky.ephemeris import SUN, TARGETS, position_au, tdb_jd
-from simulator.sky.magnitudes import moon_v, planet_v, sun_v
+from simulator.sky.ephemeris import SUN, TARGETS, ephemeris, position, position_au, tdb_jd
+from simulator.sky.light import aberrated, bent, unit
+from simulator.sky.magnitudes import PLANETS, moon_v, planet_v_by_number, sun_v
 from startracker.constants import AU_KM, SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
-from startracker.observer import Observer, aberrate
+from startracker.observer import Observer
 
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
@@ -53,6 +55,7 @@ B_V = {
 _AU_LIGHT_TIME_DAY = AU_KM / SPEED_OF_LIGHT_KM_S / 86_400.0
 _LIGHT_TIME_STEPS = 3
 """Each step shrinks the error, at first v τ = 24,000 km for Mercury, by v/c = 1.6e-4: after three it is 0.1 mm."""
+_LONGEST_LIGHT_TIME_DAY = 0.2
 _DEFLECTION_LIMIT = 1e-9
 """ERFA's limiter of ``eraLd``: deflection is held back within 9″ of the Sun's centre, behind its disc."""
 
@@ -96,6 +99,10 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.name)
 
+    def select(self, rows: NDArray[np.int64]) -> Bodies:
+        """Some of them, by index array."""
+        return Bodies(*(getattr(self, column.name)[rows] for column in fields(self)))
+
 
 def sun_position_au(clock: Clock, t_s: float) -> FloatArray:
     """Barycentric position (3,) of the Sun's centre at this instant, au, ICRF axes; `InputError` outside DE421."""
@@ -131,56 +138,95 @@ def solar_system(clock: Clock, t_s: float, observer: Observer, section: SkySecti
     if observer.position_au is None:
         raise InputError("the planets' places need the observer's barycentric position; make the observer by observe()")
     jd = tdb_jd(*clock.tt_jd(t_s))
-    here, sun = observer.position_au, position_au(SUN, jd)
-    seen = np.array([_geometric(target, jd, here) for target in TARGETS.values()])
-    distance = np.linalg.norm(seen, axis=1)
-    direction = seen / distance[:, None]
-    from_sun = seen + here - sun
-
-    v_mag = np.empty(len(TARGETS))
-    lit = np.ones(len(TARGETS))
-    for k, name in enumerate(TARGETS):
-        if name == "Sun":
-            v_mag[k] = sun_v(float(distance[k]))
-            continue
-        r = float(np.linalg.norm(from_sun[k]))
-        cosine = float(np.clip(from_sun[k] @ direction[k] / r, -1.0, 1.0))
-        lit[k] = (1.0 + cosine) / 2.0
-        if name == "Moon":
-            v_mag[k] = moon_v(r, float(distance[k]), math.degrees(math.acos(cosine)))
-        else:
-            v_mag[k] = planet_v(name, from_sun[k], seen[k], observer.epoch_jyear)
-
-    if section.light_deflection:
-        direction = _bend(direction, from_sun, here - sun, np.array([name != "Sun" for name in TARGETS]))
-    if section.aberration and observer.velocity_km_s is not None:
-        direction = aberrate(direction, observer.velocity_km_s)
-    radius_au = np.array([RADIUS_KM[name] for name in TARGETS]) / AU_KM
-    return Bodies(
-        name=np.array(list(TARGETS)),
-        direction=direction,
-        distance_au=distance,
-        v_mag=v_mag,
-        angular_radius_rad=np.arcsin(np.minimum(radius_au / distance, 1.0)),
-        illuminated_fraction=lit,
-        b_v=np.array([B_V[name] for name in TARGETS]),
+    de421 = ephemeris(*jd, _LONGEST_LIGHT_TIME_DAY)
+    moves = section.aberration and observer.velocity_km_s is not None
+    direction = np.empty((len(TARGETS), 3))
+    columns = np.empty((4, len(TARGETS)))
+    _view(
+        de421.words,
+        de421.segments,
+        _routes(),
+        *jd,
+        observer.position_au,
+        np.zeros(3) if observer.velocity_km_s is None else observer.velocity_km_s,
+        observer.epoch_jyear,
+        section.light_deflection,
+        moves,
+        direction,
+        columns,
     )
+    return Bodies(_NAMES, direction, columns[0], columns[1], columns[2], columns[3], _COLOURS)
 
 
-def _geometric(target: int, jd: tuple[float, float], observer_au: FloatArray) -> FloatArray:
-    """Vector (3,), au, from the observer now to the body when the light left it."""
-    vector = position_au(target, jd) - observer_au
-    for _ in range(_LIGHT_TIME_STEPS):
-        delay = math.sqrt(float(vector @ vector)) * _AU_LIGHT_TIME_DAY
-        vector = position_au(target, (jd[0], jd[1] - delay)) - observer_au
-    return vector
+_NAMES = np.array(list(TARGETS))
+_COLOURS = np.array([B_V[name] for name in TARGETS])
+_RADII_AU = np.array([RADIUS_KM[name] for name in TARGETS]) / AU_KM
+_NUMBERS = np.array([PLANETS.index(name) if name in PLANETS else -1 for name in TARGETS])
+_SUN, _MOON = list(TARGETS).index("Sun"), list(TARGETS).index("Moon")
 
 
-def _bend(direction: FloatArray, from_sun: FloatArray, observer_from_sun: FloatArray, bent: FloatArray) -> FloatArray:
-    """Directions (N, 3) with the Sun's deflection where `bent`."""
-    out = direction.copy()
-    em = math.sqrt(float(observer_from_sun @ observer_from_sun))
-    for k in np.flatnonzero(bent):
-        q = from_sun[k] / np.linalg.norm(from_sun[k])
-        out[k] = erfa.ufunc.ld(1.0, direction[k], q, observer_from_sun / em, em, _DEFLECTION_LIMIT)
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True), dtype=np.float64)
+@functools.cache
+def _routes() -> NDArray[np.int64]:
+    """Segments of the ephemeris that lead to each of `TARGETS`, (N, 2)."""
+    date = 2_451_545.0
+    return np.stack([ephemeris(date, 0.0).routes[target] for target in TARGETS.values()])
+
+
+@njit(cache=True, error_model="numpy")
+def _view(
+    words: FloatArray,
+    segments: FloatArray,
+    routes: NDArray[np.int64],
+    jd1: float,
+    jd2: float,
+    here: FloatArray,
+    velocity_km_s: FloatArray,
+    epoch_jyear: float,
+    bends: bool,
+    moves: bool,
+    direction: FloatArray,
+    columns: FloatArray,
+) -> None:
+    """Kernel of `solar_system`: apparent directions (N, 3), and `columns` (4, N): distance in au, V, angular radius,
+    illuminated fraction."""
+    place, sun = np.empty(3), np.empty(3)
+    seen, from_sun = np.empty(3), np.empty(3)
+    position(words, segments, routes[_SUN], jd1, jd2, sun)
+    sun /= AU_KM
+    ex, ey, ez = here[0] - sun[0], here[1] - sun[1], here[2] - sun[2]
+    to_sun = math.sqrt(ex * ex + ey * ey + ez * ez)
+    e = unit(ex, ey, ez)
+    velocity = (velocity_km_s[0], velocity_km_s[1], velocity_km_s[2])
+    for k in range(len(routes)):
+        delay = 0.0
+        for _ in range(_LIGHT_TIME_STEPS + 1):
+            position(words, segments, routes[k], jd1, jd2 - delay, place)
+            square = 0.0
+            for axis in range(3):
+                seen[axis] = place[axis] / AU_KM - here[axis]
+                square += seen[axis] * seen[axis]
+            distance = math.sqrt(square)
+            delay = distance * _AU_LIGHT_TIME_DAY
+        p = (seen[0] / distance, seen[1] / distance, seen[2] / distance)
+        lit = 1.0
+        if k == _SUN:
+            v = sun_v(distance)
+        else:
+            for axis in range(3):
+                from_sun[axis] = seen[axis] + here[axis] - sun[axis]
+            r = math.sqrt(from_sun[0] ** 2 + from_sun[1] ** 2 + from_sun[2] ** 2)
+            q = (from_sun[0] / r, from_sun[1] / r, from_sun[2] / r)
+            cosine = min(max(q[0] * p[0] + q[1] * p[1] + q[2] * p[2], -1.0), 1.0)
+            lit = (1.0 + cosine) / 2.0
+            if k == _MOON:
+                v = moon_v(r, distance, math.degrees(math.acos(cosine)))
+            else:
+                v = planet_v_by_number(_NUMBERS[k], from_sun, seen, epoch_jyear)
+            if bends:
+                x, y, z = bent(p, q, e, to_sun, _DEFLECTION_LIMIT)
+                p = unit(x, y, z)
+        if moves:
+            p = aberrated(p, velocity)
+        direction[k, 0], direction[k, 1], direction[k, 2] = p
+        columns[0, k], columns[1, k], columns[3, k] = distance, v, lit
+        columns[2, k] = math.asin(min(_RADII_AU[k] / distance, 1.0))

@@ -8,9 +8,11 @@ each pixel about it.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from simulator.detector.fixed_pattern import FixedPattern, dark_current_factor
@@ -25,6 +27,7 @@ from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 SAME_STAR_PX = 3.0
 """A matched centroid belongs to the brightest true star this near."""
@@ -59,10 +62,12 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
     """
     information = star_information(renderer, truth, stars)
     slopes = pixel_slopes(renderer.focal_plane.true_camera, truth.attitude.apply(truth.sources.direction[stars]))
-    total = np.einsum("nia,nij,njb->ab", slopes, information, slopes)
+    total = np.einsum("nai,nab,nbj->ij", slopes, information, slopes) if len(stars) >= 2 else np.full((3, 3), np.nan)
     bound = np.full(3, np.nan)
-    if len(stars) >= 2 and np.isfinite(total).all() and np.linalg.cond(total) < 1e12:
-        bound = np.degrees(np.sqrt(np.diag(np.linalg.inv(total))))
+    if np.isfinite(total).all():
+        value, axis = np.linalg.eigh(total)
+        if value[0] > 1e-12 * value[2]:
+            bound = np.degrees(np.sqrt((axis**2 / value).sum(axis=1)))
     return bound
 
 
@@ -70,13 +75,22 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
     out."""
     sources = truth.sources
-    rows = np.flatnonzero(sources.kind == "star")
-    if not len(rows) or not len(xy):
-        return np.empty(0, dtype=np.int64)
-    distance = np.hypot(*np.moveaxis(sources.xy[rows][None, :, :] - xy[:, None, :], -1, 0))
-    light = np.where(distance <= SAME_STAR_PX, sources.electrons[rows], -1.0)
-    best = light.argmax(axis=1)
-    return np.unique(rows[best[light[np.arange(len(xy)), best] > 0.0]])
+    best = _brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, sources.kind == "star")
+    return np.unique(best[best >= 0])
+
+
+@njit(cache=True, error_model="numpy")
+def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray, is_star: BoolArray) -> IntArray:
+    """Kernel: row of the brightest star within `SAME_STAR_PX` of each place (N, 2); −1 where there is none."""
+    best = np.full(len(xy), -1)
+    for n in range(len(xy)):
+        most = 0.0
+        for k in range(len(source_xy)):
+            if is_star[k] and electrons[k] > most:
+                dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
+                if math.hypot(dx, dy) <= SAME_STAR_PX:
+                    most, best[n] = electrons[k], k
+    return best
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -123,16 +137,33 @@ def fisher_of_place(
 ) -> FloatArray:
     """Fisher matrices (N, 2, 2) of places from images of unit flux, their slopes, and variances (N, M, M); pixels of
     infinite variance tell nothing."""
-    weight = np.divide(1.0, variance, out=np.full_like(variance, np.inf), where=variance > 0.0)
-    # a pixel that neither varies nor changes tells nothing
-    weight = np.where((share == 0.0) & (slope_x == 0.0) & (slope_y == 0.0), 0.0, weight)
-    parts = np.stack([flux[:, None, None] * slope_x, flux[:, None, None] * slope_y, share], axis=1)
-    parts = parts.reshape(len(flux), 3, -1)
-    with np.errstate(invalid="ignore"):
-        full = (parts * weight.reshape(len(flux), 1, -1)) @ parts.transpose(0, 2, 1)
-        cross = full[:, :2, 2]
-        of_flux = np.where(full[:, 2, 2] > 0.0, full[:, 2, 2], 1.0)
-        return np.asarray(full[:, :2, :2] - cross[:, :, None] * cross[:, None, :] / of_flux[:, None, None])
+    out = np.empty((len(flux), 2, 2))
+    _fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _fisher(
+    out: FloatArray, share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
+) -> None:
+    """Kernel of `fisher_of_place`."""
+    for n in range(len(flux)):
+        xx = xy = yy = xf = yf = ff = 0.0
+        for j in range(share.shape[1]):
+            for i in range(share.shape[2]):
+                x, y, f = flux[n] * slope_x[n, j, i], flux[n] * slope_y[n, j, i], share[n, j, i]
+                if f == 0.0 and x == 0.0 and y == 0.0:  # a pixel that neither varies nor changes tells nothing
+                    continue
+                weight = 1.0 / variance[n, j, i] if variance[n, j, i] > 0.0 else np.inf
+                xx += x * weight * x
+                xy += x * weight * y
+                yy += y * weight * y
+                xf += x * weight * f
+                yf += y * weight * f
+                ff += f * weight * f
+        of_flux = ff if ff > 0.0 else 1.0
+        out[n, 0, 0], out[n, 1, 1] = xx - xf * xf / of_flux, yy - yf * yf / of_flux
+        out[n, 0, 1] = out[n, 1, 0] = xy - xf * yf / of_flux
 
 
 def image_slopes(
@@ -195,11 +226,19 @@ def pixel_variance_e2(
     detector : DetectorSection
         The detector.
     """
-    shot = mean_e + dark_e if detector.shot_noise else np.zeros_like(mean_e)
+    return np.asarray(_variance(mean_e, dark_e, star_e, *_noise(detector)))
+
+
+@register_jitable
+def _variance(mean_e: Any, dark_e: Any, star_e: Any, shot: float, electronics: float, prnu: float) -> Any:
+    return shot * (mean_e + dark_e) + electronics + (prnu * star_e) ** 2
+
+
+def _noise(detector: DetectorSection) -> tuple[float, float, float]:
+    """Whether there is shot noise (1 or 0), the variance that is alike in every pixel, and the PRNU."""
     rounding = 0.0 if detector.adc_bits is None else gain_e_per_dn(detector) ** 2 / 12.0
     electronics = detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + rounding
-    fixed = (detector.prnu * star_e) ** 2 + (detector.dsnu * mean_dark_e(detector)) ** 2
-    return np.asarray(shot + electronics + fixed)
+    return float(detector.shot_noise), electronics + (detector.dsnu * mean_dark_e(detector)) ** 2, detector.prnu
 
 
 def mean_dark_e(detector: DetectorSection) -> float:
@@ -212,24 +251,57 @@ def _variances(
     mean_e: FloatArray, pattern: FixedPattern, detector: DetectorSection, centres: IntArray, star_e: FloatArray
 ) -> FloatArray:
     """Variances (N, M, M) of the pixels about stars; infinite off the image and where charge overflows."""
+    dark = pattern.dark_e if isinstance(pattern.dark_e, np.ndarray) else np.full((1, 1), pattern.dark_e)
+    out = np.empty_like(star_e)
+    _variances_about(out, mean_e, dark, centres, star_e, detector.full_well_e, *_noise(detector))
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _variances_about(
+    out: FloatArray,
+    mean_e: FloatArray,
+    dark_e: FloatArray,
+    centres: IntArray,
+    star_e: FloatArray,
+    full_well_e: float,
+    shot: float,
+    electronics: float,
+    prnu: float,
+) -> None:
+    """Kernel of `_variances`; a single dark pixel stands for all."""
     height, width = mean_e.shape
-    offsets = np.arange(star_e.shape[1]) - star_e.shape[1] // 2
-    columns, rows = centres[:, 0, None] + offsets, centres[:, 1, None] + offsets
-    inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < width))[:, None, :]
-    at = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :])
-    mean = mean_e[at]
-    dark = pattern.dark_e[at] if isinstance(pattern.dark_e, np.ndarray) else np.full_like(mean, pattern.dark_e)
-    variance = pixel_variance_e2(mean, dark, star_e, detector)
-    return np.where(inside & (mean + dark < detector.full_well_e), variance, np.inf)
+    uneven = dark_e.size > 1
+    half = star_e.shape[1] // 2
+    for n in range(len(centres)):
+        for j in range(star_e.shape[1]):
+            row = centres[n, 1] + j - half
+            for i in range(star_e.shape[2]):
+                column = centres[n, 0] + i - half
+                out[n, j, i] = np.inf
+                if 0 <= row < height and 0 <= column < width:
+                    dark = dark_e[row, column] if uneven else dark_e[0, 0]
+                    if mean_e[row, column] + dark < full_well_e:
+                        out[n, j, i] = _variance(mean_e[row, column], dark, star_e[n, j, i], shot, electronics, prnu)
 
 
 def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
     """∂(x, y)/∂θ (N, 2, 3), pixels per radian: how stars seen along unit vectors (N, 3) in the camera move on the image
     when it turns by small rotation vectors θ, v → v − θ × v; central differences, which lens and distortion go through.
     """
-    slopes = np.empty((len(vectors), 2, 3))
-    turns = np.concatenate([np.eye(3), -np.eye(3)]) * _TURN_RAD
-    turned = vectors[None] - np.cross(turns[:, None, :], vectors[None])
-    xy = camera.project(turned.reshape(-1, 3)).reshape(6, len(vectors), 2)
-    slopes[:] = np.moveaxis((xy[:3] - xy[3:]) / (2.0 * _TURN_RAD), 0, -1)
-    return slopes
+    xy = camera.project(_turned(vectors)).reshape(len(vectors), 2, 3, 2)
+    return np.asarray((xy[:, 0] - xy[:, 1]).transpose(0, 2, 1) / (2.0 * _TURN_RAD))
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(vectors: FloatArray) -> FloatArray:
+    """Kernel: (6 N, 3) each vector after small turns of the camera about +x, +y, +z, −x, −y, −z."""
+    out = np.empty((6 * len(vectors), 3))
+    for n in range(len(vectors)):
+        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
+        for k in range(2):
+            a, i = _TURN_RAD * (1 - 2 * k), 6 * n + 3 * k
+            out[i, 0], out[i, 1], out[i, 2] = x, y + a * z, z - a * y
+            out[i + 1, 0], out[i + 1, 1], out[i + 1, 2] = x - a * z, y, z + a * x
+            out[i + 2, 0], out[i + 2, 1], out[i + 2, 2] = x + a * y, y - a * x, z
+    return out

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
@@ -17,12 +18,13 @@ from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
 from simulator.study.bounds import attitude_bound_deg, matched_sources
 from simulator.study.statistics import CAMERA_AXES, WRONG_FACTOR
-from startracker.attitude import Attitude, direction_to_radec
+from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
@@ -63,7 +65,7 @@ def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude)
     camera = np.degrees(truth.rotation_vector_to(estimate))
     body = mounting.inverse.apply(camera)
     names = ("cross_x", "cross_y", "about_boresight", "roll", "pitch", "yaw")
-    return dict(zip(names, (float(v) for v in (*camera, *body)), strict=True))
+    return dict(zip(names, camera.tolist() + body.tolist(), strict=True))
 
 
 def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
@@ -71,11 +73,28 @@ def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3
 
     A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
     """
+    sources, stars = truth.sources, solution.stars
+    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.kind == "star", tolerance_px))
+
+
+@njit(cache=True, error_model="numpy")
+def _strangers(
+    xy: FloatArray,
+    number: IntArray,
+    source_xy: FloatArray,
+    source_number: IntArray,
+    is_star: NDArray[np.bool_],
+    tolerance_px: float,
+) -> int:
+    """Kernel of `misidentified`."""
     wrong = 0
-    for xy, number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True):
-        same = truth.sources.xy[(truth.sources.id == number) & (truth.sources.kind == "star")]
-        if not (len(same) and float(np.min(np.hypot(*(same - xy).T))) <= tolerance_px):
-            wrong += 1
+    for n in range(len(xy)):
+        found = False
+        for k in range(len(source_xy)):
+            if is_star[k] and source_number[k] == number[n]:
+                dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
+                found = found or math.hypot(dx, dy) <= tolerance_px
+        wrong += not found
     return wrong
 
 
@@ -93,18 +112,19 @@ def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray 
 
 def galactic_latitude_deg(attitude: Attitude) -> float:
     """Galactic latitude of the boresight, degrees."""
-    return math.degrees(float(direction_to_radec(GALACTIC @ attitude.boresight)[1]))
+    x, y, z = (GALACTIC @ attitude.boresight).tolist()
+    return math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
 def argument_of_latitude_deg(orbit: Orbit, t_s: float) -> float:
     """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360)."""
-    r, v = (true_of_date(orbit.clock, t_s) @ vector for vector in orbit.state(t_s))
-    momentum = np.cross(r, v)
-    node = np.array([-momentum[1], momentum[0], 0.0])
-    if not node.any():  # no node: from the x axis
-        node = np.array([1.0, 0.0, 0.0])
-    ahead = np.cross(momentum, node) / np.linalg.norm(momentum)
-    return math.degrees(math.atan2(float(r @ ahead), float(r @ node))) % 360.0
+    of_date = true_of_date(orbit.clock, t_s)
+    (x, y, z), (vx, vy, vz) = ((of_date @ vector).tolist() for vector in orbit.state(t_s))
+    a, b, c = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx  # angular momentum
+    node_x, node_y = (-b, a) if a != 0.0 or b != 0.0 else (1.0, 0.0)  # no node: from the x axis
+    momentum = math.sqrt(a * a + b * b + c * c)
+    ahead = (-c * node_y * x + c * node_x * y + (a * node_y - b * node_x) * z) / momentum
+    return math.degrees(math.atan2(ahead, x * node_x + y * node_y)) % 360.0
 
 
 class TrialRunner:
@@ -132,7 +152,7 @@ class TrialRunner:
 
     def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
         scenario, sources = self.scenario, truth.sources
-        inside = frame.camera.contains(sources.xy)
+        inside, is_star = frame.camera.contains(sources.xy), sources.kind == "star"
         row: dict[str, Any] = {
             "index": index,
             "t_s": truth.t_s,
@@ -180,12 +200,12 @@ class TrialRunner:
         bright = sources.v_mag <= scenario.tracker.magnitude_limit
         residuals = solution.stars.residual_px
         row |= {
-            "stars_in_field": int(np.sum(inside & bright & (sources.kind == "star"))),
-            "bodies_in_field": int(np.sum(inside & (sources.kind != "star"))),
+            "stars_in_field": int(np.count_nonzero(inside & bright & is_star)),
+            "bodies_in_field": int(np.count_nonzero(inside & ~is_star)),
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
             "residual_rms_px": float(np.sqrt(np.mean(residuals**2))) if len(residuals) else math.nan,
-            "rate_deg_s": math.degrees(float(np.linalg.norm(truth.rate_camera_rad_s))),
+            "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
         }
         return row

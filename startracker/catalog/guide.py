@@ -17,11 +17,13 @@ from scipy.spatial import cKDTree
 from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.field_shape import FieldShape, field_shape
+from startracker.catalog.places import seen_directions
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import VoxelGrid, voxel_grid
+from startracker.catalog.voxels import VoxelGrid, stars_in_cone, voxel_grid
+from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
-from startracker.observer import Observer, aberrate
+from startracker.observer import Observer
 from startracker.settings import IdentificationSettings
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +34,6 @@ RESOLVED_PX = 2.0
 PATTERN_STARS_IN_FIELD = 60
 """Guide stars that make patterns, at most, in a circle around the field; fainter ones serve for verification."""
 _PAIR_EPOCH_STEP = 5.0  # years; the fastest naked-eye star moves 18″ in half a step, the 100th fastest 2.5″
-_DRIFT_MARGIN_RAD = math.radians(0.1)  # motion since the catalogue's epoch, and aberration, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +135,9 @@ class GuideDatabase:
     directions: FloatArray
     pattern: NDArray[np.bool_]
     epoch_jyear: float
-    _tree: cKDTree
     _field: tuple[float, float]
+    _start: FloatArray
+    _motion: list[FloatArray] = field(default_factory=list)
     _pairs: dict[tuple[float, float], PairList] = field(default_factory=dict)
     _grid: list[VoxelGrid] = field(default_factory=list)
     _shape: list[FieldShape] = field(default_factory=list)
@@ -163,9 +165,13 @@ class GuideDatabase:
         """The same stars from where and when the observer is: space motion, annual parallax, aberration of light."""
         if observer is None:
             return self
-        directions = self.catalog.directions(observer.epoch_jyear, observer.position_au)
-        if observer.velocity_km_s is not None:
-            directions = aberrate(directions, observer.velocity_km_s)
+        if not self._motion:
+            self._motion.append(self.catalog.space_motion()[1])
+        years = observer.epoch_jyear - self.catalog.epoch_jyear
+        place = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
+        velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
+        parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
+        directions = seen_directions(self._start, self._motion[0], parallax, years, place, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def brightest(self, count: int) -> GuideDatabase:
@@ -178,7 +184,8 @@ class GuideDatabase:
             catalog=self.catalog.select(np.arange(count)),
             directions=directions,
             pattern=self.pattern[:count],
-            _tree=cKDTree(directions),
+            _start=self._start[:count],
+            _motion=[],
             _pairs={},
             _grid=[],
         )
@@ -230,18 +237,22 @@ class GuideDatabase:
     @property
     def view(self) -> SkyView:
         """The stars and the field as kernels take them; the grid and the outline are made when first asked for."""
-        if not self._grid:
-            self._grid.append(voxel_grid(self.directions))
         if not self._shape:
             self._shape.append(field_shape(self.camera))
-        return SkyView(self.directions, self.v_mag, self._grid[0], self._shape[0], self.solid_angle_sr)
+        return SkyView(self.directions, self.v_mag, self._cubes, self._shape[0], self.solid_angle_sr)
+
+    @property
+    def _cubes(self) -> VoxelGrid:
+        if not self._grid:
+            self._grid.append(voxel_grid(self.directions))
+        return self._grid[0]
 
     def in_cone(self, axis: FloatArray, radius_rad: float) -> IntArray:
         """Indices of the guide stars within `radius_rad` of a unit vector, ascending (brightest first)."""
-        chord = 2.0 * math.sin(min(radius_rad + _DRIFT_MARGIN_RAD, math.pi) / 2.0)
-        near = np.array(self._tree.query_ball_point(axis, chord), dtype=np.int64)
+        x, y, z = map(float, axis)
+        near = stars_in_cone(x, y, z, math.cos(min(radius_rad, math.pi)), self.directions, self._cubes)
         near.sort()
-        return near[self.directions[near] @ axis >= math.cos(min(radius_rad, math.pi))]
+        return np.asarray(near, dtype=np.int64)
 
     def in_field(
         self, matrix: FloatArray, margin_px: float = 0.0, camera: Camera | None = None
@@ -289,13 +300,20 @@ def _build(
             f"magnitude limit {magnitude_limit}: the catalogue {catalog.name} has {len(merged)} stars down to it; "
             f"give a fainter limit (its brightest star is V = {faintest:.2f})"
         )
+    merged = replace(merged, spectral_type=np.full(len(merged), ""))  # half a database's memory, and of no use to it
     half_diagonal, solid_angle = field_of(camera)
     directions = merged.directions(merged.epoch_jyear)
     pattern = ~close_pairs(directions, merged.v_mag, math.radians(close_deg), close_magnitude)
     even = brightest_everywhere(directions[pattern], half_diagonal, PATTERN_STARS_IN_FIELD)
     pattern[np.flatnonzero(pattern)[~even]] = False
     return GuideDatabase(
-        camera, merged, directions, pattern, merged.epoch_jyear, cKDTree(directions), (half_diagonal, solid_angle)
+        camera,
+        merged,
+        directions,
+        pattern,
+        merged.epoch_jyear,
+        (half_diagonal, solid_angle),
+        directions,
     )
 
 

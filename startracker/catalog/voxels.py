@@ -22,6 +22,8 @@ _STARS_PER_CUBE = 2.0
 _MOST_CUBES_PER_AXIS = 96
 DRIFT = 2e-4
 """What aberration (26″) and two decades of proper motion move a star after the grid was made, at most, bar a few."""
+_LARGEST_DRIFT = 2e-3
+"""The same of the fastest stars over half a century: a cone reaches so many more cubes, of which it looks at the edge."""
 
 
 class VoxelGrid(NamedTuple):
@@ -84,7 +86,7 @@ def stars_in_cone(
     x: float, y: float, z: float, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> NDArray[np.int32]:
     """Stars whose angle to the unit vector (x, y, z) has at least this cosine, in the grid's order."""
-    reach = math.sqrt(max(2.0 - 2.0 * cosine, 0.0)) + DRIFT
+    reach = math.sqrt(max(2.0 - 2.0 * cosine, 0.0)) + _LARGEST_DRIFT
     x0, x1 = _cell_range(x, reach, grid.per_axis)
     y0, y1 = _cell_range(y, reach, grid.per_axis)
     z0, z1 = _cell_range(z, reach, grid.per_axis)

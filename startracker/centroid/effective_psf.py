@@ -175,7 +175,7 @@ def _adjust(
     for star, fit in zip(stars, fits, strict=True):
         frame = prepared[int(star[1])]
         cx, cy = round(star[2]), round(star[3])
-        cut = slice(cy - half, cy + half + 1), slice(cx - half, cx + half + 1)
+        cut = np.ix_(cy + k, cx + k)
         x, y, flux = fit[0] - cx, fit[1] - cy, fit[2]
         along_x, along_y = basis(k - x), basis(k - y)
         by_x = (basis(k - x - h) - basis(k - x + h)) / (2 * h)

@@ -6,12 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import measure_stars, measure_widths
 from startracker.detection.background import Background, as_image
+from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -85,8 +87,10 @@ class Prepared:
 
     Parameters
     ----------
-    image, level, noise : float32 array, shape (H, W)
+    image : float32 array, shape (H, W)
         DN.
+    level, noise : Plane
+        Background, DN.
     settings : CentroidSettings
         As given, or the default.
     half : int
@@ -96,8 +100,8 @@ class Prepared:
     """
 
     image: NDArray[np.float32]
-    level: NDArray[np.float32]
-    noise: NDArray[np.float32]
+    level: Plane
+    noise: Plane
     settings: CentroidSettings
     half: int
     inverse_gain: float
@@ -119,11 +123,10 @@ def prepare(
     if gain_e_per_dn is not None and not 0 < gain_e_per_dn < math.inf:
         raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
     pixels = as_image(image)
-    level = background.level
-    if pixels.shape != level.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {level.shape}; make it anew")
-    gain = gain_e_per_dn or (_gain_from_background(background) if level.size else 1.0)
-    return Prepared(pixels, level, background.noise, settings, window // 2, 1.0 / gain)
+    if pixels.shape != background.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
+    gain = gain_e_per_dn or (_gain_from_background(background) if pixels.size else 1.0)
+    return Prepared(pixels, background.level_plane, background.noise_plane, settings, window // 2, 1.0 / gain)
 
 
 def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:
@@ -183,7 +186,12 @@ def measure_psf_sigma(
     """
     clean = np.flatnonzero(~spots.saturated & ~spots.edge)[:_WIDTH_STARS]
     widths = measure_widths(
-        as_image(image), background.level, background.noise, spots.x_peak[clean], spots.y_peak[clean], window_px // 2
+        as_image(image),
+        background.level_plane,
+        background.noise_plane,
+        spots.x_peak[clean],
+        spots.y_peak[clean],
+        window_px // 2,
     )
     widths = widths[np.isfinite(widths).all(axis=1)]
     if not len(widths):
@@ -192,22 +200,26 @@ def measure_psf_sigma(
     return float(sigma_x), float(sigma_y)
 
 
+@njit(cache=True, error_model="numpy")
 def _intrusion(
     xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float, half: int, together: NDArray[np.int64]
 ) -> FloatArray:
     """Variance (N,), px², of either axis for other stars' light in a star's window: (share × half a window)²."""
     variance = np.zeros(len(flux))
     reach = half + 4.0 * max(sigma_x, sigma_y)
-    near = (np.abs(xy[:, None] - xy[None, :]) < reach).all(axis=2)
-    for star, other in np.argwhere(near & (together[:, None] != together)):
-        dx, dy = xy[other] - np.rint(xy[star])
-        light = window_moments(dx, sigma_x, -half, half)[0] * window_moments(dy, sigma_y, -half, half)[0]
-        variance[star] += (half * light * flux[other] / flux[star]) ** 2
+    for star in range(len(flux)):
+        for other in range(len(flux)):
+            near = abs(xy[other, 0] - xy[star, 0]) < reach and abs(xy[other, 1] - xy[star, 1]) < reach
+            if not near or together[star] == together[other]:
+                continue
+            dx, dy = xy[other, 0] - np.rint(xy[star, 0]), xy[other, 1] - np.rint(xy[star, 1])
+            light = window_moments(dx, sigma_x, -half, half)[0] * window_moments(dy, sigma_y, -half, half)[0]
+            variance[star] += (half * light * flux[other] / flux[star]) ** 2
     return variance
 
 
 def _gain_from_background(background: Background) -> float:
     """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
-    level = float(np.median(background.level[::16, ::16].astype(np.float64)))
-    noise = float(np.median(background.noise[::16, ::16].astype(np.float64)))
+    level = float(np.median(sample_plane(background.level_plane, 16, 16).astype(np.float64)))
+    noise = float(np.median(sample_plane(background.noise_plane, 16, 16).astype(np.float64)))
     return max(level, noise) / noise**2

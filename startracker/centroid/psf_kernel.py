@@ -29,33 +29,43 @@ _LARGEST_GROWTH = 2.0
 
 
 @njit(cache=True, error_model="numpy")
-def _share(table: FloatArray, oversampling: int, dx: float, dy: float) -> tuple[float, float, float]:
+def _interpolate(size: int, oversampling: int, distance: float, weights: FloatArray, row: int) -> int:
+    """Point of the table before a pixel at `distance` from the star; the weights of four points about it go to
+    a row of `weights`, and those of the derivative by the place in the table.
+
+    A pixel further on adds `oversampling` to the point, and leaves the weights as they are.
+    """
+    place = distance * oversampling + (size - 1) // 2
+    first = math.floor(place)
+    t = place - first
+    weights[row, 0], weights[row, 1] = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
+    weights[row, 2], weights[row, 3] = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
+    weights[row, 4], weights[row, 5] = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
+    weights[row, 6], weights[row, 7] = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
+    return first
+
+
+@njit(cache=True, error_model="numpy")
+def _interpolated(
+    table: FloatArray, oversampling: int, i: int, j: int, weights: FloatArray, row: int
+) -> tuple[float, float, float]:
     """Light in the pixel at (dx, dy) from the star, and its derivatives by dx and dy: bicubic (Keys 1981, a = −½).
 
-    Zero outside the table.
+    (i, j) is the point of the table before it; the weights of x stand in a row, those of y in the next. Zero outside
+    the table.
     """
     size = table.shape[0]
-    middle = (size - 1) // 2
-    column, row = dx * oversampling + middle, dy * oversampling + middle
-    i, j = math.floor(column), math.floor(row)
     if i < 1 or j < 1 or i > size - 3 or j > size - 3:
         return 0.0, 0.0, 0.0
-    t, u = column - i, row - j
-    a0, a1 = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
-    a2, a3 = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
-    d0, d1 = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
-    d2, d3 = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
-    b = (((-0.5 * u + 1.0) * u - 0.5) * u, (1.5 * u - 2.5) * u * u + 1.0,
-         ((-1.5 * u + 2.0) * u + 0.5) * u, (0.5 * u - 0.5) * u * u)  # fmt: skip
-    e = ((-1.5 * u + 2.0) * u - 0.5, (4.5 * u - 5.0) * u, (-4.5 * u + 4.0) * u + 0.5, (1.5 * u - 1.0) * u)
     value, by_x, by_y = 0.0, 0.0, 0.0
     for k in range(4):
         line = table[j - 1 + k]
         p0, p1, p2, p3 = line[i - 1], line[i], line[i + 1], line[i + 2]
-        across = a0 * p0 + a1 * p1 + a2 * p2 + a3 * p3
-        value += b[k] * across
-        by_x += b[k] * (d0 * p0 + d1 * p1 + d2 * p2 + d3 * p3)
-        by_y += e[k] * across
+        across = weights[row, 0] * p0 + weights[row, 1] * p1 + weights[row, 2] * p2 + weights[row, 3] * p3
+        slope = weights[row, 4] * p0 + weights[row, 5] * p1 + weights[row, 6] * p2 + weights[row, 7] * p3
+        value += weights[row + 1, k] * across
+        by_x += weights[row + 1, k] * slope
+        by_y += weights[row + 1, 4 + k] * across
     return value, by_x * oversampling, by_y * oversampling
 
 
@@ -116,11 +126,15 @@ def _initial_flux(image, level, noise, table, oversampling, x, y, half, ceiling)
     """Σ p d / Σ p² over the usable pixels of a star's window."""
     above, below = 0.0, 0.0
     cx, cy = round(x), round(y)
+    weights = np.empty((2, 8))
+    first_x = _interpolate(table.shape[0], oversampling, -x, weights, 0)
+    first_y = _interpolate(table.shape[0], oversampling, -y, weights, 1)
     for j in range(max(cy - half, 0), min(cy + half + 1, image.shape[0])):
         for i in range(max(cx - half, 0), min(cx + half + 1, image.shape[1])):
             value = np.float64(image[j, i])
             if math.isfinite(value) and value < ceiling:
-                p = _share(table, oversampling, i - x, j - y)[0]
+                point_x, point_y = first_x + i * oversampling, first_y + j * oversampling
+                p = _interpolated(table, oversampling, point_x, point_y, weights, 0)[0]
                 above += p * (value - level[j, i])
                 below += p * p
     return above / below if below > 0.0 else np.nan
@@ -161,10 +175,15 @@ def _fit_group(
     variances = np.empty(pixels)
     normal, right = np.zeros((size, size)), np.zeros(size)
     gradient = np.empty(size)
+    weights = np.empty((2 * m, 8))
+    first_x, first_y = np.empty(m, np.int64), np.empty(m, np.int64)
     chi2, used, step = 0.0, 0, 1.0
     for iteration in range(_ITERATIONS):
         normal[:], right[:] = 0.0, 0.0
         chi2, used = 0.0, 0
+        for star in range(m):
+            first_x[star] = _interpolate(table.shape[0], oversampling, -x[star], weights, 2 * star)
+            first_y[star] = _interpolate(table.shape[0], oversampling, -y[star], weights, 2 * star + 1)
         for k in range(m):
             ceiling = ceilings[members[k]]
             for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
@@ -180,7 +199,14 @@ def _fit_group(
                         continue
                     model = 0.0
                     for star in range(m):
-                        p, by_x, by_y = _share(table, oversampling, i - x[star], j - y[star])
+                        p, by_x, by_y = _interpolated(
+                            table,
+                            oversampling,
+                            first_x[star] + i * oversampling,
+                            first_y[star] + j * oversampling,
+                            weights,
+                            2 * star,
+                        )
                         model += flux[star] * p
                         gradient[3 * star] = -flux[star] * by_x
                         gradient[3 * star + 1] = -flux[star] * by_y
@@ -321,7 +347,10 @@ def weighted_moments(
         x, y, half, ceiling = xs[index], ys[index], halves[index], ceilings[index]
         cx, cy = round(x), round(y)
         move = 1.0
+        weights = np.empty((2, 8))
         for _ in range(4 * _ITERATIONS):
+            first_x = _interpolate(table.shape[0], oversampling, -x, weights, 0)
+            first_y = _interpolate(table.shape[0], oversampling, -y, weights, 1)
             wd, wp, dx1, dy1, px1, py1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             jxx, jxy, jyx, jyy = 0.0, 0.0, 0.0, 0.0
             vxx, vyy, vxy = 0.0, 0.0, 0.0
@@ -332,7 +361,8 @@ def weighted_moments(
                         continue
                     kx, ky = i - x, j - y
                     w = math.exp(-0.5 * (ixx * kx * kx + iyy * ky * ky + 2.0 * ixy * kx * ky))
-                    p, by_x, by_y = _share(table, oversampling, kx, ky)
+                    point_x, point_y = first_x + i * oversampling, first_y + j * oversampling
+                    p, by_x, by_y = _interpolated(table, oversampling, point_x, point_y, weights, 0)
                     d = value - level[j, i]
                     v = np.float64(noise[j, i]) ** 2 + max(d, 0.0) * inverse_gain
                     wd, wp = wd + w * d, wp + w * p

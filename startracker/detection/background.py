@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics
+from startracker.detection.plane import Plane, as_plane, fill_plane
+from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics, whole_step
 from startracker.errors import InputError
 
 __all__ = ["Background", "as_image", "estimate", "noise_floor"]
@@ -22,20 +23,44 @@ _NOISE_FREE = 1e-5
 """Noise ascribed to an image that has none, as a share of its range: the tails of a bright star stay a small spot."""
 
 
-@dataclass(frozen=True, eq=False)
 class Background:
     """Background of an image.
 
     Parameters
     ----------
-    level : float32 array, shape (H, W)
+    level : float32 array, shape (H, W), or Plane
         Local background, DN.
-    noise : float32 array, shape (H, W)
+    noise : float32 array, shape (H, W), or Plane
         Local standard deviation of one pixel, DN; never zero.
+
+    Attributes
+    ----------
+    level_plane, noise_plane : Plane
+        The same for kernels, which look at few pixels; the whole maps are drawn when they are first asked for.
     """
 
-    level: FloatImage
-    noise: FloatImage
+    def __init__(self, level: FloatImage | Plane, noise: FloatImage | Plane) -> None:
+        self.level_plane = level if isinstance(level, Plane) else as_plane(level)
+        self.noise_plane = noise if isinstance(noise, Plane) else as_plane(noise)
+        if not isinstance(level, Plane):
+            self.__dict__["level"] = level
+        if not isinstance(noise, Plane):
+            self.__dict__["noise"] = noise
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of the image."""
+        return len(self.level_plane.cell), self.level_plane.lines.shape[1]
+
+    @cached_property
+    def level(self) -> FloatImage:
+        """Local background, DN, shape (H, W)."""
+        return np.asarray(fill_plane(self.level_plane))
+
+    @cached_property
+    def noise(self) -> FloatImage:
+        """Local standard deviation of one pixel, DN, shape (H, W)."""
+        return np.asarray(fill_plane(self.noise_plane))
 
 
 def as_image(image: ArrayLike) -> FloatImage:
@@ -111,10 +136,10 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
     """
     flat = image.reshape(-1)
     sample = flat[:: max(1, flat.size // _STEP_SAMPLES)]
-    values = np.unique(sample[np.isfinite(sample)])
-    if values.size and float(np.abs(values).max()) < 2**31 and np.array_equal(values, np.rint(values)):
-        divisor = int(np.gcd.reduce(np.diff(values).astype(np.int64))) if values.size > 1 else 1
+    divisor = whole_step(sample)
+    if divisor:
         return float(divisor), divisor / math.sqrt(12.0)
+    values = np.unique(sample[np.isfinite(sample)])
     with np.errstate(invalid="ignore"):
         all_finite = bool(np.isfinite(flat.sum(dtype=np.float64)))
     finite = flat if all_finite else flat[np.isfinite(flat)]

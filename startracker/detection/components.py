@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
 from startracker.detection.blends import part_blends
-from startracker.detection.matched import filter_image
-from startracker.detection.objects import cut_runs, find_runs, join_runs, measure_objects
-from startracker.detection.selection import measure_forms, select_smeared, select_spots
+from startracker.detection.forms import measure_forms
+from startracker.detection.matched import filter_half, search_filtered
+from startracker.detection.objects import cut_runs, join_runs, measure_objects
+from startracker.detection.scan import UNFILTERED, scan_rows
+from startracker.detection.selection import select_smeared, select_spots
 from startracker.detection.spots import FLUX, PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
@@ -63,23 +65,27 @@ def find_components(
         Brightest first.
     """
     pixels = as_image(image)
-    if pixels.shape != background.level.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {background.level.shape}; make it anew")
+    if pixels.shape != background.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
     saturation = np.float32(np.inf if saturation_dn is None else saturation_dn)
-    searched, excess = pixels, 1.0
-    if settings.matched_filter:
-        searched, excess = filter_image(pixels, background, settings.psf_sigma_px)
-    threshold = excess * float(settings.threshold_sigma)
-    table = find_objects(pixels, searched, background, threshold, settings.max_pixels, saturation)
-    known = saturation_dn is not None
-    if settings.matched_filter and _looks_smeared(table, settings):
+    known, threshold = saturation_dn is not None, float(settings.threshold_sigma)
+    if not settings.matched_filter:
+        runs, signal, _ = scan_rows(
+            pixels, background.level_plane, background.noise_plane, UNFILTERED, np.float32(threshold), pixels.size + 1
+        )
+        table = measure_found(runs, signal, pixels, background, threshold, settings.max_pixels, saturation)
+        return select_spots(table, settings, known, pixels, background)
+    half = filter_half(settings.psf_sigma_px)
+    runs, signal, excess = search_filtered(pixels, background, half, threshold)
+    table = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
+    if _looks_smeared(table, settings):
+        runs, signal, _ = search_filtered(pixels, background, half, 0.5 * threshold)
         longest = _LONGEST * settings.max_pixels
-        objects = find_objects(pixels, searched, background, 0.5 * threshold, longest, saturation, 1)
+        objects = measure_found(runs, signal, pixels, background, 0.5 * excess * threshold, longest, saturation, 1)
         spots = select_smeared(objects, settings, known, background, excess)
         if spots is not None:
             return spots
-    filtered = searched if settings.matched_filter else None
-    return select_spots(table, settings, known, pixels, background, filtered, excess)
+    return select_spots(table, settings, known, pixels, background, half, excess)
 
 
 def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:
@@ -89,21 +95,22 @@ def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> b
     return bool(np.count_nonzero(measure_forms(brightest, settings.max_axis_ratio).long) >= _FEWEST_LONG)
 
 
-def find_objects(
+def measure_found(
+    runs: NDArray[np.int64],
+    signal: NDArray[np.float32],
     image: NDArray[np.float32],
-    searched: NDArray[np.float32],
     background: Background,
     threshold: float,
     max_pixels: int,
     saturation: np.float32,
     levels: int = _MOST_LEVELS,
 ) -> NDArray[np.float64]:
-    """Table of the components of the searched image, measured in the image, oversized ones taken apart.
+    """Table of the components of the runs, measured in the image, oversized ones taken apart.
 
-    `levels` is the number of thresholds, each twice the one before; with one, nothing is parted.
+    `signal` is what the runs were found in, above `threshold`; `levels` is the number of thresholds, each twice the one
+    before; with one, nothing is parted.
     """
-    level, noise = background.level, background.noise
-    runs = find_runs(searched, level, noise, np.float32(threshold))
+    level, noise = background.level_plane, background.noise_plane
     tables = []
     for depth in range(levels):
         number, count = join_runs(runs)
@@ -119,5 +126,5 @@ def find_objects(
         if not oversized.any():
             break
         threshold *= _RAISE
-        runs = cut_runs(runs, oversized[number], searched, level, noise, np.float32(threshold))
+        runs, signal = cut_runs(runs, signal, oversized[number], noise, np.float32(threshold))
     return np.concatenate(tables)

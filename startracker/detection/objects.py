@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from startracker.detection.plane import Plane
 from startracker.detection.spots import (
     AT_PEAK,
     COLUMNS,
@@ -24,10 +25,20 @@ from startracker.detection.spots import (
     Y_PEAK,
 )
 
-__all__ = ["add_pixel", "cut_runs", "find_runs", "join_runs", "measure_objects"]
+__all__ = [
+    "add_pixel",
+    "cut_runs",
+    "find_runs",
+    "join_runs",
+    "measure_objects",
+    "row_edges",
+    "row_marks",
+]
 
 _GROUP = 8
+_BYTE = np.uint64(8)
 IntArray = NDArray[np.int64]
+FloatImage = NDArray[np.float32]
 
 
 @njit(cache=True, error_model="numpy")
@@ -65,67 +76,85 @@ def find_runs(
     In reading order. Pixels that are not finite are not above.
     """
     height, width = image.shape
-    runs = np.empty((1024, 3), np.int64)
-    count = 0
-    groups = (width + _GROUP - 1) // _GROUP
-    above = np.zeros(groups * _GROUP, np.uint8)
+    above = row_marks(width)
+    edges = np.empty(width + 2, np.int64)
+    runs, count = np.empty((1024, 3), np.int64), 0
     for y in range(height):
         row, sky, sigma = image[y], level[y], noise[y]
-        # without a branch the comparison is vectorised (0.1 ns a pixel instead of 1.2), and nearly every group is sky
+        # without a branch the comparison is vectorised (0.1 ns a pixel instead of 1.2)
         for x in range(width):
             above[x] = (row[x] > sky[x] + threshold * sigma[x]) & (row[x] < np.inf)
-        start = -1
-        for group in range(groups):
-            first = group * _GROUP
-            any_above = np.uint8(0)
-            for i in range(_GROUP):
-                any_above |= above[first + i]
-            if any_above == 0 and start < 0:
-                continue
-            for x in range(first, min(first + _GROUP, width)):
-                if above[x] and start < 0:
-                    start = x
-                elif not above[x] and start >= 0:
-                    if count == len(runs):
-                        runs = np.concatenate((runs, np.empty_like(runs)))
-                    runs[count, 0], runs[count, 1], runs[count, 2] = y, start, x
-                    count += 1
-                    start = -1
-        if start >= 0:
-            if count == len(runs):
-                runs = np.concatenate((runs, np.empty_like(runs)))
-            runs[count, 0], runs[count, 1], runs[count, 2] = y, start, width
+        changes = row_edges(above, width, edges)
+        if count + changes // 2 > len(runs):
+            runs = np.concatenate((runs, np.empty((len(runs) + width, 3), np.int64)))
+        for k in range(0, changes, 2):
+            runs[count, 0], runs[count, 1], runs[count, 2] = y, edges[k], edges[k + 1]
             count += 1
     return runs[:count].copy()
 
 
 @njit(cache=True, error_model="numpy")
-def cut_runs(
-    runs: IntArray,
-    keep: NDArray[np.bool_],
-    image: NDArray[np.float32],
-    level: NDArray[np.float32],
-    noise: NDArray[np.float32],
-    threshold: np.float32,
-) -> IntArray:
-    """What of the kept runs is above a higher threshold, as runs in reading order."""
-    out = np.empty((max(16, len(runs)), 3), np.int64)
-    count = 0
-    for index in range(len(runs)):
-        if not keep[index]:
+def row_marks(width: int) -> NDArray[np.uint8]:
+    """Bytes for the pixels of a row, to a whole number of blocks of 64; those beyond the row stay zero."""
+    block = _GROUP * _GROUP
+    return np.zeros((width + block - 1) // block * block, np.uint8)
+
+
+@njit(cache=True, error_model="numpy")
+def row_edges(marks: NDArray[np.uint8], width: int, edges: IntArray) -> int:
+    """Number of places, written to `edges`, where a run of marked pixels begins or ends, in turn.
+
+    Nearly every block of 64 pixels is sky, and looked at as eight numbers at once; so is every group of eight.
+    """
+    words = marks.view(np.uint64)
+    count, before = 0, np.uint64(0)
+    for block in range(0, len(words), _GROUP):
+        seen = before
+        for group in range(block, block + _GROUP):
+            seen |= words[group]
+        if seen == 0:
             continue
+        for group in range(block, block + _GROUP):
+            word = words[group]
+            if word == 0 and before == 0:
+                continue
+            changes = word ^ ((word << _BYTE) | before)
+            before = word >> (_BYTE * np.uint64(_GROUP - 1))
+            for i in range(_GROUP):
+                edges[count] = group * _GROUP + i
+                count += int((changes >> (_BYTE * np.uint64(i))) & np.uint64(1))
+    if before:
+        edges[count] = width
+        count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def cut_runs(
+    runs: IntArray, signal: FloatImage, keep: NDArray[np.bool_], noise: Plane, threshold: np.float32
+) -> tuple[IntArray, FloatImage]:
+    """What of the kept runs is above a higher threshold × noise, as runs in reading order, and its signal.
+
+    `signal` holds the values of the runs' pixels, one run after the other.
+    """
+    out, values = np.empty((len(signal), 3), np.int64), np.empty_like(signal)
+    count, used, place = 0, 0, 0
+    for index in range(len(runs)):
         y, start = runs[index, 0], -1
-        for x in range(runs[index, 1], runs[index, 2] + 1):
-            inside = x < runs[index, 2] and image[y, x] > level[y, x] + threshold * noise[y, x]
-            if inside and start < 0:
-                start = x
-            elif not inside and start >= 0:
-                if count == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
+        for x in range(runs[index, 1], runs[index, 2]):
+            if keep[index] and signal[place] > threshold * noise[y, x]:
+                values[used] = signal[place]
+                used += 1
+                start = x if start < 0 else start
+            elif start >= 0:
                 out[count, 0], out[count, 1], out[count, 2] = y, start, x
                 count += 1
                 start = -1
-    return out[:count].copy()
+            place += 1
+        if start >= 0:
+            out[count, 0], out[count, 1], out[count, 2] = y, start, runs[index, 2]
+            count += 1
+    return out[:count].copy(), values[:used].copy()
 
 
 @njit(cache=True, error_model="numpy")

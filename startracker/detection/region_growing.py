@@ -50,8 +50,8 @@ def grow_regions(
         Brightest first.
     """
     pixels = as_image(image)
-    if pixels.shape != background.level.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {background.level.shape}; make it anew")
+    if pixels.shape != background.shape:
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
     if settings.search_step_px < 1:
         raise InputError(f"detection.search_step_px is {settings.search_step_px}; it must be at least 1")
     saturation = np.inf if saturation_dn is None else float(saturation_dn)

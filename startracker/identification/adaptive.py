@@ -14,12 +14,11 @@ import math
 from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.catalog.guide import GuideDatabase
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan
 from startracker.identification.observed import Identification, Observed, Prior
@@ -85,7 +84,6 @@ _TURNS = (
     _FOCAL._replace(triangles=20, work=10e6),
     _SEVEN._replace(triangles=10, work=30e6),
 )
-_FAINTER: WeakKeyDictionary[PairList, NDArray[np.float32]] = WeakKeyDictionary()
 _MOST_TRIPLES = 20000
 _CROWDED, _FEWER_TRIPLES = 40, 1500
 _MOST_STARS = 120
@@ -137,7 +135,7 @@ def adaptive(
         if prior is None
         else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
     )
-    pairs = _kernel_pairs(near, guide)
+    pairs = Pairs(near.first, near.second, near.separation_rad)
     triangles = _Triangles(observed.vectors, 2.0 * guide.half_diagonal_rad)
     finds = _no_finds(len(observed))
     count, kept = 0, 0
@@ -196,12 +194,6 @@ def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
         np.ascontiguousarray(matrix),
         cosine,
     )
-
-
-def _kernel_pairs(pairs: PairList, guide: GuideDatabase) -> Pairs:
-    if pairs not in _FAINTER:
-        _FAINTER[pairs] = (guide.v_mag[pairs.first] - guide.v_mag[pairs.second]).astype(np.float32)
-    return Pairs(pairs.first, pairs.second, pairs.separation_rad, _FAINTER[pairs])
 
 
 @lru_cache(maxsize=128)

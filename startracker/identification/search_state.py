@@ -25,12 +25,11 @@ class Stars(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Guide pairs by ascending separation (rad), and by how much the first star is fainter than the second."""
+    """Guide pairs by ascending separation, rad."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
     separation: NDArray[np.float32]
-    fainter: NDArray[np.float32]
 
 
 class Limits(NamedTuple):

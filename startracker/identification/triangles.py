@@ -313,7 +313,8 @@ def search_triangles(
         need = min(least_hits(mean, limits.chance_hits), looked)
         filled = 0
         for p in range(low_ik, high_ik):
-            a, c, fainter = pairs.first[p], pairs.second[p], pairs.fainter[p]
+            a, c = pairs.first[p], pairs.second[p]
+            fainter = sky.v_mag[a] - sky.v_mag[c]
             if not abs(m_ik - fainter) > limits.magnitude_tolerance:
                 following[filled], partner[filled] = head[a], c
                 head[a] = filled
@@ -327,8 +328,7 @@ def search_triangles(
             for turn in range(2):
                 a, b = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
                 at = head[a]
-                fainter = pairs.fainter[p] if turn == 0 else -pairs.fainter[p]
-                if at < 0 or abs(m_ij - fainter) > limits.magnitude_tolerance:
+                if at < 0 or abs(m_ij - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
                     continue
                 u = sky.directions[b]
                 while at >= 0:

@@ -13,7 +13,8 @@ from scipy.special import erf
 from scipy.stats import norm
 
 from startracker.detection import Background, estimate, find_components
-from startracker.detection.matched import filter_image, matched_kernel
+from startracker.detection.matched import filter_half, matched_kernel, search_filtered
+from startracker.detection.scan import filtered_at
 from startracker.settings import DetectionSettings
 
 
@@ -25,6 +26,14 @@ def star(x, y, sigma, size=31):
 
 def flat(shape, noise=1.0):
     return Background(np.full(shape, 100.0, np.float32), np.full(shape, noise, np.float32))
+
+
+def filter_image(image, background, sigma):
+    """The whole filtered image above the level, and the excess of its noise."""
+    half = filter_half(sigma)
+    y, x = np.indices(image.shape).reshape(2, -1)
+    filtered = filtered_at(image, background.level_plane, half, x, y).reshape(image.shape)
+    return filtered, search_filtered(image, background, half, 5.0)[2]
 
 
 @pytest.mark.parametrize("shape", [(40, 57), (3, 90), (90, 2), (1, 1)])
@@ -40,7 +49,35 @@ def test_equals_scipy_and_leaves_bad_pixels_out(shape, sigma):
     for axis in (0, 1):
         signal = ndimage.correlate1d(signal, kernel, axis, mode="constant")
     assert np.array_equal(np.isnan(filtered), bad)
-    np.testing.assert_allclose(filtered[~bad], 100.0 + signal[~bad], atol=3e-5)  # float32 at 100 has steps of 8e-6
+    np.testing.assert_allclose(filtered[~bad], signal[~bad], atol=3e-5)  # float32 at 100 has steps of 8e-6
+
+
+@pytest.mark.parametrize("shape", [(40, 57), (90, 8), (2, 300), (1, 1)])
+@pytest.mark.parametrize("sigma", [0.1, 0.8, 2.3])
+def test_search_is_thresholding_the_filtered_image(shape, sigma):
+    rng = np.random.default_rng(6)
+    image = rng.normal(100, 3, shape).astype(np.float32)
+    bad = rng.random(shape) < 0.05
+    image[bad] = np.nan
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    level, noise = 100 + 0.02 * x - 0.01 * y, 3 + 0.01 * x + 0.02 * y
+    background = Background(level.astype(np.float32), noise.astype(np.float32))
+    signal = np.where(bad, 0.0, image.astype(float) - background.level)
+    for axis in (0, 1):
+        signal = ndimage.correlate1d(signal, matched_kernel(sigma), axis, mode="constant")
+    for threshold in (0.2, 1.0, 2.5):
+        runs, found, excess = search_filtered(image, background, filter_half(sigma), threshold)
+        drawn = np.full(shape, np.nan)
+        at = 0
+        for row, first, last in runs:
+            drawn[row, first:last] = found[at : at + last - first]
+            at += last - first
+        margin = signal - excess * threshold * background.noise
+        assert np.isfinite(drawn[(margin > 1e-4) & ~bad]).all()
+        assert np.isnan(drawn[(margin < -1e-4) | bad]).all()
+        inside = np.isfinite(drawn)
+        np.testing.assert_allclose(drawn[inside], signal[inside], atol=3e-5)
+        assert at == len(found) == inside.sum()
 
 
 @pytest.mark.parametrize(("x", "y"), [(15.0, 15.0), (15.5, 15.5), (15.2, 14.7)])
@@ -50,7 +87,7 @@ def test_gain_in_signal_to_noise(x, y, sigma):
     image = (100.0 + 1000.0 * shares).astype(np.float32)
     filtered, _ = filter_image(image, flat(image.shape), sigma)
     best = 1000.0 * np.sqrt(np.sum(shares**2))
-    peak = float(filtered.max()) - 100.0
+    peak = float(filtered.max())
     assert peak <= best * (1 + 1e-5)  # Cauchy and Schwarz: nothing is better
     if (x, y) == (15.0, 15.0):
         assert peak == pytest.approx(best, rel=0.005)  # the filter ends at 2.5 σ
@@ -63,7 +100,7 @@ def test_noise_keeps_its_size_and_false_alarms_are_those_of_the_normal_distribut
     # correlated over some 8 pixels: the standard deviation is known to 1 / √(2 · 1e6 / 8) = 0.2 %, here 4 of these
     assert np.std(filtered) == pytest.approx(3.0, rel=0.008)
     assert excess == pytest.approx(1.0, abs=0.06)  # of 8192 pixels: quantiles to 1.5 %, 4σ
-    above = np.count_nonzero(filtered > 100 + 4 * 3.0)
+    above = np.count_nonzero(filtered > 4 * 3.0)
     expected = 1e6 * norm.sf(4)
     assert abs(above - expected) < 4 * np.sqrt(8 * expected)  # in clumps of up to 8
     assert len(find_components(image, flat(image.shape, 3.0), DetectionSettings(), None)) <= 5  # 0.3 expected

@@ -1,4 +1,4 @@
-"""Poisson numbers of the detector by χ² against scipy.stats.poisson, at low, middle and high rates.
+"""Poisson numbers of the detector by χ² against scipy.stats.poisson, at low, middle and high rates and at the seams.
 
 A fixed seed makes each p-value one number; a right sampler gives less than 1e-4 once in 10⁴ seeds. The last test is the
 control: with the same numbers of draws the normal approximation fails beyond doubt, so that these tests can fail.
@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector.poisson import STEPS, TABLE_LIMIT, draw_poisson
+from simulator.detector.pixels import SHOT_NOISE, TILE, Step, walk
+from simulator.detector.poisson import HIGHEST, LOWEST
 from simulator.randomness import stream
 
 P_LIMIT = 1e-4
+
+
+def draw_poisson(mean, rng):
+    numbers = np.empty(mean.shape)
+    walk(mean, [Step(SHOT_NOISE, rng=rng)], numbers)
+    return numbers
 
 
 def chi_square_p(numbers, mean):
@@ -25,7 +32,27 @@ def chi_square_p(numbers, mean):
 
 
 @pytest.mark.parametrize(
-    "mean", [0.01, 0.1, 1.0, 3.0 + 0.999 / STEPS, 20.0, 20.06, 63.99, 127.99, TABLE_LIMIT, 300.0, 5000.0, 1e5]
+    "mean",
+    [
+        0.01,
+        0.1,
+        1.0,
+        3.06,
+        5.999,
+        float(LOWEST),
+        6.5,
+        8.0,
+        10.0,
+        15.0,
+        20.0,
+        64.0,
+        300.0,
+        5000.0,
+        13_500.0,
+        65_535.0,
+        float(HIGHEST),
+        1e5,
+    ],
 )
 def test_distribution_at_a_rate(mean):
     numbers = draw_poisson(np.full(1_000_000, mean), stream(7, f"chi-square {mean}"))
@@ -51,10 +78,18 @@ def test_mean_and_variance(mean):
     assert abs(numbers.var() - mean) < 4 * np.sqrt((mean + 2 * mean**2) / n)
 
 
+@pytest.mark.parametrize("mean", [1e9, 1e13, 1e17])
+def test_huge_means(mean):
+    # Far beyond any full well. The Poisson distribution is normal there to 1/√λ, 1e-5: Kolmogorov–Smirnov sees it not.
+    numbers = draw_poisson(np.full(20_000, mean), stream(12, f"huge {mean}"))
+    assert np.array_equal(numbers, np.rint(numbers))
+    assert stats.kstest((numbers - mean) / np.sqrt(mean), "norm").pvalue > P_LIMIT
+
+
 def test_neighbours_are_uncorrelated():
     # Correlation of independent numbers: σ = 1/√N; 4σ. Lag 1 would show a uniform number used twice.
     numbers = draw_poisson(np.full(1_000_000, 20.06), stream(10, "neighbours"))
-    for lag in (1, 2, 16384):
+    for lag in (1, 2, TILE // 4, TILE, 16384):
         assert abs(np.corrcoef(numbers[:-lag], numbers[lag:])[0, 1]) < 4 / np.sqrt(numbers.size)
 
 

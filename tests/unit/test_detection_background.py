@@ -5,6 +5,7 @@ import pytest
 
 from startracker.detection import find_components
 from startracker.detection.background import as_image, estimate, noise_floor
+from startracker.detection.plane import fill_plane
 from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
@@ -33,15 +34,15 @@ def test_interpolation_equals_scipy():
     centres = 0.5 * (edges_y[:-1] + edges_y[1:] - 1), 0.5 * (edges_x[:-1] + edges_x[1:] - 1)
     twin = RegularGridInterpolator(centres, tiles, bounds_error=False, fill_value=None)
     y, x = np.mgrid[:height, :width]
-    assert np.allclose(interpolate_tiles(tiles, height, width, True), twin((y, x)), atol=2e-6)
+    assert np.allclose(fill_plane(interpolate_tiles(tiles, height, width, True)), twin((y, x)), atol=2e-6)
     clamped = twin((np.clip(y, centres[0][0], centres[0][-1]), np.clip(x, centres[1][0], centres[1][-1])))
-    assert np.allclose(interpolate_tiles(tiles, height, width, False), clamped, atol=2e-6)
+    assert np.allclose(fill_plane(interpolate_tiles(tiles, height, width, False)), clamped, atol=2e-6)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (5, 1), (2, 2)])
 def test_few_tiles(shape):
     tiles = np.full(shape, 3.5)
-    assert np.all(interpolate_tiles(smooth_tiles(tiles), 40, 50, True) == np.float32(3.5))
+    assert np.all(fill_plane(interpolate_tiles(smooth_tiles(tiles), 40, 50, True)) == np.float32(3.5))
 
 
 def test_smoothing_keeps_a_plane_and_removes_a_star():

@@ -69,10 +69,12 @@ def test_cutting_runs_is_thresholding_them_again():
     image = rng.random((30, 50)).astype(np.float32)
     background = flat(image.shape)
     runs = find_runs(image, background.level, background.noise, np.float32(0.3))
+    signal = np.concatenate([image[y, x0:x1] - background.level[y, x0:x1] for y, x0, x1 in runs])
     keep = runs[:, 0] >= 10
-    cut = cut_runs(runs, keep, image, background.level, background.noise, np.float32(0.7))
+    cut, left = cut_runs(runs, signal, keep, background.noise_plane, np.float32(0.7))
     image[:10] = 0
     assert np.array_equal(cut, find_runs(image, background.level, background.noise, np.float32(0.7)))
+    assert np.array_equal(left, np.concatenate([image[y, x0:x1] - background.level[y, x0:x1] for y, x0, x1 in cut]))
 
 
 def test_growing_from_every_pixel_equals_scipy():
@@ -108,7 +110,8 @@ def test_every_object_of_three_by_three_is_met():
 
 def test_growing_is_not_recursive():
     image = np.ones((700, 700), np.float32)
-    table, _ = grow_objects(image, *flat(image.shape, -9.0).__dict__.values(), np.float32(5.0), 3, np.inf)
+    sky = flat(image.shape, -9.0)
+    table, _ = grow_objects(image, sky.level, sky.noise, np.float32(5.0), 3, np.inf)
     assert table[:, PIXELS].tolist() == [700 * 700]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from simulator.detector import CHARGE, READOUT, FixedPattern, build_fixed_pattern, detect
 from simulator.detector.fixed_pattern import dark_current_factor
-from simulator.detector.normal import draw_normal
+from simulator.detector.pixels import CONVERT, NORMAL_NOISE, Step, walk
 from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
@@ -94,7 +94,8 @@ def test_repeatable_and_different_each_trial(mean):
 
 def test_each_noise_is_its_own_stream(mean):
     """Read and reset noise are the same numbers whatever else is on: image − electrons shows them alone."""
-    normal = draw_normal(mean.shape, stream(1, "read_noise", 0))
+    normal = np.empty(mean.shape)
+    walk(np.zeros(mean.shape), [Step(NORMAL_NOISE, (1.0,), rng=stream(1, "read_noise", 0))], normal)
     for extra in ({}, {"shot_noise": True}, {"shot_noise": True, "prnu": 0.1, "dark_current_e_s": 100.0, "dsnu": 0.5}):
         frame = expose(noiseless(read_noise_e=8.0, **extra), mean)
         np.testing.assert_allclose(frame.image - frame.electrons, 8.0 * normal, rtol=0, atol=1e-11)
@@ -238,15 +239,28 @@ def test_no_full_well_hides_behind_no_converter(mean):
 
 
 def test_converter_rounds_and_clips():
-    signal = np.array([[-3.0, -0.4, 0.4, 0.6, 254.4, 254.6, 1e9]])
-    assert convert(signal, 255).tolist() == [[0, 0, 0, 1, 254, 255, 255]]
-    assert convert(signal, 255).dtype == np.uint16
-    assert convert(np.array([7e4]), 65535).tolist() == [65535]
+    signal = np.array([-3.0, -0.4, 0.4, 0.6, 254.4, 254.6, 1e9])
+    convert(signal, 255.0)
+    assert signal.tolist() == [0, 0, 0, 1, 254, 255, 255]
+    numbers = np.empty(1, dtype=np.uint16)
+    walk(np.array([7e4]), [Step(CONVERT, (65535.0,))], numbers)
+    assert numbers.tolist() == [65535]
 
 
 def test_shot_noise_off_reads_the_mean(mean):
     frame = expose(noiseless(dark_current_e_s=3.0, temperature_c=25.0), mean)
     np.testing.assert_allclose(frame.image, mean + 1.5, rtol=1e-15)
+
+
+@pytest.mark.parametrize("keys", [{}, ALL_ON, ALL_ON | {"antiblooming": 1.0, "adc_bits": None}, {"shot_noise": False}])
+def test_the_image_is_the_same_whether_the_charge_is_kept(keys, mean):
+    detector = section(**keys)
+    pattern = build_fixed_pattern(detector, 1)
+    kept = detect(mean, detector, pattern, lambda name: stream(1, name, 0))
+    quick = detect(mean, detector, pattern, lambda name: stream(1, name, 0), keep_charge=False)
+    np.testing.assert_array_equal(quick.image, kept.image)
+    assert quick.electrons is None
+    assert quick.saturated is None
 
 
 @pytest.mark.parametrize(("wrong", "line"), [(-1.0, "negative"), (np.nan, "not finite"), (np.inf, "not finite")])

@@ -180,10 +180,10 @@ def test_most_probable_loss_of_the_particle_data_group():
 
 # ------------------------------------------------------------------ non-linearity and the chain
 def test_nonlinearity_is_relative_at_the_full_well():
-    signal = np.array([[0.0, 100.0, 5000.0, 10_000.0]])
-    bent = bend(signal.copy(), 10_000.0, (-0.02, 0.005))
+    bent = np.array([0.0, 100.0, 5000.0, 10_000.0])
+    bend(bent, 10_000.0, -0.02, 0.005)
     np.testing.assert_allclose(
-        bent, [[0.0, 100 * (1 - 2e-4 + 5e-7), 5000 * (1 - 0.01 + 0.00125), 10_000 * 0.985]], rtol=1e-14
+        bent, [0.0, 100 * (1 - 2e-4 + 5e-7), 5000 * (1 - 0.01 + 0.00125), 10_000 * 0.985], rtol=1e-14
     )
 
 

@@ -60,7 +60,14 @@ def pair():
 def expose(pair, stars):
     focal_plane, scene, _, _ = pair
     directions = radec_to_direction(stars.ra_rad, stars.dec_rad)
-    light = replace(scene, stars=stars, star_directions=directions, star_b_v=stars.b_v, star_giant=np.zeros(len(stars)))
+    light = replace(
+        scene,
+        catalog=stars,
+        rows=np.arange(len(stars)),
+        star_directions=directions,
+        star_b_v=stars.b_v,
+        star_giant=np.zeros(len(stars)),
+    )
     return focal_plane.expose(light)
 
 

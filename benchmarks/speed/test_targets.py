@@ -1,0 +1,114 @@
+"""What issue-sized targets are measured on: frames, trials, identification, tracking, the database."""
+
+import gc
+
+import numpy as np
+
+from benchmarks.cases import CASES
+from benchmarks.database import megabytes
+from benchmarks.scenes import SceneMaker
+from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
+from simulator import Scenario
+from simulator.study.blocks import run_block
+from simulator.study.trial import TrialRunner, build_tracker
+from startracker import StarTracker, TrackingSession, load_catalog
+from startracker.catalog import guide as guides
+from startracker.centroid import METHODS as CENTROIDERS
+from startracker.detection import METHODS as DETECTORS
+from startracker.front_end import Clock, find_stars
+
+CASE = CASES["10deg 6.0, 0.1 px"]
+SCENES, TRIALS = 2000, 25
+
+
+def test_cubesat_frame(timed):
+    made = renderer(Scenario.load(CUBESAT))
+    frame, _ = timed(made.frame, lambda index: index, 40)
+    assert frame.image.shape == (1024, 1024)
+
+
+def test_plain_frame(timed):
+    made = renderer(even_scenario(1024, 200, *PLAIN))
+    assert timed(lambda given: expose(made, *given), lambda index: (scene(made, index), index), 40).image.any()
+
+
+def test_detection_and_centroids(timed):
+    made = renderer(Scenario.load(CUBESAT))
+    settings = made.scenario.tracker
+
+    def find(frame):
+        return find_stars(
+            frame.image,
+            DETECTORS[settings.detector],
+            CENTROIDERS[settings.centroider],
+            settings.detection,
+            settings.centroid,
+            Clock(),
+            saturation_dn=frame.saturation_dn,
+            gain_e_per_dn=frame.gain_e_per_dn,
+        )
+
+    assert len(timed(find, lambda index: made.frame(index)[0], 30).xy) > 5
+
+
+def test_small_trial(timed, benchmark):
+    """A block of trials with its rows made into a table, as a run keeps them."""
+    runner = TrialRunner(small_scenario())
+    result = timed(
+        lambda block: run_block(runner.run, block), lambda index: range(TRIALS * index, TRIALS * (index + 1)), 12, 1
+    )
+    status = result.table["status"].to_pylist()
+    benchmark.extra_info |= {"trials": TRIALS, "solved": status.count("solved") / TRIALS}
+
+
+def test_identification(timed, benchmark):
+    maker = SceneMaker(CASE, 4)
+    tracker = StarTracker(CASE.camera(), magnitude_limit=CASE.magnitude_limit)
+    camera, taken = tracker.camera, []
+
+    def solve(given):
+        taken.append(tracker.solve_centroids(given.xy, given.flux))
+
+    timed(solve, maker.scene, SCENES, 20)
+    assert camera.width == 512
+    spent = np.array([solution.times_ms["identification"] for solution in taken[20:]])
+    benchmark.extra_info |= {
+        "identification_p50_ms": float(np.median(spent)),
+        "identification_p99_ms": float(np.percentile(spent, 99)),
+        "solved": float(np.mean([solution.solved for solution in taken[20:]])),
+    }
+
+
+def test_database(timed, benchmark):
+    load_catalog("hipparcos")
+    maker = SceneMaker(CASE, 4)
+    first = maker.scene(0)
+
+    def forget(_):
+        guides._build.cache_clear()
+        gc.collect()
+
+    def build(_):
+        tracker = StarTracker(CASE.camera(), magnitude_limit=CASE.magnitude_limit)
+        tracker.solve_centroids(first.xy, first.flux)  # makes what is made when first asked for
+        return tracker
+
+    made = timed(build, forget, 8)
+    benchmark.extra_info |= {"megabytes": megabytes(made.guide), "guide_stars": len(made.guide)}
+
+
+def test_tracking(timed):
+    session = TrackingSession(StarTracker(CASE.camera(), magnitude_limit=CASE.magnitude_limit))
+    field, rng = SceneMaker(CASE, 4).scene(0), np.random.default_rng(1)
+
+    def frame(index):
+        return field.xy + 0.02 * rng.normal(size=field.xy.shape), field.flux, 0.1 * index
+
+    timed(lambda given: session.update_centroids(*given), frame, 2000, 50)
+    assert session.state.mode == "tracking"
+
+
+def test_cubesat_trial(timed):
+    runner = TrialRunner(Scenario.load(CUBESAT))
+    timed(runner.run, lambda index: index, 40)
+    assert build_tracker(runner.scenario, runner.renderer.camera) is not None

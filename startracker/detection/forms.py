@@ -1,0 +1,110 @@
+"""What the table of objects tells of their form: second moments, pieces of halos."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.detection.smear import elongations
+from startracker.detection.spots import (
+    FLUX,
+    PEAK_RESIDUAL,
+    PIXELS,
+    SUM_X,
+    SUM_XX,
+    SUM_XY,
+    SUM_Y,
+    SUM_YY,
+    X_PEAK,
+    Y_PEAK,
+)
+
+__all__ = ["Forms", "is_halo", "measure_forms"]
+
+FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_SHAPE_PIXELS = 7
+"""The thesis' smallest object; the second moments of fewer pixels are noise."""
+_SHORTEST_PX2 = 0.5
+"""Variance, pixel included, below which nothing is long: a sharp star that falls on two pixels has 0.33."""
+_PIXEL_VARIANCE = 1.0 / 12.0
+_HALO_TIMES = 20.0
+_HALO_RADII = 2.5
+_HALO_MARGIN_PX = 3.0
+_RING_MARGIN = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Forms:
+    """Second moments of objects: see `measure_forms`."""
+
+    centre: FloatArray
+    moments: FloatArray
+    long: Flags
+
+    @property
+    def lines(self) -> FloatArray:
+        """Line (N, 2) as of `elongations`."""
+        return elongations(*self.moments.T)
+
+
+def measure_forms(table: FloatArray, max_axis_ratio: float) -> Forms:
+    """Centre (N, 2), second moments (N, 3) of x, y and xy, and whether an object is too long for a star.
+
+    Too long is an object whose second moments along its principal axes differ by more than a factor (thesis eqs. 4.8
+    and 4.9, here along the principal axes, so that a slanted streak is one too). The moments are weighted with the
+    signal; the variance of a pixel is added to each; objects of fewer than seven pixels have no shape.
+    """
+    return Forms(*_measure_forms(table, max_axis_ratio))
+
+
+@njit(cache=True, error_model="numpy")
+def _measure_forms(table: FloatArray, max_axis_ratio: float) -> tuple[FloatArray, FloatArray, Flags]:
+    count = len(table)
+    centre, moments, long = np.empty((count, 2)), np.empty((count, 3)), np.empty(count, np.bool_)
+    for n in range(count):
+        row = table[n]
+        flux = row[FLUX]
+        x, y = row[SUM_X] / flux, row[SUM_Y] / flux
+        xx = row[SUM_XX] / flux - x * x + _PIXEL_VARIANCE
+        yy = row[SUM_YY] / flux - y * y + _PIXEL_VARIANCE
+        xy = row[SUM_XY] / flux - x * y
+        middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+        centre[n, 0], centre[n, 1] = x, y
+        moments[n, 0], moments[n, 1], moments[n, 2] = xx, yy, xy
+        elongated = middle + half > max_axis_ratio * max(middle - half, 1e-12)
+        long[n] = elongated and row[PIXELS] >= _SHAPE_PIXELS and middle + half > _SHORTEST_PX2
+    return centre, moments, long
+
+
+@njit(cache=True, error_model="numpy")
+def is_halo(table: FloatArray) -> Flags:
+    """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
+
+    Under 0.05 of the star's peak, and within 2½ of its radii or as near as a ring of an Airy pattern can be that
+    bright: the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its
+    peak gives that radius as 1.9 √(flux / (π peak)).
+    """
+    count = len(table)
+    halo = np.zeros(count, np.bool_)
+    faintest = np.inf
+    for n in range(count):
+        faintest = min(faintest, table[n, PEAK_RESIDUAL])
+    for star in range(count):
+        peak = table[star, PEAK_RESIDUAL]
+        if not peak > _HALO_TIMES * faintest:  # most objects of a frame are too faint for rings
+            continue
+        near = _HALO_RADII * math.sqrt(table[star, PIXELS] / np.pi) + _HALO_MARGIN_PX
+        dark_radius = 1.9 * math.sqrt(table[star, FLUX] / (np.pi * peak))
+        for n in range(count):
+            times = peak / table[n, PEAK_RESIDUAL]
+            if times > _HALO_TIMES and not halo[n]:
+                distance = math.hypot(table[n, X_PEAK] - table[star, X_PEAK], table[n, Y_PEAK] - table[star, Y_PEAK])
+                ring = (distance / dark_radius) ** 3 < _RING_MARGIN * 0.045 * times
+                halo[n] = distance < near or ring
+    return halo

@@ -1,0 +1,85 @@
+"""A map over the image, kept as a few lines that are interpolated where a value is asked for."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+__all__ = ["Plane", "as_plane", "fill_plane", "sample_plane"]
+
+FloatImage = NDArray[np.float32]
+
+
+class Plane(NamedTuple):
+    """A map (H, W) that is linear along y between lines; kernels index it like an array: ``plane[y, x]``.
+
+    Parameters
+    ----------
+    lines : float32 array, shape (L, W)
+        Values along lines of the image.
+    cell : int array, shape (H,)
+        The line above each row.
+    share : float32 array, shape (H,)
+        How far each row is from there to the next line; beyond 0 to 1 the map goes on linearly.
+    """
+
+    lines: FloatImage
+    cell: NDArray[np.int64]
+    share: FloatImage
+
+    def __getitem__(self, place: Any) -> Any:
+        """Values at places (y, x): integers, arrays of them, or an open grid (`numpy.ix_`)."""
+        y, x = place
+        cell = self.cell[y]
+        upper = self.lines[cell, x]
+        return upper + self.share[y] * (self.lines[np.minimum(cell + 1, len(self.lines) - 1), x] - upper)
+
+
+def as_plane(values: FloatImage) -> Plane:
+    """A map that is given whole."""
+    return Plane(values, np.arange(len(values)), np.zeros(len(values), np.float32))
+
+
+@overload(operator.getitem)
+def _plane_getitem(plane, place):  # type: ignore[no-untyped-def]
+    """``plane[y, x]`` in kernels."""
+    if isinstance(plane, types.BaseNamedTuple) and plane.instance_class is Plane and isinstance(place, types.UniTuple):
+
+        def value_at(plane, place):  # type: ignore[no-untyped-def]
+            y, x = place
+            cell = plane.cell[y]
+            upper = plane.lines[cell, x]
+            return upper + plane.share[y] * (plane.lines[min(cell + 1, plane.lines.shape[0] - 1), x] - upper)
+
+        return value_at
+    return None
+
+
+@njit(cache=True, error_model="numpy")
+def sample_plane(plane: Plane, step_y: int, step_x: int) -> FloatImage:
+    """Values of every so manyth row and column, flat."""
+    height, width = len(plane.cell), plane.lines.shape[1]
+    out, count = np.empty((height // step_y + 1) * (width // step_x + 1), np.float32), 0
+    for y in range(0, height, step_y):
+        for x in range(0, width, step_x):
+            out[count] = plane[y, x]
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def fill_plane(plane: Plane) -> FloatImage:
+    """The whole map, shape (H, W)."""
+    height, width = len(plane.cell), plane.lines.shape[1]
+    out = np.empty((height, width), np.float32)
+    for y in range(height):
+        row, share = out[y], plane.share[y]
+        upper, lower = plane.lines[plane.cell[y]], plane.lines[min(plane.cell[y] + 1, len(plane.lines) - 1)]
+        for x in range(width):
+            row[x] = upper[x] + share * (lower[x] - upper[x])
+    return out

@@ -1,0 +1,212 @@
+"""Kernels that filter an image and search it in one pass, without a filtered image ever being stored.
+
+The filter is separable and symmetric; `half` is its middle and upper half. A row is filtered along x as it comes and
+waits in a ring until the rows that its column needs are there: everything happens in the processor's nearest cache.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.detection.objects import row_edges, row_marks
+from startracker.detection.plane import Plane
+
+__all__ = ["UNFILTERED", "filter_stamp", "filtered_at", "kernel_half", "scan_rows"]
+
+_PADDING = 80
+"""Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
+
+FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+
+def kernel_half(kernel: NDArray[np.float64]) -> FloatImage:
+    """Middle and upper half of a symmetric kernel, with zeros to an even number, at least two, after the middle."""
+    half = kernel[len(kernel) // 2 :].astype(np.float32)
+    return np.append(half, np.zeros(max(2 - (len(half) - 1), (len(half) - 1) % 2), np.float32))
+
+
+UNFILTERED = kernel_half(np.ones(1))
+"""The filter that changes nothing."""
+
+
+@njit(cache=True, error_model="numpy")
+def _residual_row(image: FloatImage, level: Plane, y: int, first: int, out: FloatImage) -> None:
+    """Image minus level from column `first` on; zero where the image is not finite."""
+    width = len(out)
+    share, cell = level.share[y], level.cell[y]
+    row = image[y, first : first + width]
+    upper = level.lines[cell, first : first + width]
+    lower = level.lines[min(cell + 1, len(level.lines) - 1), first : first + width]
+    zero = np.float32(0.0)
+    for x in range(width):
+        # the comparison is false for NaN: such a pixel is background
+        out[x] = row[x] - (upper[x] + share * (lower[x] - upper[x])) if abs(row[x]) < np.inf else zero
+
+
+@njit(cache=True, error_model="numpy")
+def _filter_row(padded: FloatImage, half: FloatImage, line: FloatImage) -> None:
+    """Correlation along x of a row that is padded by the filter's reach on both sides."""
+    width, reach = len(line), len(half) - 1
+    middle = padded[reach : reach + width]
+    for k in range(1, reach, 2):
+        weight, near, far = half[0], half[k], half[k + 1]
+        a, b = padded[reach - k : reach - k + width], padded[reach + k : reach + k + width]
+        c, d = padded[reach - k - 1 : reach - k - 1 + width], padded[reach + k + 1 : reach + k + 1 + width]
+        if k == 1:
+            for x in range(width):
+                line[x] = weight * middle[x] + near * (a[x] + b[x]) + far * (c[x] + d[x])
+        else:
+            for x in range(width):
+                line[x] += near * (a[x] + b[x]) + far * (c[x] + d[x])
+
+
+@njit(cache=True, error_model="numpy")
+def scan_rows(
+    image: FloatImage, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
+) -> tuple[IntArray, FloatImage, FloatImage]:
+    """Runs of pixels whose filtered signal is above threshold × noise.
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        Pixels that are not finite, and those beyond the border, count as background, and are not above.
+    level, noise : Plane
+        Background.
+    half : array
+        From `kernel_half`.
+    stride : int
+        The filtered signal of every `stride`-th pixel is sampled.
+
+    Returns
+    -------
+    runs : int array, shape (R, 3)
+        Row, first column, last column + 1, in reading order.
+    signal : float32 array
+        Filtered signal of the pixels of the runs.
+    sample : float32 array
+        Filtered signal over the noise.
+    """
+    height, width = image.shape
+    reach = len(half) - 1
+    size = 2 * reach + 1
+    pitch = width + _PADDING
+    ring = np.zeros(size * pitch, np.float32)
+    padded = np.zeros(width + 2 * reach, np.float32)
+    total, limit = np.empty(width, np.float32), np.empty(width, np.float32)
+    above = row_marks(width)
+    edges = np.empty(width + 2, np.int64)
+    runs, signal, count, values = np.empty((1024, 3), np.int64), np.empty(8192, np.float32), 0, 0
+    sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
+    for y in range(height + reach):
+        line = ring[(y % size) * pitch :][:width]
+        if y < height:
+            _residual_row(image, level, y, 0, padded[reach : reach + width])
+            _filter_row(padded, half, line)
+        else:
+            line[:] = 0.0
+        centre = y - reach
+        if centre < 0:
+            continue
+        _filter_column(ring, pitch, half, centre, total)
+        cell, share = noise.cell[centre], noise.share[centre]
+        upper, lower = noise.lines[cell], noise.lines[min(cell + 1, len(noise.lines) - 1)]
+        row = image[centre]
+        for x in range(width):
+            limit[x] = upper[x] + share * (lower[x] - upper[x])
+            above[x] = (total[x] > threshold * limit[x]) & (abs(row[x]) < np.inf)
+        changes = row_edges(above, width, edges)
+        if values + width > len(signal):
+            signal = np.concatenate((signal, np.empty(len(signal) + width, np.float32)))
+        if count + changes // 2 > len(runs):
+            runs = np.concatenate((runs, np.empty((len(runs) + width, 3), np.int64)))
+        for k in range(0, changes, 2):
+            runs[count, 0], runs[count, 1], runs[count, 2] = centre, edges[k], edges[k + 1]
+            count += 1
+            for x in range(edges[k], edges[k + 1]):
+                signal[values] = total[x]
+                values += 1
+        while place < (centre + 1) * width:
+            x = place - centre * width
+            sample[samples] = total[x] / limit[x]
+            samples += abs(row[x]) < np.inf
+            place += stride
+    return runs[:count].copy(), signal[:values].copy(), sample[:samples].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _filter_column(rows: FloatImage, pitch: int, half: FloatImage, centre: int, out: FloatImage) -> None:
+    """Correlation along y about a row of a ring, whose rows begin `pitch` apart."""
+    width, reach = len(out), len(half) - 1
+    size = 2 * reach + 1
+    here = centre % size
+    middle = rows[here * pitch :][:width]
+    for k in range(1, reach, 2):
+        weight, near, far = half[0], half[k], half[k + 1]
+        # remainders without a division
+        a, b = here - k + (size if here < k else 0), here + k - (size if here + k >= size else 0)
+        c, d = a - 1 + (size if a == 0 else 0), b + 1 - (size if b + 1 == size else 0)
+        above, below = rows[a * pitch :][:width], rows[b * pitch :][:width]
+        higher, lower = rows[c * pitch :][:width], rows[d * pitch :][:width]
+        if k == 1:
+            for x in range(width):
+                out[x] = weight * middle[x] + near * (above[x] + below[x]) + far * (higher[x] + lower[x])
+        else:
+            for x in range(width):
+                out[x] += near * (above[x] + below[x]) + far * (higher[x] + lower[x])
+
+
+@njit(cache=True, error_model="numpy")
+def filter_stamp(
+    image: FloatImage, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, ring: FloatImage, out: FloatImage
+) -> None:
+    """Filtered signal around a pixel, row by row into out[: (2 radius + 1)²]; not a number where the image is not.
+
+    `ring` is working space for (2 reach + 1) × (2 radius + 1).
+    """
+    height, width = image.shape
+    reach = len(half) - 1
+    side, size = 2 * radius + 1, 2 * reach + 1
+    padded = np.zeros(side + 2 * reach, np.float32)
+    # columns of the padded row that lie on the image
+    first, last = max(x0 - radius - reach, 0), min(x0 + radius + reach + 1, width)
+    inner = padded[first - (x0 - radius - reach) :][: last - first]
+    for j in range(side + 2 * reach):
+        y = y0 - radius - reach + j
+        line = ring[(j % size) * side :][:side]
+        if 0 <= y < height:
+            _residual_row(image, level, y, first, inner)
+            _filter_row(padded, half, line)
+        else:
+            line[:] = 0.0
+        if j < 2 * reach:
+            continue
+        line = out[(j - 2 * reach) * side :][:side]
+        _filter_column(ring, side, half, j - reach, line)
+        y -= reach
+        for i in range(side):
+            x = x0 - radius + i
+            if not (0 <= y < height and 0 <= x < width and abs(image[y, x]) < np.inf):
+                line[i] = np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def filtered_at(image: FloatImage, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatImage:
+    """Filtered signal of pixels; not a number where the image is not finite."""
+    height, width = image.shape
+    reach = len(half) - 1
+    out = np.full(len(xs), np.float32(np.nan))
+    for n in range(len(xs)):
+        if not abs(image[ys[n], xs[n]]) < np.inf:
+            continue
+        total = np.float32(0.0)
+        for y in range(max(ys[n] - reach, 0), min(ys[n] + reach + 1, height)):
+            line = np.float32(0.0)
+            for x in range(max(xs[n] - reach, 0), min(xs[n] + reach + 1, width)):
+                if abs(image[y, x]) < np.inf:
+                    line += half[abs(x - xs[n])] * (image[y, x] - level[y, x])
+            total += half[abs(y - ys[n])] * line
+        out[n] = total
+    return out

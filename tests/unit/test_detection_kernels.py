@@ -1,0 +1,214 @@
+"""Kernels of detection against plain NumPy and SciPy twins."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from startracker.detection.background import Background, estimate
+from startracker.detection.forms import is_halo, measure_forms
+from startracker.detection.matched import filter_half, matched_kernel, quantiles
+from startracker.detection.objects import row_edges, row_marks
+from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
+from startracker.detection.scan import UNFILTERED, filter_stamp
+from startracker.detection.selection import peak_share
+from startracker.detection.shapes import find_clutter, measure_shapes, ring_pixels
+from startracker.detection.spots import (
+    COLUMNS,
+    FLUX,
+    PEAK_RESIDUAL,
+    PIXELS,
+    SUM_X,
+    SUM_XX,
+    SUM_XY,
+    SUM_Y,
+    SUM_YY,
+    X_PEAK,
+    Y_PEAK,
+)
+from startracker.detection.tiles import smooth_tiles, tile_statistics, whole_step
+
+
+def rng(*key):
+    return np.random.default_rng([31, *key])
+
+
+def a_plane(height=23, width=17):
+    lines = rng(1).normal(100, 5, (3, width)).astype(np.float32)
+    place = np.linspace(-0.4, 2.4, height)
+    cell = np.clip(np.floor(place), 0, 1).astype(np.int64)
+    plane = Plane(lines, cell, (place - cell).astype(np.float32))
+    whole = lines[cell] + (place - cell)[:, None] * (lines[cell + 1].astype(float) - lines[cell])
+    return plane, whole
+
+
+def test_a_plane_is_the_map_between_its_lines():
+    plane, whole = a_plane()
+    np.testing.assert_allclose(fill_plane(plane), whole, atol=1e-4)  # float32 at 100 has steps of 8e-6
+    y, x = np.indices(whole.shape)
+    np.testing.assert_allclose(plane[y, x], whole, atol=1e-4)
+    np.testing.assert_array_equal(sample_plane(plane, 5, 3), fill_plane(plane)[::5, ::3].ravel())
+    assert np.array_equal(fill_plane(as_plane(fill_plane(plane))), fill_plane(plane))
+
+
+def test_kernels_read_a_plane_as_the_array_it_stands_for():
+    image = rng(2).normal(100, 5, (200, 150)).astype(np.float32)
+    background = estimate(image, 32)
+    given = Background(background.level, background.noise)
+    x, y = rng(3).integers(0, 150, 40), rng(3, 1).integers(0, 200, 40)
+    of_tiles = measure_shapes(image, background.level_plane, background.noise_plane, x, y, 1.2)
+    assert np.array_equal(of_tiles, measure_shapes(image, given.level, given.noise, x, y, 1.2), equal_nan=True)
+    assert np.array_equal(
+        of_tiles, measure_shapes(image, given.level_plane, given.noise_plane, x, y, 1.2), equal_nan=True
+    )
+
+
+@pytest.mark.parametrize("step", [1.0, 4.0, 3.0])
+@pytest.mark.parametrize("far", [0, 5000])
+def test_tiles_far_apart_and_of_any_step(step, far):
+    image = np.rint(rng(4, far).normal(500, 6, (192, 256))) * step
+    image[:64, 100:140] += far * step
+    image[70:80, :60] = 60000
+    image[rng(5).random(image.shape) < 0.01] = np.nan
+    counted = tile_statistics(image.astype(np.float32), 3, 4, step)
+    exact = image[:64, :64][np.isfinite(image[:64, :64])]
+    for tile in ((0, 0), (2, 3)):
+        assert counted[0][tile] == pytest.approx(500 * step, abs=step * 6 / 3)
+        assert counted[1][tile] == pytest.approx(exact.std(), rel=0.2)
+
+
+def test_counting_gives_the_clipped_moments_of_the_sample():
+    image = np.rint(rng(6).normal(300, 5, (128, 20))).astype(np.float32)
+    image[rng(7).random(image.shape) < 0.05] += 900
+    level, noise = tile_statistics(image, 2, 1, 1.0)  # 64 × 20: every third pixel, each row starting five further
+    stride = 64 * 20 // 400
+    sample = np.concatenate([image[y, (y * 5) % stride :: stride] for y in range(64, 128)]).astype(float)
+    median, spread = np.sort(sample)[len(sample) // 2], np.sort(sample)[int(0.841345 * len(sample))]
+    std = spread - median
+    for _ in range(3):
+        kept = sample[np.abs(sample - median) <= 3 * max(std, 12**-0.5) + 0.5]
+        std = kept.std() / 0.98658
+    assert level[1, 0] == pytest.approx(kept.mean(), rel=1e-12)
+    assert noise[1, 0] == pytest.approx(std, rel=1e-9)
+
+
+def test_smoothing_is_a_median():
+    tiles = rng(8).normal(size=(6, 5))
+    assert np.array_equal(smooth_tiles(tiles)[1:-1, 1:-1], ndimage.median_filter(tiles, 3)[1:-1, 1:-1])
+
+
+@pytest.mark.parametrize(
+    ("values", "step"), [([], 0), ([np.nan], 0), ([5, np.inf], 1), ([0.5, 1], 0), ([6, 6], 1), ([-9, 6, 21], 15)]
+)
+def test_whole_step(values, step):
+    assert whole_step(np.array(values, np.float32)) == step
+
+
+@pytest.mark.parametrize("width", [1, 7, 64, 65, 200])
+@pytest.mark.parametrize("density", [0.0, 0.03, 0.5, 1.0])
+def test_edges_of_marked_pixels(width, density):
+    marks, edges = row_marks(width), np.empty(width + 2, np.int64)
+    marks[:width] = rng(9, width).random(width) < density
+    count = row_edges(marks, width, edges)
+    expected = np.flatnonzero(np.diff(np.concatenate([[0], marks[:width].astype(int), [0]])))
+    assert edges[:count].tolist() == expected.tolist()
+
+
+def test_quantiles_equal_numpy():
+    values = rng(10).normal(size=1000).astype(np.float32)
+    assert quantiles(values, (0.25, 0.5, 0.9331)) == pytest.approx(np.quantile(values, (0.25, 0.5, 0.9331)), rel=1e-6)
+    assert quantiles(values[:1], (0.5,)) == [float(values[0])]
+
+
+@pytest.mark.parametrize(("x", "y"), [(20, 15), (0, 0), (39, 3), (5, 29)])
+@pytest.mark.parametrize("sigma", [None, 0.3, 2.0])
+def test_stamp_of_the_filtered_image(x, y, sigma):
+    image = rng(11).normal(100, 3, (30, 40)).astype(np.float32)
+    image[rng(12).random(image.shape) < 0.05] = np.nan
+    plane = as_plane(np.full(image.shape, 98.0, np.float32))
+    signal = np.nan_to_num(image.astype(float) - 98.0)
+    kernel = matched_kernel(0.8 if sigma is None else sigma)
+    for axis in (0, 1):
+        signal = ndimage.correlate1d(signal, kernel, axis, mode="constant")
+    half, radius = filter_half(sigma), 9
+    out = np.empty(19 * 19, np.float32)
+    filter_stamp(image, plane, half, x, y, radius, np.empty((2 * len(half) - 1) * 19, np.float32), out)
+    expected = np.pad(np.where(np.isnan(image), np.nan, signal), radius, constant_values=np.nan)
+    np.testing.assert_allclose(out.reshape(19, 19), expected[y : y + 19, x : x + 19], atol=3e-5)
+
+
+def test_clutter_against_its_definition():
+    image = rng(13).normal(0, 1, (120, 130)).astype(np.float32)
+    image[40:90, 40:90] += 6 * (rng(14).random((50, 50)) < 0.05)
+    image[rng(15).random(image.shape) < 0.02] = np.nan
+    places = rng(16).integers(0, 120, (80, 2))
+    x, y = places.T.copy()
+    image[y, x] = 12.0
+    radius, judged = rng(17).uniform(0.3, 14.0, 80), rng(18).random(80) < 0.9
+    level = as_plane(np.zeros_like(image))
+    expected = np.zeros(80, bool)
+    rows, columns = np.indices(image.shape)
+    for n in np.flatnonzero(judged):
+        j, i = rows - y[n], columns - x[n]
+        inner = min(np.ceil(radius[n]), 12) + 2
+        ring = (i**2 + j**2 > inner**2) & (i**2 + j**2 <= (inner + 8) ** 2) & np.isfinite(image)
+        sector = (i > 0) * 4 + (j > 0) * 2 + (abs(i) > abs(j))
+        tops = [max(image[ring & (sector == s)].max(initial=0.0), 0.0) for s in range(8)]
+        median = np.sort(image[ring])[ring.sum() // 2]
+        fourth = np.sort(tops)[4] - median
+        expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
+    found = find_clutter(image, level, UNFILTERED, x, y, radius, judged, *ring_pixels(), 4.0, 2.0, 80)
+    assert np.array_equal(found, expected)
+    assert 5 < expected.sum() < 75
+    few = find_clutter(image, level, UNFILTERED, x, y, radius, judged, *ring_pixels(), 4.0, 2.0, 20)
+    last = np.flatnonzero(~expected)[19]
+    assert np.array_equal(few[: last + 1], expected[: last + 1])
+    assert not few[last + 1 :].any()
+
+
+def a_table(count=60):
+    table = np.zeros((count, COLUMNS))
+    random = rng(19)
+    table[:, FLUX] = np.sort(random.lognormal(8, 2, count))[::-1]
+    table[:, PEAK_RESIDUAL] = table[:, FLUX] * random.uniform(0.1, 0.5, count)
+    table[:, PIXELS] = random.integers(1, 40, count)
+    table[:, [X_PEAK, Y_PEAK]] = random.integers(0, 100, (count, 2))
+    return table
+
+
+def test_halo_against_its_definition():
+    table = a_table()
+    peak, flux = table[:, PEAK_RESIDUAL], table[:, FLUX]
+    expected = np.zeros(len(table), bool)
+    for star in range(len(table)):
+        times = peak[star] / peak
+        dark = 1.9 * np.sqrt(flux[star] / (np.pi * peak[star]))
+        reach = np.maximum(2.5 * np.sqrt(table[star, PIXELS] / np.pi) + 3.0, dark * np.cbrt(3.0 * 0.045 * times))
+        distance = np.hypot(table[:, X_PEAK] - table[star, X_PEAK], table[:, Y_PEAK] - table[star, Y_PEAK])
+        expected |= (distance < reach) & (times > 20.0)
+    assert np.array_equal(is_halo(table), expected)
+    assert 0 < expected.sum() < len(table)
+
+
+def test_forms_are_the_moments_of_the_pixels():
+    random, table = rng(20), np.zeros((12, COLUMNS))
+    expected = []
+    for row in table:
+        x, y, s = random.uniform(0, 9, 30), random.uniform(0, 4, 30), random.uniform(1, 2, 30)
+        row[[PIXELS, FLUX]] = 30, s.sum()
+        row[[SUM_X, SUM_Y, SUM_XX, SUM_YY, SUM_XY]] = s @ np.stack([x, y, x * x, y * y, x * y], axis=1)
+        expected.append(np.cov(np.stack([x, y]), aweights=s, bias=True) + np.eye(2) / 12)
+    forms = measure_forms(table, 5.0)
+    values = np.linalg.eigvalsh(expected)
+    np.testing.assert_allclose(forms.moments, [[c[0, 0], c[1, 1], c[0, 1]] for c in expected], rtol=1e-9, atol=1e-9)
+    assert np.array_equal(forms.long, values[:, 1] > 5.0 * values[:, 0])
+    assert 0 < forms.long.sum() < len(table)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.9])
+def test_peak_share_is_that_of_a_filtered_star(sigma):
+    edges = (np.arange(-15, 17) - 0.5) / np.sqrt(2) / sigma
+    from scipy.special import erf
+
+    along = 0.5 * np.diff(erf(edges))
+    signal = ndimage.correlate1d(along, matched_kernel(0.8), mode="constant")
+    assert peak_share(sigma, filter_half(None)) == pytest.approx((along[15] / signal[15]) ** 2, rel=1e-6)

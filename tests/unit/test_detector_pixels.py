@@ -1,0 +1,98 @@
+"""The walk of the steps: which pixel takes which random word, tiles, layouts; all against plain twins."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from simulator.detector.philox import draw_key, fill_words
+from simulator.detector.pixels import (
+    AMPLIFY,
+    BEND,
+    CLIP,
+    CONVERT,
+    DARK_SIGNAL,
+    NORMAL_NOISE,
+    PHOTO_RESPONSE,
+    SHOT_NOISE,
+    TILE,
+    Step,
+    of_map,
+    walk,
+)
+from simulator.randomness import stream
+
+
+def normal(shape, rng, sigma=1.0):
+    out = np.empty(shape)
+    walk(np.zeros(shape), [Step(NORMAL_NOISE, (sigma,), rng=rng)], out)
+    return out
+
+
+def test_which_pixel_takes_which_word():
+    """Pixel k: word (k mod TILE) div (TILE/4) of the counter (k div TILE) TILE/4 + k mod (TILE/4)."""
+    key, quarter = draw_key(stream(1, "n")), TILE // 4
+    numbers = normal((3 * TILE,), stream(1, "n"))
+    for k in (0, 1, quarter, TILE - 1, TILE, 2 * TILE + 3 * quarter + 7):
+        block = np.empty(4, dtype=np.uint32)
+        fill_words(key, np.uint64(k // TILE * quarter + k % quarter), np.uint64(0), block)
+        word = int(block[k % TILE // quarter])
+        assert numbers[k] == pytest.approx(ndtri((word + 0.5) / 2**32), abs=1e-6)
+
+
+def test_a_pixel_hangs_on_its_number_alone():
+    short, long = normal((5000,), stream(2, "n")), normal((100, 301), stream(2, "n"))
+    assert np.array_equal(short, long.ravel()[:5000])
+    image = np.empty((100, 301))
+    walk(np.full((100, 301), 7.0), [Step(NORMAL_NOISE, (3.0,), rng=stream(2, "n"))], image)
+    np.testing.assert_allclose(image, 7.0 + 3.0 * long, rtol=0, atol=1e-14)
+
+
+def test_steps_without_chance_against_numpy():
+    rng = stream(3, "steps")
+    shape = (45, 67)  # not a whole number of tiles
+    signal, response, dark = rng.uniform(0, 3e4, shape), rng.uniform(0.9, 1.1, shape), rng.uniform(0, 100, shape)
+    kept = signal.copy()
+    steps = [
+        of_map(PHOTO_RESPONSE, response),
+        of_map(DARK_SIGNAL, dark),
+        Step(CLIP, (2e4,)),
+        Step(BEND, (2e4, 0.02, -0.01)),
+        Step(AMPLIFY, (7.3, 55.0)),
+        Step(CONVERT, (2500.0,)),
+    ]
+    expected = [signal, signal * response]
+    expected.append(expected[-1] + dark)
+    expected.append(np.minimum(expected[-1], 2e4))
+    s = expected[-1] / 2e4
+    expected.append(expected[-1] * (1 + 0.02 * s - 0.01 * s * s))
+    expected.append(expected[-1] / 7.3 + 55.0)
+    expected.append(np.clip(np.rint(expected[-1]), 0, 2500))
+    for count, wanted in enumerate(expected):
+        out = np.empty(shape)
+        walk(signal, steps[:count], out)
+        np.testing.assert_allclose(out, wanted, rtol=1e-14)
+    numbers = np.empty(shape, dtype=np.uint16)
+    walk(signal, steps, numbers)
+    assert np.array_equal(numbers, expected[-1])
+    assert np.array_equal(signal, kept)
+    walk(signal, steps, signal)
+    assert np.array_equal(signal, expected[-1])
+
+
+def test_one_number_for_all_pixels():
+    out = np.empty((3, 4))
+    walk(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, 1.5), of_map(DARK_SIGNAL, 2.0)], out)
+    assert np.all(out == 17.0)
+
+
+def test_layouts_that_do_not_fit_are_refused():
+    image = np.zeros((4, 6))
+    with pytest.raises(ValueError, match="contiguous"):
+        walk(image.T, [], np.zeros((6, 4)))
+    with pytest.raises(ValueError, match="contiguous"):
+        walk(image, [Step(SHOT_NOISE, rng=stream(1, "n"))], np.zeros((6, 4)).T)
+
+
+def test_an_empty_image():
+    out = np.empty((0, 4))
+    walk(np.empty((0, 4)), [Step(SHOT_NOISE, rng=stream(1, "n"))], out)
