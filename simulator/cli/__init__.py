@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from simulator.cli.export_command import export_c_command
 from simulator.cli.study_command import study_app
 from startracker._version import __version__
 from startracker.errors import BoresightError
@@ -25,6 +26,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(study_app, name="study")
+app.command("export-c")(export_c_command)
 
 ScenarioFile = Annotated[
     Path,

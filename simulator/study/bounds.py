@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulator.detector.fixed_pattern import FixedPattern, dark_current_factor
+from simulator.detector.intensifier import excess_noise_factor, signal_gain
 from simulator.detector.readout import gain_e_per_dn, section_reset_noise_e
 from simulator.frame import FrameTruth
 from simulator.optics.psf import Psf
@@ -180,9 +181,10 @@ def _gaussians(
 def pixel_variance_e2(
     mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorSection
 ) -> FloatArray:
-    """Variance of pixels, electrons²: shot noise of light and dark current, reset and read noise, the converter's
+    """Variance of pixels, photo-electrons²: shot noise of light and dark current, reset and read noise, the converter's
     rounding (g²/12), and what is fixed in the device but not told to the tracker: the response of a pixel (PRNU) times
-    the star's light in it, and DSNU times the mean dark current.
+    the star's light in it, and DSNU times the mean dark current. Behind an intensifier shot noise grows by the excess
+    noise factor, all else is divided by the gain; what its phosphor blurs is left out: the bound stays one.
 
     Parameters
     ----------
@@ -195,10 +197,14 @@ def pixel_variance_e2(
     detector : DetectorSection
         The detector.
     """
-    shot = mean_e + dark_e if detector.shot_noise else np.zeros_like(mean_e)
-    rounding = 0.0 if detector.adc_bits is None else gain_e_per_dn(detector) ** 2 / 12.0
-    electronics = detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + rounding
-    fixed = (detector.prnu * star_e) ** 2 + (detector.dsnu * mean_dark_e(detector)) ** 2
+    gain, dn_e = signal_gain(detector), gain_e_per_dn(detector)
+    cathode_e = detector.intensifier.dark_e_s * detector.exposure_s if detector.intensifier.gain else 0.0
+    counted = excess_noise_factor(detector) * (mean_e + cathode_e) + dark_e / gain**2
+    shot = counted if detector.shot_noise else np.zeros_like(mean_e)
+    rounding = 0.0 if detector.adc_bits is None else dn_e**2 / 12.0
+    video = (detector.video.noise_dn * dn_e) ** 2
+    electronics = (detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + video + rounding) / gain**2
+    fixed = (detector.prnu * star_e) ** 2 + (detector.dsnu * mean_dark_e(detector) / gain) ** 2
     return np.asarray(shot + electronics + fixed)
 
 
@@ -220,7 +226,7 @@ def _variances(
     mean = mean_e[at]
     dark = pattern.dark_e[at] if isinstance(pattern.dark_e, np.ndarray) else np.full_like(mean, pattern.dark_e)
     variance = pixel_variance_e2(mean, dark, star_e, detector)
-    return np.where(inside & (mean + dark < detector.full_well_e), variance, np.inf)
+    return np.where(inside & (signal_gain(detector) * mean + dark < detector.full_well_e), variance, np.inf)
 
 
 def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
