@@ -1,4 +1,4 @@
-"""What the tracker reaches on frames of `cubesat.yaml` against the Cramér–Rao bound, and whether its covariance is true.
+"""What the tracker reaches on frames of `cubesat.yaml` against the Cramér–Rao bound; whether its covariance is true.
 
 The bound (`simulator.study.bounds`, itself checked against brute force in tests/oracle/test_study_bounds.py) is of the
 star's image, flux, background and noise; so hot pixels, which spoil one star in 400, are switched off, and stars with a
