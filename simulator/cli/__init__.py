@@ -36,6 +36,12 @@ ScenarioFiles = Annotated[
     list[Path],
     typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
 ]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
+    ),
+]
 SetValues = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
@@ -74,12 +80,7 @@ def run_command(
             help="Processes on this machine; default: its cores. The rows do not depend on it.",
         ),
     ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
-        ),
-    ] = None,
+    dask: Dask = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
     ] = None,
@@ -341,6 +342,7 @@ def sweep_command(
         int | None,
         typer.Option("--workers", metavar="N", help="Processes on this machine; default: its cores."),
     ] = None,
+    dask: Dask = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-sweep.")
     ] = None,
@@ -351,7 +353,8 @@ def sweep_command(
     """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
     from simulator.cli.sweep_command import run_sweep_command
 
-    raise typer.Exit(run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume))
+    code = run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume, dask)
+    raise typer.Exit(code)
 
 
 @app.command("report")
