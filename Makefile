@@ -1,5 +1,6 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
+# make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
 # make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
 PYTHON ?= python3
@@ -7,7 +8,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all lint clean cluster-demo bench-identification bench-frames
+.PHONY: run test test-all lint clean cluster-demo bench bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -40,6 +41,13 @@ $(VENV)/.installed-oracles: $(VENV)/.installed-test
 $(VENV)/.installed-peers: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[peers]'
 	@touch $@
+
+$(VENV)/.installed-bench: $(VENV)/.installed-peers
+	$(BIN)/python -m pip install --quiet --editable '.[peers,bench]'
+	@touch $@
+
+bench: $(VENV)/.installed-bench
+	$(BIN)/python -m benchmarks.speed --out benchmarks/RESULTS.md
 
 bench-identification: $(VENV)/.installed-peers
 	$(BIN)/python -m benchmarks.identification --peers --failures --out benchmarks/RESULTS-identification.md

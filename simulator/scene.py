@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import Pointing, hold, point, point_at_random, turned_to
+from simulator.mission.pointing import Pointing, hold, point, point_at_random, point_spinning, round_s, turned_to
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
 from simulator.scenario import Scenario
@@ -100,6 +100,7 @@ class SceneBuilder:
         self.scenario = scenario
         self.clock = Clock(scenario.epoch)
         self.orbit = build_orbit(scenario.orbit, scenario.epoch)
+        self._round_s = round_s(scenario.pointing, self.orbit.period_s)
         catalog = load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit)
         self.sky = SkyIndex(catalog)
         self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
@@ -133,7 +134,7 @@ class SceneBuilder:
         """
         scenario = self.scenario
         seed, sampling = scenario.seed, scenario.study.sampling
-        t_s = trial_time_s(sampling, seed, index, self.orbit.period_s) if at_s is None else at_s
+        t_s = trial_time_s(sampling, seed, index, self._round_s) if at_s is None else at_s
         r_km, v_km_s = self.orbit.state(t_s)
         observer = observe(self.clock, t_s, r_km, v_km_s)
         sun_au = sun_position_au(self.clock, t_s)
@@ -141,6 +142,8 @@ class SceneBuilder:
         rng = streams("pointing")
         if scenario.pointing.target is not None:
             pointing = hold(scenario.pointing, self._towards_target(observer, sun_au, bodies), rng)
+        elif scenario.pointing.spin.rate_deg_s:
+            pointing = point_spinning(scenario.pointing, t_s, rng)
         elif sampling == "sky" and at_s is None:
             pointing = point_at_random(scenario.pointing, rng, math.tau / self.orbit.period_s)
         else:

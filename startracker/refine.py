@@ -23,6 +23,7 @@ REJECT_SIGMAS = 3.7
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _UNKNOWN_FLOOR_PX = 0.003
 _FEWEST_TO_REJECT = 4
+_MISFIT_SIGMAS = 4.0
 _MANY, _LEAST_SCALE = 10, 0.4
 
 
@@ -81,7 +82,8 @@ def refine(
 
     Notes
     -----
-    The covariance is the estimator's, times χ²/ν (at least one where the errors are known), ν = 2M − 3, or − 4.
+    The covariance is the estimator's, times χ²/ν, ν = 2M − 3, or − 4; where the errors are known only when that is more
+    than chance makes it, 4 √(2/ν) above one.
     """
     known = variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
@@ -116,7 +118,9 @@ def refine(
     residual = xy[stars] - camera.project(reference @ matrix.T)
     freedom = max(2 * len(stars) - (4 if free_focal else 3), 1)
     chi2 = float(np.sum(residual**2 / sigma[stars, None] ** 2))
-    factor = max(chi2 / freedom, 1.0 if known else _UNKNOWN_FLOOR_PX**2)
+    factor = max(chi2 / freedom, _UNKNOWN_FLOOR_PX**2)
+    if known and factor < 1.0 + _MISFIT_SIGMAS * math.sqrt(2.0 / freedom):
+        factor = 1.0
     return Refined(matrix, covariance * factor, used, residual, camera)
 
 

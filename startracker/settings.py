@@ -42,6 +42,8 @@ class DetectionSettings:
         0: not asked for.
     cluster_radius_px : float or None
         Yee's τ: clustering's largest distance of a pixel from its cluster's centre; None: from the frame.
+    threshold_dn : float or None
+        Clustering: pixels above this many DN, whatever the background, as in Yee's thesis; None: `threshold_sigma`.
     """
 
     threshold_sigma: float = 5.0
@@ -56,6 +58,7 @@ class DetectionSettings:
     reject_hits: bool = True
     isolation: float = 5.0
     cluster_radius_px: float | None = None
+    threshold_dn: float | None = None
 
     __pydantic_config__ = _FORBID
 
@@ -109,6 +112,14 @@ class IdentificationSettings:
         Guide stars with a neighbour closer than this and less than this much fainter are left out.
     false_alarm_rate : float
         Accept an identification only when the sky gives such agreement by chance less often than this, a frame.
+    rotation_tolerance_deg, grouping_tolerance_deg : float
+        Triads (Yee 1999): largest difference between the two rotations of a triad, and from the mean of its group.
+    enclosed_tolerance_deg : float or None
+        Triads: largest difference of an inner angle; None leaves that test out.
+    vote_number : int
+        Triads: fewest of a group that must name a guide star.
+    three_stars : bool
+        Triads: where only three stars are seen and all triads agree, one vote is enough.
     """
 
     separation_tolerance_deg: float | None = None
@@ -120,6 +131,11 @@ class IdentificationSettings:
     close_pair_deg: float = 0.08
     close_pair_magnitude: float = 0.77
     false_alarm_rate: float = 1e-7
+    rotation_tolerance_deg: float = 5.0
+    grouping_tolerance_deg: float = 5.0
+    enclosed_tolerance_deg: float | None = 1.0
+    vote_number: int = 2
+    three_stars: bool = True
 
     __pydantic_config__ = _FORBID
 
@@ -145,5 +161,63 @@ class TrackingSettings:
     max_window_px: int = 20
     prior_limit_deg: float = 15.0
     false_rejection: float = 1e-6
+
+    __pydantic_config__ = _FORBID
+
+
+@dataclass(frozen=True)
+class OperationSettings:
+    """Rules by which the sensor operates itself from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
+
+    Parameters
+    ----------
+    use : bool
+        Follow them; false: every frame goes to the tracker as it is, at the one exposure.
+    saturated_pixels : int
+        A frame whose two brightest stars each have more saturated pixels than this is discarded (the thesis: 4).
+    shorten : float
+        Factor of the exposure after such a frame.
+    shortest_exposure_s : float
+        Exposure that is not gone below; a frame taken with it is used as it is.
+    lengthen_below : float
+        Where the brightest star stays below this share of saturation, the next exposure is longer by 1 / `shorten`, up
+        to the scenario's own. 0: never.
+    exposure_step_s : float
+        Exposures are whole multiples of this, as the prototype's of its frame time; 0: any.
+    sun_share : float
+        Share of saturated pixels above which a frame shows the Sun. The Moon covers 0.003 of a field of 10°.
+    suspend_turn_deg : float
+        After such a frame none is taken while the camera turns by this, a little more than the Sun's diameter.
+    longest_suspension_s : float
+        Longest time without a frame, also where the rate is not known.
+    clear_pixels : int or None
+        Anything larger is cleared from the frame, as the Moon; None: `DetectionSettings.max_pixels`.
+    blemish_frames : int
+        Frames that tell of a blemished pixel, at least; 0: blemishes are not mapped.
+    blemish_share : float
+        Share of the frames in which a blemish must show.
+    blemish_sigma : float
+        By how many times the noise.
+    blemish_shift_px : float
+        How far the stars must have moved since the last frame that counts.
+    reference_b_v : float
+        Colour for which flux and magnitude were calibrated on the ground.
+    """
+
+    use: bool = False
+    saturated_pixels: int = 4
+    shorten: float = 0.5
+    shortest_exposure_s: float = 0.01
+    lengthen_below: float = 0.2
+    exposure_step_s: float = 0.0
+    sun_share: float = 0.02
+    suspend_turn_deg: float = 0.6
+    longest_suspension_s: float = 60.0
+    clear_pixels: int | None = None
+    blemish_frames: int = 5
+    blemish_share: float = 0.75
+    blemish_sigma: float = 5.0
+    blemish_shift_px: float = 8.0
+    reference_b_v: float = 0.65
 
     __pydantic_config__ = _FORBID

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from simulator.cli.export_command import export_c_command
 from simulator.cli.study_command import study_app
 from startracker._version import __version__
 from startracker.errors import BoresightError
@@ -25,6 +26,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(study_app, name="study")
+app.command("export-c")(export_c_command)
 
 ScenarioFile = Annotated[
     Path,
@@ -33,6 +35,12 @@ ScenarioFile = Annotated[
 ScenarioFiles = Annotated[
     list[Path],
     typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
+    ),
 ]
 SetValues = Annotated[
     list[str] | None,
@@ -72,12 +80,7 @@ def run_command(
             help="Processes on this machine; default: its cores. The rows do not depend on it.",
         ),
     ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
-        ),
-    ] = None,
+    dask: Dask = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
     ] = None,
@@ -339,6 +342,7 @@ def sweep_command(
         int | None,
         typer.Option("--workers", metavar="N", help="Processes on this machine; default: its cores."),
     ] = None,
+    dask: Dask = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-sweep.")
     ] = None,
@@ -349,7 +353,8 @@ def sweep_command(
     """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
     from simulator.cli.sweep_command import run_sweep_command
 
-    raise typer.Exit(run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume))
+    code = run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume, dask)
+    raise typer.Exit(code)
 
 
 @app.command("report")

@@ -139,4 +139,26 @@ def _print(sequence: Sequence, console: Console) -> None:
         console.print(f"NEES {nees['mean']:.2f}; 3 expected, 95 % of such sequences {low:.2f} to {high:.2f}")
     for status, count in summary["unsolved_by_status"].items():
         console.print(f"  {count} × {status}")
+    if "operation" in summary:
+        _print_operation(summary["operation"], console)
     console.print(f"{sequence.folder}: {', '.join(sequence.files)}")
+
+
+def _print_operation(rules: dict[str, Any], console: Console) -> None:
+    """What the sensor's rules of operation did."""
+    exposure, blemishes, magnitudes = rules["exposure_s"], rules["blemishes"], rules["magnitudes"]
+    console.print(
+        f"Rules: {rules['discarded']} frames discarded as over-exposed (exposure {exposure['first']:g} s, shortest "
+        f"{exposure['shortest']:g} s, last {exposure['last']:g} s); suspended for {rules['suspended_s']:g} s, "
+        f"{rules['sun_frames']} frames of the Sun; {rules['moon_frames']} cleared of what is larger than a star"
+    )
+    console.print(
+        f"Blemishes: {blemishes['mapped']} pixels mapped, {blemishes['certain_mapped']} of {blemishes['certain']} that "
+        f"are beyond doubt, {blemishes['sound_mapped']} sound ones"
+    )
+    if magnitudes["stars"]:
+        slope = magnitudes["colour_slope"]
+        console.print(
+            f"Magnitudes of {magnitudes['stars']} star images: rms error {magnitudes['rms']:.3f}"
+            + ("" if slope is None else f", {slope:+.3f} a magnitude of B − V")
+        )

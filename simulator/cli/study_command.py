@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from simulator.cli.thesis_command import greyling1995_study, yee1999_study
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
@@ -198,6 +200,8 @@ STUDIES: dict[str, Callable[..., int]] = {
     "coverage": coverage_study,
     "design": design_study,
     "budget": budget_study,
+    "greyling1995": greyling1995_study,
+    "yee1999": yee1999_study,
 }
 """Name of a study to its function."""
 
@@ -214,7 +218,7 @@ class _Studies(TyperGroup):
 
 study_app = typer.Typer(
     cls=_Studies,
-    help="Studies that answer one question each: sky coverage, design, error budget.",
+    help="Studies that answer one question each: sky coverage, design, error budget; two theses computed again.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -36,6 +36,7 @@ def run_sweep_command(
     workers: int | None,
     out: Path | None,
     resume: bool,
+    dask: str | None = None,
 ) -> int:
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
     from simulator.study.sweep import plan_sweep, run_sweep
@@ -43,11 +44,13 @@ def run_sweep_command(
     for name, value, least in (("trials", trials, 1), ("seed", seed, 0), ("workers", workers, 1), ("lhs", lhs, 1)):
         if value is not None and value < least:
             raise InputError(f"--{name}: must be at least {least}, not {value}")
+    if workers is not None and dask is not None:
+        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
     plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
     folder = make_folder(out or Path("out") / f"{plan.scenario.name}-sweep")
     processes = workers or _usable_cores(plan.scenario.study.trials)
     with SweepProgress(plan) as bar:
-        sweep = run_sweep(plan, folder, workers=processes, resume=resume, progress=bar.tell)
+        sweep = run_sweep(plan, folder, workers=processes, dask=dask, resume=resume, progress=bar.tell)
     _print(sweep, Console(highlight=False, width=None if sys.stdout.isatty() else 130))
     return 130 if sweep.table["interrupted"] else 0
 

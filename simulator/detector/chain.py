@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector import blooming, cosmic_rays, pixels, readout, transfer
+from simulator.detector import blooming, cosmic_rays, intensifier, pixels, readout, transfer, video
 from simulator.detector.fixed_pattern import FixedPattern
 from simulator.detector.pixels import Step, of_map, walk
 from simulator.scenario.schema import DetectorSection
@@ -37,6 +37,11 @@ class Effect:
 
 # d: detector section; p: fixed pattern; rng: random stream by name; s: signal (H, W), changed in place or anew
 CHARGE: tuple[Effect, ...] = (
+    Effect(
+        "intensifier",  # mean photo-electrons of a photocathode → mean electrons of the detector
+        lambda d, p: d.intensifier.gain > 0,
+        lambda d, p, rng: lambda s: intensifier.intensify(s, d, rng("intensifier")),
+    ),
     Effect(
         "photo_response",  # mean photo-electrons → the same, by the response of each pixel
         lambda d, p: np.ndim(p.prnu) > 0 or p.prnu != 1.0,
@@ -94,6 +99,11 @@ READOUT: tuple[Effect, ...] = (
         lambda d, p, rng: Step(pixels.AMPLIFY, (readout.gain_e_per_dn(d), d.offset_dn)),
     ),
     Effect(
+        "video",  # analogue line and recorder: bandwidth, noise
+        lambda d, p: d.video.noise_dn > 0 or d.video.line_blur_px > 0,
+        lambda d, p, rng: lambda s: video.video_signal(s, d.video, rng("video")),
+    ),
+    Effect(
         "adc",  # fractional DN → whole DN
         lambda d, p: d.adc_bits is not None,
         lambda d, p, rng: Step(pixels.CONVERT, (2.0 ** (d.adc_bits or 0) - 1.0,)),
@@ -117,7 +127,8 @@ class Readout:
     saturation_dn : float
         DN from which on a pixel counts as saturated.
     gain_e_per_dn : float
-        Electrons a DN.
+        Electrons a DN, as a photon-transfer curve gives them: signal over variance. Behind an intensifier these are
+        photo-electrons of the photocathode, over the excess noise factor.
     """
 
     image: NDArray[np.uint16] | NDArray[np.float64]
@@ -147,8 +158,8 @@ def detect(
     pattern : FixedPattern
         From `build_fixed_pattern` with the same section.
     streams : callable
-        Gives the generator of a stream by name: ``shot_noise``, ``cosmic_rays``, ``reset_noise``, ``read_noise``. Asked
-        only for those that are on.
+        Gives the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
+        ``read_noise``, ``video``. Asked only for those that are on.
     keep_charge : bool
         Also hand out the charge before readout; the image is the same without, and sooner there.
 
@@ -178,7 +189,7 @@ def detect(
             saturated |= image >= top
     else:
         _run(light, charge + read, image)
-    return Readout(image, electrons, saturated, readout.saturation_dn(section), readout.gain_e_per_dn(section))
+    return Readout(image, electrons, saturated, readout.saturation_dn(section), readout.noise_gain_e_per_dn(section))
 
 
 def _acts(

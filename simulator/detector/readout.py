@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
+from simulator.detector.excess_noise import bunch_e
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
@@ -92,6 +93,20 @@ def gain_e_per_dn(section: DetectorSection) -> float:
     return section.full_well_e / (top - section.offset_dn)
 
 
+def noise_gain_e_per_dn(section: DetectorSection) -> float:
+    """Signal over variance of the light, electrons a DN: what a photon-transfer curve of large areas gives.
+
+    `gain_e_per_dn` without an intensifier; with one, K / (⟨g⟩ F²).
+    """
+    return gain_e_per_dn(section) / bunch_e(section)
+
+
+def electronics_noise_e(section: DetectorSection) -> float:
+    """Standard deviation of what the electronics add: reset, read and video noise, electrons of the detector."""
+    video_e = section.video.noise_dn * gain_e_per_dn(section)
+    return math.hypot(section.read_noise_e, section_reset_noise_e(section), video_e)
+
+
 def saturation_dn(section: DetectorSection) -> float:
     """DN from which on a pixel counts as saturated.
 
@@ -100,7 +115,7 @@ def saturation_dn(section: DetectorSection) -> float:
     full well itself. Rounded as the converter rounds.
     """
     gain = gain_e_per_dn(section)
-    noise_e = math.hypot(section.read_noise_e, section_reset_noise_e(section))
+    noise_e = electronics_noise_e(section)
     well_e = (section.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) * (1.0 + sum(section.nonlinearity))
     well = well_e / gain + section.offset_dn
     top = highest_dn(section)

@@ -1,6 +1,7 @@
 """How the body turns over a sequence of frames: the truth that a tracker follows.
 
-The body holds a reference, the local level, which turns with the orbit, or an inertial attitude, and turns against it
+The body holds a reference, the local level, which turns with the orbit, or the axes of a free spin, or an inertial
+attitude, and turns against it
 at a rate that is a piecewise linear function of time in body axes: ``pointing.rate_deg_s``, plus ``sequence.rates``,
 plus the trapezoid of ``sequence.slew``. With S the turn against the reference, C what the body is turned by at the
 start (offset and random error) and L the reference,
@@ -22,7 +23,8 @@ from numpy.typing import NDArray
 
 from simulator.mission.orbit import Orbit
 from simulator.mission.pointing import Pointing, local_level
-from simulator.scenario.schema import PointingSection, SequenceSection, SlewSection
+from simulator.mission.spin import spin_attitude, spin_rate_rad_s
+from simulator.scenario.schema import PointingSection, SequenceSection, SlewSection, SpinSection
 from startracker.attitude import Attitude
 
 __all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
@@ -144,7 +146,7 @@ def motion(
     ----------
     pointing, sequence : sections
         As in the scenario. With ``pointing.target`` the reference is the attitude at the start, held against
-        inertial space; else it is the local level.
+        inertial space; with ``pointing.spin`` the spinning principal axes; else it is the local level.
     orbit : Orbit
         The orbit.
     start : Pointing
@@ -153,7 +155,12 @@ def motion(
         How many.
     """
     profile = rate_profile(pointing, sequence)
-    reference, rate_of = _inertial(start) if pointing.target is not None else _level(orbit)
+    if pointing.target is not None:
+        reference, rate_of = _inertial(start)
+    elif pointing.spin.rate_deg_s:
+        reference, rate_of = _spinning(pointing.spin)
+    else:
+        reference, rate_of = _level(orbit)
     at_start = start.body @ reference(sequence.start_s).inverse
     turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
     states = []
@@ -172,6 +179,11 @@ def motion(
 def _inertial(start: Pointing) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
     """Reference that stands still: the body's attitude at the start."""
     return lambda t_s: start.body, lambda t_s: np.zeros(3)
+
+
+def _spinning(spin: SpinSection) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
+    """The principal axes of a body that spins freely, and their inertial rate in their own axes."""
+    return lambda t_s: spin_attitude(spin, t_s), lambda t_s: spin_rate_rad_s(spin, t_s)
 
 
 def _level(orbit: Orbit) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:

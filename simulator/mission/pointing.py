@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.frames import true_of_date
 from simulator.mission.orbit import Orbit
+from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.scenario.schema import PointingSection
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.errors import InputError
@@ -29,7 +30,9 @@ __all__ = [
     "mounting_of",
     "point",
     "point_at_random",
+    "point_spinning",
     "random_attitude",
+    "round_s",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -132,7 +135,7 @@ def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: n
     """
     nominal = _offset(section) @ local_level(r_km, v_km_s)
     orbital_rate = math.hypot(*_cross(r_km.tolist(), v_km_s.tolist())) / float(r_km @ r_km)
-    return _pointing(section, nominal, orbital_rate, rng.uniform(-1.0, 1.0, 3))
+    return _pointing(section, nominal, _level_rate(orbital_rate), rng.uniform(-1.0, 1.0, 3))
 
 
 def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_rate_rad_s: float = 0.0) -> Pointing:
@@ -144,12 +147,27 @@ def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_
     """
     draws = rng.uniform(-1.0, 1.0, 3)
     nominal = mounting_of(section).inverse @ random_attitude(rng)
-    return _pointing(section, nominal, orbital_rate_rad_s, draws)
+    return _pointing(section, nominal, _level_rate(orbital_rate_rad_s), draws)
+
+
+def point_spinning(section: PointingSection, t_s: float, rng: np.random.Generator) -> Pointing:
+    """`point` of a body that spins freely (`simulator.mission.spin`), `t_s` seconds after the epoch.
+
+    Its principal axes take the place of the local level: offset, random error and `rate_deg_s` act on top.
+    """
+    nominal = _offset(section) @ spin_attitude(section.spin, t_s)
+    return _pointing(section, nominal, spin_rate_rad_s(section.spin, t_s), rng.uniform(-1.0, 1.0, 3))
+
+
+def round_s(section: PointingSection, orbital_period_s: float) -> float:
+    """Time after which the same directions come round: a turn of a body that spins, else an orbit."""
+    rate_deg_s = section.spin.rate_deg_s
+    return 360.0 / abs(rate_deg_s) if rate_deg_s else orbital_period_s
 
 
 def hold(section: PointingSection, camera: Attitude, rng: np.random.Generator) -> Pointing:
     """`point` with a nominal camera attitude (ICRS → camera) that stands still: no rate but `rate_deg_s`."""
-    return _pointing(section, mounting_of(section).inverse @ camera, 0.0, rng.uniform(-1.0, 1.0, 3))
+    return _pointing(section, mounting_of(section).inverse @ camera, np.zeros(3), rng.uniform(-1.0, 1.0, 3))
 
 
 def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike | None = None) -> Pointing:
@@ -231,11 +249,16 @@ def _offset(section: PointingSection) -> Attitude:
     return Attitude.from_rotation_vector(np.radians(section.offset_deg), "local_level", "body")
 
 
-def _pointing(section: PointingSection, nominal: Attitude, orbital_rate_rad_s: float, draws: FloatArray) -> Pointing:
-    """Pointing around a nominal body attitude (ICRS → body) from three numbers uniform in [−1, 1)."""
+def _level_rate(orbital_rate_rad_s: float) -> FloatArray:
+    """Angular velocity of the local level in its own axes."""
+    return np.array([0.0, -orbital_rate_rad_s, 0.0])
+
+
+def _pointing(section: PointingSection, nominal: Attitude, level_rate: FloatArray, draws: FloatArray) -> Pointing:
+    """Pointing around a nominal body attitude (ICRS → body), of a reference that turns at `level_rate` (3,) in its own
+    axes, from three numbers uniform in [−1, 1)."""
     error = Attitude.from_rotation_vector(math.radians(section.error_deg) * draws, "body", "body")
     mounting = mounting_of(section)
-    level_rate = np.array([0.0, -orbital_rate_rad_s, 0.0])
     rate_body = error.apply(_offset(section).apply(level_rate)) + np.radians(section.rate_deg_s)
     body = error @ nominal
     return Pointing(

@@ -18,9 +18,9 @@ _GOLDEN = 0.618_033_988_749_894_9
 def trial_time_s(sampling: str, seed: int, index: int, period_s: float) -> float:
     """Seconds after the epoch of trial `index`.
 
-    ``mission_year`` and ``orbit`` spread the trials over a year or over one orbit by the golden-ratio sequence from a
-    random start: the first n trials are always evenly spread, whatever n (a lattice of lowest discrepancy in one
-    dimension, Niederreiter 1992, chapter 3). ``sky`` stays at the epoch.
+    ``mission_year`` and ``orbit`` spread the trials over a year or over one round, an orbit of `period_s`, by the
+    golden-ratio sequence from a random start: the first n trials are always evenly spread, whatever n (a lattice of
+    lowest discrepancy in one dimension, Niederreiter 1992, chapter 3). ``sky`` stays at the epoch.
     """
     if sampling == "sky":
         return 0.0

@@ -14,7 +14,8 @@ _CCD_ONLY = {
 }
 
 
-_SHUTTER_OF = {"rolling": "cmos", "frame_transfer": "ccd_frame_transfer"}
+_SHUTTER_OF = {"rolling": ("cmos",), "frame_transfer": ("ccd_frame_transfer", "ccd_full_frame")}
+"""Kinds that a shutter goes with, the usual one first; a full-frame CCD may be clocked out under light."""
 
 
 def contradictions(values: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]:
@@ -34,9 +35,10 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]
                 yield f"detector.{key}", message, False
 
     shutter, kind = values["detector.shutter"], values["detector.kind"]
-    if shutter in _SHUTTER_OF and kind != _SHUTTER_OF[shutter]:
-        message = f"{shutter} with detector.kind: {kind}, but only {_SHUTTER_OF[shutter]} has such a shutter"
-        yield "detector.shutter", message + f"; use kind: {_SHUTTER_OF[shutter]}, or shutter: global", False
+    if shutter in _SHUTTER_OF and kind not in _SHUTTER_OF[shutter]:
+        has = " and ".join(_SHUTTER_OF[shutter])
+        message = f"{shutter} with detector.kind: {kind}, but only {has} can have such a shutter"
+        yield "detector.shutter", message + f"; use kind: {_SHUTTER_OF[shutter][0]}, or shutter: global", False
 
     for key in ("hot_columns", "dead_columns"):
         if values[f"detector.{key}"] > values["detector.width"]:

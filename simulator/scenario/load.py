@@ -31,6 +31,7 @@ CURVE_KEYS = ("optics.transmission", "detector.quantum_efficiency")
 
 _NOISELESS: dict[str, Any] = {
     "sky.background": False,
+    "detector.intensifier.gain": 0.0,
     "detector.shot_noise": False,
     "detector.dark_current_e_s": 0.0,
     "detector.dsnu": 0.0,
@@ -41,6 +42,8 @@ _NOISELESS: dict[str, Any] = {
     "detector.full_well_e": 1e15,
     "detector.gain_e_per_dn": 1.0,
     "detector.offset_dn": 0.0,
+    "detector.video.noise_dn": 0.0,
+    "detector.video.line_blur_px": 0.0,
     "detector.adc_bits": None,
 }
 

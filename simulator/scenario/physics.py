@@ -134,6 +134,24 @@ def _mounting(v: Values) -> Iterator[Violation]:
         yield _impossible("pointing.mounting", "a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all")
 
 
+def _spin(v: Values) -> Iterator[Violation]:
+    if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
+        yield _impossible("pointing.spin.rate_deg_s", "a body that spins freely holds no pointing.target; remove one")
+
+
+def _tether(v: Values) -> Iterator[Violation]:
+    if v["tether.diameter_mm"] == 0.0:
+        return
+    near, far = v["tether.near_m"], v["tether.far_m"]
+    for key, end in (("near_m", near), ("far_m", far)):
+        if end[2] <= 0.0:
+            yield _impossible(f"tether.{key}", f"{end[2]:g} m ahead of the lens; both ends must be before it")
+            return
+    turn = math.hypot(*(near[i] / near[2] - far[i] / far[2] for i in range(2)))
+    if turn < 1e-6:
+        yield _impossible("tether.far_m", "seen from the lens the tether is a point; move an end off the line of sight")
+
+
 def _f_number(v: Values) -> Iterator[Violation]:
     focal_mm, aperture_mm = v["optics.focal_length_mm"], v["optics.aperture_mm"]
     if focal_mm < MIN_F_NUMBER * aperture_mm:
@@ -308,6 +326,8 @@ RULES: tuple[Rule, ...] = (
     _sun_synchronous,
     _epoch,
     _mounting,
+    _spin,
+    _tether,
     _f_number,
     _field,
     _lens_coefficients,

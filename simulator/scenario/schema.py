@@ -14,12 +14,15 @@ from simulator.scenario.schema_camera import (
     DetectorSection,
     FieldAberrationsSection,
     GhostSection,
+    IntensifierSection,
     OpticsSection,
     PsfSection,
     ThermalSection,
+    VideoSection,
     VignettingSection,
     ZernikeSection,
 )
+from simulator.scenario.schema_payload import SpinSection, TetherSection
 from simulator.scenario.schema_sequence import (
     DropoutSection,
     GyroSection,
@@ -27,7 +30,7 @@ from simulator.scenario.schema_sequence import (
     SequenceSection,
     SlewSection,
 )
-from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, OperationSettings
 
 __all__ = [
     "KNOB_LIMITS",
@@ -38,6 +41,7 @@ __all__ = [
     "FieldAberrationsSection",
     "GhostSection",
     "GyroSection",
+    "IntensifierSection",
     "JitterSection",
     "OpticsSection",
     "OrbitSection",
@@ -50,9 +54,12 @@ __all__ = [
     "SkySection",
     "SlewSection",
     "SpecificationSection",
+    "SpinSection",
     "StudySection",
+    "TetherSection",
     "ThermalSection",
     "TrackerSection",
+    "VideoSection",
     "VignettingSection",
     "ZernikeSection",
 ]
@@ -112,6 +119,8 @@ class PointingSection(Section):
     """Half width of the random attitude offset a trial and axis: what the other sensors leave unknown."""
     rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
     """Body rate about X, Y, Z on top of the turning of the local-level frame itself."""
+    spin: SpinSection = SpinSection()
+    """Spin about an axis that stands still among the stars, in place of the local level; off without its rate."""
     jitter: JitterSection = JitterSection()
     """Jitter."""
 
@@ -161,7 +170,7 @@ class TrackerSection(Section):
     centroider: str = "moment"
     """``moment``, ``weighted_moment``, ``least_squares`` or ``maximum_likelihood``."""
     identifier: str = "adaptive"
-    """``adaptive``, ``match_groups``, ``pyramid`` or ``pattern_hash``."""
+    """``adaptive``, ``match_groups``, ``pyramid``, ``pattern_hash``, ``triads`` or ``triads_integer``."""
     estimator: str = "svd"
     """``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
     prior: bool = True
@@ -180,8 +189,8 @@ class StudySection(Section):
     trials: Annotated[int, Field(ge=1)] = 500
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
-    """``mission_year``: times spread over a year; ``orbit``: over one orbit; ``sky``: random attitudes at the
-    epoch, with no Earth in the way."""
+    """``mission_year``: times spread over a year; ``orbit``: over one orbit, or one turn of a body that spins; ``sky``:
+    random attitudes at the epoch, with no Earth in the way."""
 
 
 class SpecificationSection(Section):
@@ -212,6 +221,8 @@ class ScenarioModel(Section):
     """Mounting and attitude."""
     sky: SkySection = SkySection()
     """The sky."""
+    tether: TetherSection = TetherSection()
+    """A tether before the camera; none without its diameter."""
     optics: OpticsSection
     """The lens."""
     detector: DetectorSection
@@ -238,6 +249,7 @@ KNOB_LIMITS: dict[type, dict[str, Any]] = {
         "max_stars": Count,
         "background_tile_px": Annotated[int, Field(ge=4)],
         "search_step_px": Count,
+        "threshold_dn": Positive | None,
     },
     CentroidSettings: {
         "window_px": Annotated[int, Field(ge=3, le=101)],
@@ -253,6 +265,25 @@ KNOB_LIMITS: dict[type, dict[str, Any]] = {
         "close_pair_deg": NonNegative,
         "close_pair_magnitude": NonNegative,
         "false_alarm_rate": Annotated[FiniteFloat, Field(gt=0, lt=1)],
+        "rotation_tolerance_deg": Positive,
+        "grouping_tolerance_deg": Positive,
+        "enclosed_tolerance_deg": Positive | None,
+        "vote_number": Count,
+    },
+    OperationSettings: {
+        "saturated_pixels": Annotated[int, Field(ge=0)],
+        "shorten": Annotated[FiniteFloat, Field(gt=0, lt=1)],
+        "shortest_exposure_s": Positive,
+        "lengthen_below": Annotated[FiniteFloat, Field(ge=0, lt=1)],
+        "exposure_step_s": NonNegative,
+        "sun_share": Annotated[FiniteFloat, Field(gt=0, le=1)],
+        "suspend_turn_deg": Positive,
+        "longest_suspension_s": Positive,
+        "clear_pixels": Count | None,
+        "blemish_frames": Annotated[int, Field(ge=0)],
+        "blemish_share": Annotated[FiniteFloat, Field(gt=0, le=1)],
+        "blemish_sigma": Positive,
+        "blemish_shift_px": Positive,
     },
 }
 """Limits of the tracker's knobs, whose classes live in `startracker.settings` and know no pydantic."""

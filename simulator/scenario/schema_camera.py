@@ -159,6 +159,30 @@ class CosmicRaySection(Section):
     """Most probable charge along a micrometre of track; 80 e⁻/µm: fast singly charged particles."""
 
 
+class IntensifierSection(Section):
+    """An image intensifier before the detector: photocathode, electron multiplier, phosphor screen."""
+
+    gain: NonNegative = 0.0
+    """Mean electrons in the detector's pixels for one photo-electron of the photocathode, whose quantum efficiency
+    `detector.quantum_efficiency` then is; 0: no intensifier."""
+    gain_variance: NonNegative = 1.0
+    """Variance of the gain of one photo-electron over the square of its mean; 1: exponential, a microchannel plate."""
+    phosphor_sigma_px: NonNegative = 0.0
+    """Standard deviation of the Gaussian by which phosphor screen and coupling spread the light of one photo-electron,
+    pixels."""
+    dark_e_s: NonNegative = 0.0
+    """Electrons a pixel that leave the photocathode in the dark, a second (equivalent background illumination)."""
+
+
+class VideoSection(Section):
+    """Analogue video between the amplifier and the converter: a line, a recorder."""
+
+    noise_dn: NonNegative = 0.0
+    """Noise, standard deviation; 0: none."""
+    line_blur_px: NonNegative = 0.0
+    """Standard deviation of the Gaussian by which the bandwidth spreads signal and noise along the lines, pixels."""
+
+
 class DetectorSection(Section):
     """The detector and its readout."""
 
@@ -185,6 +209,8 @@ class DetectorSection(Section):
     """Temperature of the detector."""
     charge_diffusion_um: NonNegative = 0.0
     """Standard deviation of the Gaussian by which charge spreads in the silicon before it is gathered."""
+    intensifier: IntensifierSection = IntensifierSection()
+    """The image intensifier; without its `gain` there is none."""
     shot_noise: bool = True
     """Poisson statistics of the light and of the dark current; off: their means."""
     dark_current_e_s: NonNegative = 0.0
@@ -231,6 +257,8 @@ class DetectorSection(Section):
     """Electrons a digital number; ``auto`` puts the full well at the top of the converter."""
     offset_dn: NonNegative = 0.0
     """Digital offset, so that noise is not cut off at zero."""
+    video: VideoSection = VideoSection()
+    """The analogue video signal."""
     adc_bits: Annotated[int, Field(ge=1, le=16)] | None = 12
     """Resolution of the converter; null: none, the frame stays in fractions of a DN."""
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from simulator.scenario.schema_base import NonNegative, Positive, Section, Vector3
+from startracker.settings import OperationSettings
 
 
 class RatePointSection(Section):
@@ -82,3 +83,5 @@ class SequenceSection(Section):
     acceleration of the sequence times the root of the step, 5.7e-5 at least."""
     rate_sigma_deg_s: Positive = 2.0
     """What it takes for the standard deviation of the rate, each axis, before it has seen two frames."""
+    operation: OperationSettings = OperationSettings()
+    """The rules by which the sensor sets its exposure, stands by under the Sun, clears the Moon and maps blemishes."""

@@ -32,6 +32,7 @@ def sequence_contradictions(
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
         message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° a step; use a shorter step"
         yield "sequence.step_s", message, False
+    yield from _operation_contradictions(v)
     frames, start_s = v["sequence.frames"], v["sequence.start_s"]
     if frames > MOST_FRAMES:
         yield "sequence.frames", f"{frames} is more than {MOST_FRAMES}, which is what fits in memory", False
@@ -43,3 +44,19 @@ def sequence_contradictions(
         if not abs(at_s) < span_s or not first <= epoch + timedelta(seconds=at_s) <= last - timedelta(days=2):
             yield key, "the sequence leaves the ephemeris DE421 (1899 to 2053)", False
             return
+
+
+def _operation_contradictions(v: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]:
+    """Rules of operation that would never come to rest, or never to act."""
+    if not v["sequence.operation.use"]:
+        return
+    lengthen, shorten = v["sequence.operation.lengthen_below"], v["sequence.operation.shorten"]
+    if lengthen > shorten:
+        message = f"{lengthen:g} is above shorten = {shorten:g}: a lengthened exposure could saturate and be shortened"
+        yield "sequence.operation.lengthen_below", message + f" again without end; use {shorten:g} or less", False
+    exposure_s = v["detector.exposure_s"]
+    for key in ("shortest_exposure_s", "exposure_step_s"):
+        value = v[f"sequence.operation.{key}"]
+        if value > exposure_s:
+            message = f"{value:g} s is longer than detector.exposure_s = {exposure_s:g} s, the longest; use less"
+            yield f"sequence.operation.{key}", message, False

@@ -63,4 +63,7 @@ def aberrated(p: Vector, velocity_km_s: Vector) -> Vector:
     inverse_gamma = math.sqrt(1.0 - (bx * bx + by * by + bz * bz))
     along = p[0] * bx + p[1] * by + p[2] * bz
     share = 1.0 + along / (1.0 + inverse_gamma)
-    return unit(p[0] * inverse_gamma + bx * share, p[1] * inverse_gamma + by * share, p[2] * inverse_gamma + bz * share)
+    x, y, z = unit(
+        p[0] * inverse_gamma + bx * share, p[1] * inverse_gamma + by * share, p[2] * inverse_gamma + bz * share
+    )
+    return x, y, z

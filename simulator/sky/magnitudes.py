@@ -81,20 +81,22 @@ def planet_v_by_number(number: int, from_sun_au: FloatArray, from_observer_au: F
     ox, oy, oz = ox / delta, oy / delta, oz / delta
     cx, cy, cz = sy * oz - sz * oy, sz * ox - sx * oz, sx * oy - sy * ox
     alpha = math.degrees(math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), sx * ox + sy * oy + sz * oz))
-    distance = 5.0 * math.log10(r * delta)
+    at_1_au: float
     if number == 0:
-        return distance + _mercury(alpha)
-    if number == 1:
-        return distance + _venus(alpha)
-    if number == 2:
-        return distance + _mars(alpha)
-    if number == 3:
-        return distance + _jupiter(alpha)
-    if number == 4:
-        return distance + _saturn(alpha, _latitude(SATURN_POLE, sx, sy, sz), _latitude(SATURN_POLE, ox, oy, oz))
-    if number == 5:
-        return distance + _uranus(alpha, _latitude(URANUS_POLE, sx, sy, sz), _latitude(URANUS_POLE, ox, oy, oz))
-    return distance + _neptune(alpha, epoch_jyear)
+        at_1_au = _mercury(alpha)
+    elif number == 1:
+        at_1_au = _venus(alpha)
+    elif number == 2:
+        at_1_au = _mars(alpha)
+    elif number == 3:
+        at_1_au = _jupiter(alpha)
+    elif number == 4:
+        at_1_au = _saturn(alpha, _latitude(SATURN_POLE, sx, sy, sz), _latitude(SATURN_POLE, ox, oy, oz))
+    elif number == 5:
+        at_1_au = _uranus(alpha, _latitude(URANUS_POLE, sx, sy, sz), _latitude(URANUS_POLE, ox, oy, oz))
+    else:
+        at_1_au = _neptune(alpha, epoch_jyear)
+    return 5.0 * math.log10(r * delta) + at_1_au
 
 
 @register_jitable
@@ -113,27 +115,27 @@ def _polynomial(alpha: float, coefficients: tuple[float, ...]) -> float:
 
 @register_jitable
 def _mercury(alpha: float) -> float:  # eq. 2
-    return _polynomial(alpha, (-0.613, 6.3280e-2, -1.6336e-3, 3.3644e-5, -3.4265e-7, 1.6893e-9, -3.0334e-12))
+    return float(_polynomial(alpha, (-0.613, 6.3280e-2, -1.6336e-3, 3.3644e-5, -3.4265e-7, 1.6893e-9, -3.0334e-12)))
 
 
 @register_jitable
 def _venus(alpha: float) -> float:  # eq. 3 and 4
     if alpha <= 163.7:
-        return _polynomial(alpha, (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9))
-    return _polynomial(alpha, (236.05828, -2.81914, 8.39034e-3))
+        return float(_polynomial(alpha, (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9)))
+    return float(_polynomial(alpha, (236.05828, -2.81914, 8.39034e-3)))
 
 
 @register_jitable
 def _mars(alpha: float) -> float:  # eq. 6 and 7, means over rotation and orbit
     if alpha <= 50.0:
-        return _polynomial(alpha, (-1.601, 2.267e-2, -1.302e-4))
-    return _polynomial(alpha, (-0.367, -0.02573, 3.445e-4))
+        return float(_polynomial(alpha, (-1.601, 2.267e-2, -1.302e-4)))
+    return float(_polynomial(alpha, (-0.367, -0.02573, 3.445e-4)))
 
 
 @register_jitable
 def _jupiter(alpha: float) -> float:  # eq. 8 and 9
     if alpha <= 12.0:
-        return _polynomial(alpha, (-9.395, -3.7e-4, 6.16e-4))
+        return float(_polynomial(alpha, (-9.395, -3.7e-4, 6.16e-4)))
     return -9.428 - 2.5 * math.log10(_polynomial(alpha / 180.0, (1.0, -1.507, -0.363, -0.062, 2.809, -1.876)))
 
 
@@ -146,7 +148,7 @@ def _saturn(alpha: float, sun_latitude: float, observer_latitude: float) -> floa
 
 @register_jitable
 def _uranus(alpha: float, sun_latitude: float, observer_latitude: float) -> float:  # eq. 13 to 15
-    mean_latitude = (_planetographic(sun_latitude) + _planetographic(observer_latitude)) / 2.0
+    mean_latitude: float = (_planetographic(sun_latitude) + _planetographic(observer_latitude)) / 2.0
     phase = 6.587e-3 * alpha + 1.045e-4 * alpha**2 if alpha > 3.1 else 0.0
     return -7.110 - 0.00084 * mean_latitude + phase
 

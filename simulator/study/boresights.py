@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import local_level, mounting_of
+from simulator.mission.pointing import local_level, mounting_of, round_s
 from simulator.mission.sampling import trial_time_s
 from simulator.randomness import stream
 from simulator.scenario import Scenario
@@ -195,14 +195,15 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
             "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
         )
     orbit = build_orbit(scenario.orbit, scenario.epoch)
-    t_s = np.array([trial_time_s(sampling, scenario.seed, index, orbit.period_s) for index in range(count)])
+    period_s = round_s(scenario.pointing, orbit.period_s)
+    t_s = np.array([trial_time_s(sampling, scenario.seed, index, period_s) for index in range(count)])
     r_km, v_km_s = orbit.state(t_s)
-    if scenario.pointing.target is None:
+    if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
         body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
         turn = (mounting_of(scenario.pointing) @ body).as_matrix()
         matrices = np.array([turn @ local_level(r, v).as_matrix() for r, v in zip(r_km, v_km_s, strict=True)])
     else:
-        matrices = _held_on_target(scenario, t_s)
+        matrices = _of_scenes(scenario, t_s)
     distance = np.linalg.norm(r_km, axis=1)
     limb = np.sqrt(1.0 - np.minimum(EARTH_RADIUS_KM / distance, 1.0) ** 2)
     excluded = _excluded(exclusion or Exclusion(), orbit.clock, t_s, r_km, matrices[:, 2])
@@ -216,8 +217,8 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
     )
 
 
-def _held_on_target(scenario: Scenario, t_s: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place."""
+def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
+    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place, or spins."""
     steady = scenario.model_copy(
         update={
             "pointing": scenario.pointing.model_copy(

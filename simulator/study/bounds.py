@@ -15,6 +15,7 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from simulator.detector.excess_noise import excess_noise_factor, signal_gain
 from simulator.detector.fixed_pattern import FixedPattern, dark_current_factor
 from simulator.detector.readout import gain_e_per_dn, section_reset_noise_e
 from simulator.frame import FrameTruth
@@ -211,9 +212,10 @@ def _gaussians(
 def pixel_variance_e2(
     mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorSection
 ) -> FloatArray:
-    """Variance of pixels, electrons²: shot noise of light and dark current, reset and read noise, the converter's
+    """Variance of pixels, photo-electrons²: shot noise of light and dark current, reset and read noise, the converter's
     rounding (g²/12), and what is fixed in the device but not told to the tracker: the response of a pixel (PRNU) times
-    the star's light in it, and DSNU times the mean dark current.
+    the star's light in it, and DSNU times the mean dark current. Behind an intensifier shot noise grows by the excess
+    noise factor, all else is divided by the gain; what its phosphor blurs is left out: the bound stays one.
 
     Parameters
     ----------
@@ -230,15 +232,23 @@ def pixel_variance_e2(
 
 
 @register_jitable
-def _variance(mean_e: Any, dark_e: Any, star_e: Any, shot: float, electronics: float, prnu: float) -> Any:
-    return shot * (mean_e + dark_e) + electronics + (prnu * star_e) ** 2
+def _variance(
+    mean_e: Any, dark_e: Any, star_e: Any, of_light: float, of_dark: float, electronics: float, prnu: float
+) -> Any:
+    return of_light * mean_e + of_dark * dark_e + electronics + (prnu * star_e) ** 2
 
 
-def _noise(detector: DetectorSection) -> tuple[float, float, float]:
-    """Whether there is shot noise (1 or 0), the variance that is alike in every pixel, and the PRNU."""
-    rounding = 0.0 if detector.adc_bits is None else gain_e_per_dn(detector) ** 2 / 12.0
-    electronics = detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + rounding
-    return float(detector.shot_noise), electronics + (detector.dsnu * mean_dark_e(detector)) ** 2, detector.prnu
+def _noise(detector: DetectorSection) -> tuple[float, float, float, float]:
+    """Variance an electron of light and of dark current, the variance that is alike in every pixel, and the PRNU."""
+    gain, dn_e = signal_gain(detector), gain_e_per_dn(detector)
+    of_light = excess_noise_factor(detector) if detector.shot_noise else 0.0
+    of_dark = 1.0 / gain**2 if detector.shot_noise else 0.0
+    cathode_e = detector.intensifier.dark_e_s * detector.exposure_s if detector.intensifier.gain else 0.0
+    rounding = 0.0 if detector.adc_bits is None else dn_e**2 / 12.0
+    video = (detector.video.noise_dn * dn_e) ** 2
+    electronics = (detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + video + rounding) / gain**2
+    uneven = (detector.dsnu * mean_dark_e(detector) / gain) ** 2
+    return of_light, of_dark, of_light * cathode_e + electronics + uneven, detector.prnu
 
 
 def mean_dark_e(detector: DetectorSection) -> float:
@@ -253,7 +263,7 @@ def _variances(
     """Variances (N, M, M) of the pixels about stars; infinite off the image and where charge overflows."""
     dark = pattern.dark_e if isinstance(pattern.dark_e, np.ndarray) else np.full((1, 1), pattern.dark_e)
     out = np.empty_like(star_e)
-    _variances_about(out, mean_e, dark, centres, star_e, detector.full_well_e, *_noise(detector))
+    _variances_about(out, mean_e, dark, centres, star_e, detector.full_well_e, signal_gain(detector), *_noise(detector))
     return out
 
 
@@ -265,7 +275,9 @@ def _variances_about(
     centres: IntArray,
     star_e: FloatArray,
     full_well_e: float,
-    shot: float,
+    gain: float,
+    of_light: float,
+    of_dark: float,
     electronics: float,
     prnu: float,
 ) -> None:
@@ -281,8 +293,10 @@ def _variances_about(
                 out[n, j, i] = np.inf
                 if 0 <= row < height and 0 <= column < width:
                     dark = dark_e[row, column] if uneven else dark_e[0, 0]
-                    if mean_e[row, column] + dark < full_well_e:
-                        out[n, j, i] = _variance(mean_e[row, column], dark, star_e[n, j, i], shot, electronics, prnu)
+                    if gain * mean_e[row, column] + dark < full_well_e:
+                        out[n, j, i] = _variance(
+                            mean_e[row, column], dark, star_e[n, j, i], of_light, of_dark, electronics, prnu
+                        )
 
 
 def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:

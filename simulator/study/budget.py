@@ -58,8 +58,16 @@ def _no_converter(scenario: Scenario) -> Changes:
     return {"detector.adc_bits": None, "detector.gain_e_per_dn": gain_e_per_dn(scenario.detector)}
 
 
+def _even_gain(scenario: Scenario) -> Changes:
+    return {"detector.intensifier.gain_variance": 0.0} if scenario.detector.intensifier.gain else {}
+
+
 def _no_rate(scenario: Scenario) -> Changes:
-    """Body rate that undoes the turning of the local level, 2π a period about −Y (`simulator.mission.pointing`)."""
+    """Body rate that undoes the turning of the local level, 2π a period about −Y (`simulator.mission.pointing`),
+    or a spin about +Z."""
+    spin_deg_s = scenario.pointing.spin.rate_deg_s
+    if spin_deg_s:
+        return {"pointing.rate_deg_s": (0.0, 0.0, -spin_deg_s)}
     held = scenario.pointing.target is not None
     period_s = build_orbit(scenario.orbit, scenario.epoch).period_s
     return {"pointing.rate_deg_s": (0.0, 0.0 if held else 360.0 / period_s, 0.0)}
@@ -76,11 +84,13 @@ def _perfect_catalogue(scenario: Scenario) -> Changes:
 EFFECTS: tuple[Effect, ...] = (
     Effect("shot noise", "temporal", _fixed(detector__shot_noise=False)),
     Effect("read noise", "temporal", _fixed(detector__read_noise_e=0.0, detector__reset_capacitance_ff=0.0)),
+    Effect("gain of the intensifier", "temporal", _even_gain),
+    Effect("video noise", "temporal", _fixed(detector__video__noise_dn=0.0)),
     Effect("quantisation", "temporal", _no_converter),
     Effect("cosmic rays", "temporal", _fixed(detector__cosmic_rays__rate_cm2_s=0.0)),
     Effect("sky background", "temporal", _fixed(sky__background=False)),
     Effect("stray light", "temporal", _fixed(optics__baffle__pst=None)),
-    Effect("dark current", "temporal", _fixed(detector__dark_current_e_s=0.0)),
+    Effect("dark current", "temporal", _fixed(detector__dark_current_e_s=0.0, detector__intensifier__dark_e_s=0.0)),
     Effect("dark non-uniformity", "pixel_spatial", _fixed(detector__dsnu=0.0)),
     Effect(
         "hot and dead pixels",
@@ -108,6 +118,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect("colour of the image", "fov_spatial", _fixed(optics__psf__polychromatic=False)),
     Effect("ghosts", "fov_spatial", _fixed(optics__ghosts=())),
+    Effect("tether", "fov_spatial", _fixed(tether__diameter_mm=0.0)),
     Effect("planets and Moon", "fov_spatial", _fixed(sky__planets=False)),
     Effect("thermal focal length", "bias", _fixed(optics__thermal__expansion_ppm_k=0.0)),
     Effect("light deflection", "bias", _fixed(sky__light_deflection=False)),

@@ -271,7 +271,7 @@ def _outliers(summary: Mapping[str, Any], columns: Columns) -> Table:
 def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
     sampling = {
         "mission_year": "at times spread over a year of the mission",
-        "orbit": "spread over one orbit",
+        "orbit": "spread over one turn" if scenario.pointing.spin.rate_deg_s else "spread over one orbit",
         "sky": "at random attitudes over the whole sky",
     }[scenario.study.sampling]
     many = summary["workers"] > 1

@@ -17,6 +17,7 @@ from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import mounting_of
+from simulator.mission.spin import spin_rate_rad_s
 from simulator.optics.illumination import star_illumination
 from simulator.optics.smear import star_paths
 from simulator.scenario import Scenario
@@ -120,9 +121,11 @@ def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
     """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
     pointing = scenario.pointing
     rate = np.radians(pointing.rate_deg_s)
-    if pointing.target is None:
+    offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
+    if pointing.spin.rate_deg_s:
+        rate = rate + offset.apply(spin_rate_rad_s(pointing.spin, 0.0))
+    elif pointing.target is None:
         orbital = 2.0 * math.pi / build_orbit(scenario.orbit, scenario.epoch).period_s
-        offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
         rate = rate + offset.apply(np.array([0.0, -orbital, 0.0]))
     return np.asarray(mounting_of(pointing).apply(rate))
 

@@ -18,6 +18,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
 from simulator.study.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence_frames import SequenceRunner
+from simulator.study.sequence_operation import summarise_operation
 from simulator.study.sequence_statistics import summarise_sequence
 from simulator.study.stopping import stop_on_signal
 from startracker._version import __version__
@@ -135,6 +136,8 @@ def run_sequence(
         elapsed_s=elapsed_s,
         median_ms={name: _median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
+    if runner.operated is not None:
+        sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
     if folder is None:
         return sequence
     return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views))

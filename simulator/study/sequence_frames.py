@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point
+from simulator.mission.pointing import Pointing, hold, point, point_spinning
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.sequence_operation import OperatedCamera
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_FACTOR
 from simulator.study.trial import attitude_errors_deg, build_tracker, misidentified
 from startracker.attitude import Attitude
@@ -95,11 +96,15 @@ class SequenceRunner:
             )
             self.gyro, self.biases = samples
         self.noise = self._noise()
+        self.operated: OperatedCamera | None = None
+        """The camera under its rules of operation, once `frames` has begun; None where it has none."""
 
     def _start(self) -> Pointing:
         """Attitude at the first frame: as that of trial 0 at that time, without jitter."""
         scenario, scenes = self.scenario, self.renderer.scenes
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
+        if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
+            return point_spinning(scenario.pointing, start_s, rng)
         if scenario.pointing.target is None:
             return point(scenario.pointing, *scenes.orbit.state(start_s), rng)
         streams = functools.partial(_stream, scenario.seed)
@@ -134,6 +139,7 @@ class SequenceRunner:
         if scenario.tracker.prior:  # uniform within its half width, about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
+        self.operated = OperatedCamera(scenario, self.renderer, self.tracker) if section.operation.use else None
         for k, state in enumerate(self.states):
             since_s = k * section.step_s
             gyro = self.gyro[k - 1] if self.gyro is not None and k else None
@@ -141,28 +147,65 @@ class SequenceRunner:
                 solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
                 row = self._row(k, state, state.camera, session, solution, math.nan, 0.0)
                 row |= {"status": NO_FRAME, "reason": "no frame came"} | self._alone(None, None)
+                row |= self.operated.dropped(solution, session) if self.operated else {}
                 yield TrackedFrame(row, None, solution, np.empty((0, 2)), 0)
                 continue
             started = time.perf_counter()
-            frame, truth = self.renderer.frame(
-                k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s
-            )
+            taken = self._take(k, state, since_s, session)
             rendered = time.perf_counter()
+            if self.operated is not None and self.operated.verdict.image is None:
+                yield self._refused(k, state, since_s, session, gyro, taken, (rendered - started) * 1e3)
+                continue
+            assert taken is not None
+            frame, truth = taken
+            image: NDArray[Any] = frame.image
+            if self.operated is not None and self.operated.verdict.image is not None:
+                image = self.operated.verdict.image
             known: dict[str, Any] = {
                 "observer": frame.observer,
                 "saturation_dn": frame.saturation_dn,
                 "gain_e_per_dn": frame.gain_e_per_dn,
             }
-            solution = session.update(frame.image, since_s, gyro_rad_s=gyro, **known)
+            solution = session.update(image, since_s, gyro_rad_s=gyro, **known)
             tracked = time.perf_counter()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude, session, solution, *times)
             row |= self._counts(frame, truth, solution)
             if self.single:
-                row |= self._alone(self.tracker.solve(frame.image, **known), truth)
+                row |= self._alone(self.tracker.solve(image, **known), truth)
+            row |= self.operated.columns(frame, solution, session) if self.operated else {}
             windows = session.state.window_xy
             half = session.state.window_half_px
             yield TrackedFrame(row, frame, solution, np.empty((0, 2)) if windows is None else windows, half)
+
+    def _take(
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession
+    ) -> tuple[Frame, FrameTruth] | None:
+        """Frame and truth; None while the sensor's own rules have it stand by."""
+        if self.operated is not None:
+            return self.operated.expose(k, state, since_s, session)
+        return self.renderer.frame(k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s)
+
+    def _refused(
+        self,
+        k: int,
+        state: MotionState,
+        since_s: float,
+        session: TrackingSession,
+        gyro: FloatArray | None,
+        taken: tuple[Frame, FrameTruth] | None,
+        render_ms: float,
+    ) -> TrackedFrame:
+        """A frame that the rules of operation do not give to the tracker, or that was not taken at all."""
+        assert self.operated is not None
+        solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
+        frame, truth = taken if taken is not None else (None, None)
+        true = truth.attitude if truth is not None else state.camera
+        row = self._row(k, state, true, session, solution, math.nan if frame is None else render_ms, 0.0)
+        if frame is not None and truth is not None:
+            row |= self._counts(frame, truth, solution)
+        row |= self._alone(None, None) | self.operated.columns(frame, solution, session) | self.operated.refused()
+        return TrackedFrame(row, frame, solution, np.empty((0, 2)), 0)
 
     def _row(
         self,

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from simulator.study.report_style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.sequence_frames import MODES
+from simulator.study.sequence_operation_plots import operation_panels
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
             for axis in "xyz"
         ],
     }
+    if "rule" in columns:
+        groups["Rules of operation"] = operation_panels(columns)
     if "true_bias_x_deg_h" in columns:
         groups["Gyro"] = [
             Panel(f"Bias about the camera's {axis}", "", _compared(f"bias_{axis}_deg_h", "bias [°/h]", columns))

@@ -26,7 +26,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
-from simulator.study.engine import run_trials
+from simulator.study.engine import Trials, run_trials
 from simulator.study.sweep_files import cell, point_file, write_results
 from simulator.study.trial import TrialRunner
 from startracker._version import __version__
@@ -169,7 +169,13 @@ class Sweep:
 
 
 def run_sweep(
-    plan: Plan, out: str | Path, *, workers: int = 1, resume: bool = False, progress: Progress | None = None
+    plan: Plan,
+    out: str | Path,
+    *,
+    workers: int = 1,
+    dask: str | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
 ) -> Sweep:
     """Run every point of a plan and write ``sweep.parquet``, ``points.csv``, ``sweep.json``, plots and ``sweep.html``.
 
@@ -181,6 +187,8 @@ def run_sweep(
         Folder of the results.
     workers : int
         Processes; the rows do not depend on their number.
+    dask : str, optional
+        Address of a dask.distributed scheduler, to run on its workers instead.
     resume : bool
         Take over the points that an interrupted sweep of the *same* plan finished in `out`.
     progress : callable, optional
@@ -211,16 +219,14 @@ def run_sweep(
             continue
         asked = scenario.study.trials
         try:
-            if workers > 1:
-                TrialRunner(scenario)  # what cannot be is told here, not by a worker that dies of it
-            trials = run_trials(scenario, asked, workers=workers, progress=_shifted(progress, done, total, point))
-        except InputError as error:
-            refused[point.index] = " ".join(str(error).split())
-            total -= asked
-            continue
+            trials = _run_point(scenario, workers, dask, _shifted(progress, done, total, point))
         except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
             interrupted = True
             break
+        if isinstance(trials, str):
+            refused[point.index] = trials
+            total -= asked
+            continue
         if trials.interrupted:
             interrupted = True
             break
@@ -255,6 +261,20 @@ def run_sweep(
     if not interrupted:
         shutil.rmtree(kept, ignore_errors=True)
     return Sweep(table, folder)
+
+
+def _run_point(
+    scenario: Scenario, workers: int, dask: str | None, progress: Callable[[int, int], None] | None
+) -> Trials | str:
+    """Trials of a point, or why there can be none."""
+    trials = scenario.study.trials
+    try:
+        if workers == 1 and dask is None:
+            return run_trials(scenario, trials, progress=progress)
+        TrialRunner(scenario)  # what cannot be is told here, not by a worker that dies of it
+    except InputError as error:
+        return " ".join(str(error).split())
+    return run_trials(scenario, trials, workers=workers, dask=dask, progress=progress)
 
 
 def _shifted(progress: Progress | None, before: int, total: int, point: Point) -> Callable[[int, int], None] | None:

@@ -7,6 +7,7 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,8 @@ def load(key: str) -> StarCatalog | None:
     try:
         # opened here, as NumPy leaves the file open when it finds it broken
         with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            columns = {column: stored[column] for column in StarCatalog.columns()}
+            columns: dict[str, Any] = {column: stored[column] for column in StarCatalog.columns()}
+            columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
             return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
     except _UNUSABLE:
         return None
@@ -50,6 +52,7 @@ def store(key: str, catalog: StarCatalog) -> None:
                 file,
                 name=np.array(catalog.name),
                 epoch_jyear=np.array(catalog.epoch_jyear),
+                position_sigma_rad=np.array(catalog.position_sigma_rad),
                 **columns,
             )
         os.replace(temporary, folder() / f"{key}.npz")

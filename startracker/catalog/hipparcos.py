@@ -12,6 +12,7 @@ from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.complete import complete
 from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog, mas
+from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
 
 __all__ = ["EPOCH_JYEAR", "johnson_v", "load_hipparcos", "parse_hip2"]
@@ -21,8 +22,12 @@ FloatArray = NDArray[np.float64]
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
+
+POSITION_SIGMA_RAD = 0.04 * ARCSEC_RAD
+"""Root mean square, one axis, of the errors that the catalogue states for position and proper motion, carried on to
+2026; of half the stars to Hp = 6.5 it is below 0.012″, of one in a hundred above 0.07″."""
 
 SATURATED_MAG = -0.1
 """Hipparcos' photometer was not linear for Sirius and Canopus: Hp is 0.38 and 0.11 mag too faint."""
@@ -153,6 +158,7 @@ def parse_hip2(data: bytes) -> StarCatalog:
         b_v=np.where(colourless, np.nan, b_v),
         spectral_type=np.full(n, ""),
         star_name=np.full(n, ""),
+        position_sigma_rad=POSITION_SIGMA_RAD,
         variable=table.number(151, 151, missing=0.0) > 0.0,
     )
 

@@ -45,8 +45,7 @@ class StarCatalog:
     star_name : str array
         Bayer/Flamsteed or proper name; empty where unknown.
     position_sigma_rad : float
-        Standard error of the positions on one axis, which the tracker adds to that of its centroids; the default, 0.1″,
-        is what unresolved companions add to a catalogue that is itself far better.
+        Standard error of the positions on one axis, which the tracker adds to that of its centroids.
     variable : bool array
         Known to vary in brightness, by what the catalogue says; False throughout by default. `v_mag` is one value, so
         such a star may be met brighter or fainter.

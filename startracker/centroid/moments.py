@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -25,6 +25,7 @@ FloatArray = NDArray[np.float64]
 _WIDTH_STARS = 15
 """Brightest clean stars of whose widths the median is taken."""
 _UNKNOWN_SIGMA_PX = 1.0
+_WIDEST_FOR_3_PX = 1.1
 SYSTEMATIC_PX = 0.005
 """What no noise model knows (the star image is not quite the assumed one): floor of a position's standard deviation."""
 _FLAT_TOP_ERROR_PX = 0.05
@@ -45,6 +46,10 @@ def first_moment(
     m(d) = m for the offset d (see `startracker.centroid.bias`), windows cut off by the image's border included.
     Smear widens the Gaussian along its axis: widths are per axis. When the offset exceeds half a pixel the window is
     moved and measured again, so that it does not matter which of two equal pixels was taken for the brightest.
+
+    Of a faint star the outer pixels of the window bring more noise than light: the 3 × 3 about its middle are taken
+    where the corrected moment of these is the more certain one and star images are not wider than σ = 1.1 px (a wider
+    one may be a short streak, whose middle pixels tell too little).
 
     The covariance is that of the moments under photon and background noise, times the slope of the correction, plus
     a floor of 0.005 px and, for a star with neighbours, the shift their light in its window can cause at most. A
@@ -78,7 +83,12 @@ def first_moment(
     frame = prepare(image, background, settings, gain_e_per_dn)
     if not len(spots):
         return Centroids.none()
-    return collect(*measure_moments(frame, spots), spots, frame.half)
+    table, sigmas = measure_moments(frame, spots)
+    if frame.settings.bias_correction and frame.half > 1 and max(sigmas) < _WIDEST_FOR_3_PX:
+        closer, _ = measure_moments(replace(frame, half=1), spots)
+        better = (closer[:, 3:5].sum(axis=1) < table[:, 3:5].sum(axis=1)) & ~spots.saturated
+        table[better] = closer[better]
+    return collect(table, sigmas, spots, frame.half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +167,7 @@ def collect(
     spots: Spots,
     half: int,
     together: NDArray[np.int64] | None = None,
+    systematic_px: float = SYSTEMATIC_PX,
 ) -> Centroids:
     """Centroids of the finite rows of a table of measurements: with the floor and the neighbours' light added.
 
@@ -166,8 +177,8 @@ def collect(
     order = good[np.argsort(-table[good, 2], kind="stable")]
     table = table[order]
     covariance = np.empty((len(table), 2, 2))
-    covariance[:, 0, 0] = table[:, 3] + SYSTEMATIC_PX**2
-    covariance[:, 1, 1] = table[:, 4] + SYSTEMATIC_PX**2
+    covariance[:, 0, 0] = table[:, 3] + systematic_px**2
+    covariance[:, 1, 1] = table[:, 4] + systematic_px**2
     covariance[:, 0, 1] = covariance[:, 1, 0] = table[:, 5]
     alone = np.arange(len(order)) if together is None else together[order]
     intrusion = _intrusion(table[:, :2], table[:, 2], *sigmas, half, alone)

@@ -17,7 +17,7 @@ from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
-__all__ = ["least_squares", "maximum_likelihood", "weighted_moment"]
+__all__ = ["SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,7 +27,9 @@ _WIDTHS = 2.5
 """Half width of the window in σ of the star image."""
 _CEILING_SHARE = 0.9
 """Of a saturated star's highest signal: pixels above it may be saturated, each having its own full well."""
-_FLAT_TOP_ERROR_PX = 0.015
+SYSTEMATIC_PX = 0.001
+"""Floor of a position's standard deviation, twice the error of the table's interpolation; less than a moment's, as a
+star image that is not the assumed one shows in the residuals of the fit, and counts there."""
 _MISFIT_SIGMA = 4.0
 
 
@@ -105,9 +107,9 @@ def maximum_likelihood(
     windows overlap are fitted together, up to eight. Pixels that are not finite are left out, and so are those of a
     saturated star within a tenth of its highest. Windows reach 2½ σ, at least ``window_px``.
 
-    The covariance further has the 0.005 px floor; χ² per degree of freedom times over where that is more than
-    four standard deviations above one (an image that is not as assumed); 0.015 px for a saturated star. A
-    star that cannot be fitted gets its `first_moment`.
+    The covariance further has a floor of 0.001 px, and is χ² per degree of freedom times as large where that is more
+    than four standard deviations above one (an image that is not as assumed). A star that cannot be fitted gets its
+    `first_moment`.
 
     Parameters
     ----------
@@ -162,12 +164,11 @@ def _fit(
     inflation = np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)
     table = fits[:, :6].copy()
     table[:, 3:] *= inflation[:, None]
-    table[spots.saturated, 3:5] += _FLAT_TOP_ERROR_PX**2
     failed = ~np.isfinite(table).all(axis=1)
     table[failed] = moments[failed]
     # a star measured by its moment counts as apart from its group
     group[failed] = len(spots) + np.flatnonzero(failed)
-    return collect(table, _widths(psf), spots, frame.half, group)
+    return collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
 
 
 def _start(

@@ -48,6 +48,8 @@ _FITTED = 20
 _WIDTH_STREAKS = 5
 _PIXEL_VARIANCE = 1.0 / 12.0
 _FEWEST = 4
+_SHORTEST_MOTION_PX = 5.0
+"""These lines were fitted, each above the noise as a whole: shorter ones than those of bare objects mean something."""
 _SWEEPS = 2
 _FREE_SNR = 30.0
 _WORST_CHI2 = 3.0
@@ -92,7 +94,7 @@ def find_streaks(
 ) -> Streaks | None:
     """Find and measure the streaks that all stars of a frame have drawn alike.
 
-    The image is divided by its noise and summed along lines of 16 px to 0.3 of its smaller side in all directions. The
+    The image is divided by its noise and summed along lines of 8 px to 0.3 of its smaller side in all directions. The
     lines that stand out are fitted, each for itself; where four of them, and most of the brightest, agree in one
     motion of the camera (`startracker.detection.smear`), the image is searched again for streaks of this motion, down
     to `threshold_sigma` along the whole streak. The model of a streak is a line convolved with a Gaussian; neighbours
@@ -192,7 +194,7 @@ def _motion(frame: _Frame, lines: FloatArray, sigma: float, measure_sigma: bool)
     table, variance = np.array(fits)[order], np.array(errors)[order]
     xy = table[:, [X, Y]] - frame.middle
     drawn = 2.0 * table[:, HALF, None] * _direction(table)
-    motion = common_motion(xy, drawn)
+    motion = common_motion(xy, drawn, _SHORTEST_MOTION_PX)
     if motion is None:
         return None
     fitting = agrees(drawn, motion_at(xy, motion))

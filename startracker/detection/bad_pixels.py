@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.detection.background import as_image, estimate
 from startracker.errors import InputError
 
-__all__ = ["find_bad_pixels", "mask_pixels"]
+__all__ = ["BadPixelCount", "find_bad_pixels", "mask_pixels"]
 
 _SHARE = 0.75
 _FEWEST_FRAMES = 3
@@ -38,6 +38,77 @@ def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.fl
     if mask.shape != pixels.shape:
         raise InputError(f"the bad-pixel map is {mask.shape}, the image {pixels.shape}; they must agree")
     return np.where(mask, np.float32(np.nan), pixels)
+
+
+class BadPixelCount:
+    """Counts, frame by frame, the pixels that are off by more than a threshold.
+
+    Bright and dark are counted apart, so that a flickering pixel of both signs needs `share` of one.
+
+    Parameters
+    ----------
+    sigma, share, tile_px
+        As of `find_bad_pixels`.
+
+    Raises
+    ------
+    InputError
+        A share or a threshold that cannot be.
+    """
+
+    def __init__(self, sigma: float = 5.0, share: float = _SHARE, tile_px: int = 64) -> None:
+        if not 0.0 < share <= 1.0:
+            raise InputError(f"share is {share}; it must be above 0 and at most 1")
+        if not sigma > 0.0:
+            raise InputError(f"sigma is {sigma}; it must be positive")
+        self.sigma, self.share, self.tile_px = sigma, share, tile_px
+        self.frames = 0
+        self._seen = np.zeros((0, 0), np.int64)
+        self._bright = np.zeros((0, 0), np.int64)
+        self._dark = np.zeros((0, 0), np.int64)
+
+    def add(self, frame: ArrayLike, ignore: NDArray[np.bool_] | None = None) -> None:
+        """Count a frame.
+
+        Parameters
+        ----------
+        frame : array_like, shape (H, W)
+            DN; pixels that are not finite count as bad.
+        ignore : bool array, shape (H, W), optional
+            Pixels of which this frame tells nothing, such as those of known stars.
+
+        Raises
+        ------
+        InputError
+            A frame of another shape than those before.
+        """
+        pixels = as_image(frame)
+        if self.frames == 0:
+            self._seen = np.zeros(pixels.shape, np.int64)
+            self._bright = np.zeros(pixels.shape, np.int64)
+            self._dark = np.zeros(pixels.shape, np.int64)
+        elif pixels.shape != self._bright.shape:
+            raise InputError(f"frame {self.frames} is {pixels.shape}, the first {self._bright.shape}; they must agree")
+        background = estimate(pixels, self.tile_px)
+        blind = ~np.isfinite(pixels)
+        told = np.ones(pixels.shape, np.bool_) if ignore is None else ~ignore
+        with np.errstate(invalid="ignore"):
+            self._bright += told & (blind | (pixels > background.level + self.sigma * background.noise))
+            self._dark += told & (blind | (pixels < background.level - self.sigma * background.noise))
+        self._seen += told
+        self.frames += 1
+
+    def bad(self, fewest_frames: int = _FEWEST_FRAMES) -> NDArray[np.bool_]:
+        """Pixels off in `share` of the frames that tell of them, and in two at least; (H, W).
+
+        Parameters
+        ----------
+        fewest_frames : int
+            Frames that must tell of a pixel.
+        """
+        fewest = np.maximum(2.0, self.share * self._seen)
+        bad = (self._bright >= fewest) | (self._dark >= fewest)
+        return np.asarray(bad & (self._seen >= fewest_frames), dtype=np.bool_)
 
 
 def find_bad_pixels(
@@ -71,25 +142,11 @@ def find_bad_pixels(
     InputError
         Fewer than three frames, frames of different shapes, a share or threshold that cannot be.
     """
-    if not 0.0 < share <= 1.0:
-        raise InputError(f"share is {share}; it must be above 0 and at most 1")
-    if not sigma > 0.0:
-        raise InputError(f"sigma is {sigma}; it must be positive")
-    bright = dark = np.zeros((0, 0), np.int64)
-    count = 0
+    counted = BadPixelCount(sigma, share, tile_px)
     for frame in frames:
-        pixels = as_image(frame)
-        if count == 0:
-            bright, dark = np.zeros(pixels.shape, np.int64), np.zeros(pixels.shape, np.int64)
-        elif pixels.shape != bright.shape:
-            raise InputError(f"frame {count} is {pixels.shape}, the first {bright.shape}; they must agree")
-        background = estimate(pixels, tile_px)
-        blind = ~np.isfinite(pixels)
-        with np.errstate(invalid="ignore"):
-            bright += blind | (pixels > background.level + sigma * background.noise)
-            dark += blind | (pixels < background.level - sigma * background.noise)
-        count += 1
-    if count < _FEWEST_FRAMES:
-        raise InputError(f"bad pixels need at least {_FEWEST_FRAMES} frames of different pointing; got {count}")
-    fewest = max(2.0, share * count)
-    return (bright >= fewest) | (dark >= fewest)
+        counted.add(frame)
+    if counted.frames < _FEWEST_FRAMES:
+        raise InputError(
+            f"bad pixels need at least {_FEWEST_FRAMES} frames of different pointing; got {counted.frames}"
+        )
+    return counted.bad()

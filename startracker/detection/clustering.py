@@ -36,6 +36,9 @@ __all__ = ["adaptive_radius", "cluster_pixels", "find_clusters", "merge_clusters
 _LEAST_RADIUS_PX = 2.0
 _LARGEST_RADIUS_PX = 64.0
 _LARGE_QUANTILE = 0.9
+_GROWTH_PX = 1.0
+"""Growth of τ with the square root of the pixels of a cluster: once half of a round star is met, its farthest pixel is
+at most 0.9 of that from the centre of the part met."""
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -50,11 +53,13 @@ def find_clusters(
 ) -> Spots:
     """Star candidates by clustering: every bright pixel joins the nearest cluster within τ, or founds one.
 
-    Pixels above background + `threshold_sigma` × noise are met once, in reading order. One that lies within τ of the
-    running centre of a cluster joins the nearest such, whose centre moves; else it becomes a new cluster (thesis
-    section 2.2). Two things the thesis' conclusion asks for are added: τ is chosen for each frame (`adaptive_radius`),
-    not by trial; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
-    merged. Those of fewer than `min_pixels` are dropped (the thesis: 10).
+    Pixels above background + `threshold_sigma` × noise, or above `threshold_dn` as in the thesis, are met once, in
+    reading order. One that lies within τ of the running centre of a cluster joins the nearest such, whose centre moves;
+    else it becomes a new cluster (thesis section 2.2). Two things the thesis' conclusion asks for are added: τ adapts,
+    to the frame (`adaptive_radius`) in place of trial and error and, growing as √n with the pixels that a cluster has,
+    to each star; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
+    merged. A `cluster_radius_px` of one's own is kept as it is. Those of fewer than `min_pixels` are dropped (the
+    thesis: 10).
 
     Parameters
     ----------
@@ -63,7 +68,7 @@ def find_clusters(
     background : Background
         Of the same shape.
     settings : DetectionSettings
-        Threshold, limits, `cluster_radius_px`.
+        Thresholds, limits, `cluster_radius_px`.
     saturation_dn : float, optional
         DN at and above which a pixel is saturated; None: a flat top at the highest value.
 
@@ -85,10 +90,14 @@ def find_clusters(
     radius = settings.cluster_radius_px
     if radius is not None and not 0.0 < radius < math.inf:
         raise InputError(f"detection.cluster_radius_px is {radius}; it must be a positive number of pixels")
-    runs = find_runs(pixels, level, noise, np.float32(settings.threshold_sigma))
-    tau = adaptive_radius(runs, settings.max_pixels) if radius is None else radius
+    if settings.threshold_dn is None:
+        runs = find_runs(pixels, level, noise, np.float32(settings.threshold_sigma))
+    else:
+        limit = np.full_like(pixels, settings.threshold_dn)
+        runs = find_runs(pixels, limit, np.zeros_like(pixels), np.float32(0.0))
+    tau, growth = (adaptive_radius(runs, settings.max_pixels), _GROWTH_PX) if radius is None else (radius, 0.0)
     saturation = np.inf if saturation_dn is None else float(saturation_dn)
-    table = merge_clusters(cluster_pixels(runs, tau, pixels, level, np.float32(saturation)), tau)
+    table = merge_clusters(cluster_pixels(runs, tau, pixels, level, np.float32(saturation), growth), tau, growth)
     return select_spots(table, settings, saturation_dn is not None, pixels, background)
 
 
@@ -113,11 +122,14 @@ def adaptive_radius(runs: IntArray, max_pixels: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def cluster_pixels(runs: IntArray, tau: float, image: FloatImage, level: FloatImage, saturation: float) -> FloatArray:
+def cluster_pixels(
+    runs: IntArray, tau: float, image: FloatImage, level: FloatImage, saturation: float, growth: float = 0.0
+) -> FloatArray:
     """Table of clusters (see `select_spots`) of the pixels in runs.
 
-    The centre that pixels are compared with is the mean of the cluster's pixels, each counting alike, as in the thesis.
-    A grid of cells of side τ over the columns, of the rows still within reach, keeps the search short.
+    The centre that pixels are compared with is the mean of the cluster's pixels, each counting alike. A cluster of n
+    pixels reaches as far as the larger of τ and `growth` × √n, 64 px at most. A grid of cells of side τ over the
+    columns, of the rows still within reach, keeps the search short.
     """
     height, width = image.shape
     table = np.zeros((64, COLUMNS))
@@ -127,24 +139,27 @@ def cluster_pixels(runs: IntArray, tau: float, image: FloatImage, level: FloatIm
     head = np.full(cells, -1)
     cell_of = np.zeros(64, np.int64)
     count, found = 0, 0
+    widest = tau
     for index in range(len(runs)):
         y = runs[index, 0]
         for x in range(runs[index, 1], runs[index, 2]):
             cell = int(x / tau)
-            best, found = tau * tau, -1
-            for c in range(max(cell - 1, 0), min(cell + 2, cells)):
+            best, found = np.inf, -1
+            around = int(np.ceil(widest / tau))
+            for c in range(max(cell - around, 0), min(cell + around + 1, cells)):
                 previous, other = -1, head[c]
                 while other >= 0:
                     after = following[other]
                     dy = y - centre[other, 1]
-                    if dy > tau:  # no later pixel reaches it: rows only grow
+                    reach = max(tau, min(growth * np.sqrt(table[other, PIXELS]), _LARGEST_RADIUS_PX))
+                    if dy > reach:  # no later pixel reaches it: rows only grow
                         if previous < 0:
                             head[c] = after
                         else:
                             following[previous] = after
                     else:
                         distance = (x - centre[other, 0]) ** 2 + dy * dy
-                        if distance < best or (distance == best and found < 0):
+                        if distance <= reach * reach and distance < best:
                             best, found = distance, other
                         previous = other
                     other = after
@@ -161,6 +176,7 @@ def cluster_pixels(runs: IntArray, tau: float, image: FloatImage, level: FloatIm
             add_pixel(row, x, y, image[y, x], level[y, x], saturation)
             if x == 0 or y == 0 or x == width - 1 or y == height - 1:
                 row[EDGE] = 1.0
+            widest = max(widest, min(growth * np.sqrt(row[PIXELS]), _LARGEST_RADIUS_PX))
             centre[found, 0] += (x - centre[found, 0]) / row[PIXELS]
             centre[found, 1] += (y - centre[found, 1]) / row[PIXELS]
             moved = int(centre[found, 0] / tau)
@@ -179,13 +195,19 @@ def cluster_pixels(runs: IntArray, tau: float, image: FloatImage, level: FloatIm
     return table[:count]
 
 
-def merge_clusters(table: FloatArray, tau: float) -> FloatArray:
-    """Table in which clusters whose centres are within τ are one, the fainter added to the brighter."""
+def merge_clusters(table: FloatArray, tau: float, growth: float = 0.0) -> FloatArray:
+    """Table in which clusters whose centres are within the reach of either are one, the fainter added to the brighter.
+
+    A cluster of n pixels reaches as far as the larger of τ and `growth` × √n, 64 px at most.
+    """
     if len(table) < 2:
         return table
     signal = np.where(table[:, FLUX] > 0, table[:, FLUX], np.inf)
     centre = np.column_stack([table[:, SUM_X], table[:, SUM_Y]]) / signal[:, None]
-    pairs = cKDTree(centre).query_pairs(tau, output_type="ndarray")
+    reach = np.maximum(tau, np.minimum(growth * np.sqrt(table[:, PIXELS]), _LARGEST_RADIUS_PX))
+    pairs = cKDTree(centre).query_pairs(reach.max(), output_type="ndarray")
+    apart = np.linalg.norm(centre[pairs[:, 0]] - centre[pairs[:, 1]], axis=1)
+    pairs = pairs[apart <= np.maximum(reach[pairs[:, 0]], reach[pairs[:, 1]])]
     if not len(pairs):
         return table
     link = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(table), len(table)))

@@ -14,7 +14,7 @@ _TOLERANCE_SHARE = 0.12
 _TOLERANCE_PX = 1.0
 _FEWEST = 4
 _AGREEING = 0.6
-_SHORTEST_PX = 10.0
+SHORTEST_PX = 10.0
 """Shorter lines are left to the limit on the axis ratio; leaves and twigs, which point anywhere, are short."""
 
 FloatArray = NDArray[np.float64]
@@ -31,9 +31,9 @@ def elongations(variance_x: FloatArray, variance_y: FloatArray, covariance: Floa
     return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
 
 
-def common_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
+def common_motion(xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTEST_PX) -> FloatArray | None:
     """Motion (a, b, c) that most streaks share, or None where fewer than four or than 0.6 of the brightest do, or
-    where it is under 10 px in the middle of them.
+    where it is shorter than that in the middle of them.
 
     A camera that turns moves the image at (x, y) by (a − c y, b + c x): two shifts and a turn about the line of
     sight (narrow field). Every pair of the brightest streaks, with either sign, proposes one by least squares; the
@@ -45,6 +45,8 @@ def common_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
         Centres, brightest first, about the middle of the image.
     lines : (N, 2)
         From `elongations`.
+    shortest_px : float
+        Least motion.
     """
     count = len(xy)
     if count < _FEWEST:
@@ -60,7 +62,7 @@ def common_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
         if np.count_nonzero(fits[:tried]) < max(_FEWEST, _AGREEING * tried):
             return None
         motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
-    return motion if np.median(np.hypot(*motion_at(xy[:tried], motion).T)) >= _SHORTEST_PX else None
+    return motion if np.median(np.hypot(*motion_at(xy[:tried], motion).T)) > shortest_px else None
 
 
 def motion_at(xy: FloatArray, motion: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ __all__ = ["CLIP", "COARSE_SIGMA", "LOOKED_AT", "SHORTEST_PX", "candidate_lines"
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
-SHORTEST_PX = 16.0
+SHORTEST_PX = 8.0
 _LONGEST_SHARE = 0.3
 """Of the image's smaller side: of longer streaks too few lie within it."""
 _OFF_LINE_PX = 1.5

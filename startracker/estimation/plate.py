@@ -65,6 +65,17 @@ class Plate:
         standard = np.asarray(xy, dtype=float) @ self.matrix.T + self.offset
         return _from_standard(standard, self.tangent_deg)
 
+    def image_xy(self, sky_deg: ArrayLike) -> FloatArray:
+        """Points (M, 2) of the image where right ascension and declination (M, 2), degrees, fall: `sky_deg` undone.
+
+        Raises
+        ------
+        InputError
+            Directions 90° or more from the centre.
+        """
+        standard = _to_standard(np.asarray(sky_deg, dtype=float), self.tangent_deg) - self.offset
+        return np.asarray(np.linalg.solve(self.matrix, standard.T).T)
+
 
 def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 3600.0) -> Plate:
     """Centre and plate constants of a photograph from identified stars (Yee 1999, section 2.4.3).

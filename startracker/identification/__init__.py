@@ -13,6 +13,7 @@ from startracker.identification.match_groups import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_hash import pattern_hash
 from startracker.identification.pyramid import pyramid
+from startracker.identification.triads import triads, triads_integer
 from startracker.settings import IdentificationSettings
 
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
@@ -22,6 +23,8 @@ METHODS: dict[str, Identifier] = {
     "match_groups": match_groups,
     "pyramid": pyramid,
     "pattern_hash": pattern_hash,
+    "triads": triads,
+    "triads_integer": triads_integer,
 }
 
 __all__ = [
@@ -34,4 +37,6 @@ __all__ = [
     "match_groups",
     "pattern_hash",
     "pyramid",
+    "triads",
+    "triads_integer",
 ]

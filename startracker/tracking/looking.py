@@ -32,6 +32,8 @@ _EPOCH_STEP = 1e-3
 """Years in which stars, but for the fastest three, move by 5 mas at most; so does the parallax of the nearest."""
 _SHORT_STREAK_PX = 2.0
 """A streak up to this is a star to the centroider's own window."""
+_LONGEST_STREAK_PX = 10.0
+"""A longer one does not fit into the centroiders' windows; over the whole frame it is measured by its ends."""
 _LARGEST_SHARE = 0.5
 """Share of the frame above which windows save nothing."""
 _MOSAIC_COLUMNS = 8
@@ -155,7 +157,7 @@ def look(
     covariance : (3, 3)
         Of the predicted attitude: windows reach 4.3 standard deviations of the least certain star.
     streak_px : float
-        Length of a star's image.
+        Length of a star's image; above 10 px windows will not do.
     largest_half : int
         Half side of the largest window, the streak left out.
     factor : float
@@ -167,7 +169,7 @@ def look(
     """
     camera = tracker.camera
     pixels = _plain(image)
-    if pixels is None or pixels.shape != (camera.height, camera.width):
+    if pixels is None or pixels.shape != (camera.height, camera.width) or streak_px > _LONGEST_STREAK_PX:
         return None
     spread = spreads(expected.places, covariance)[2]
     wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad

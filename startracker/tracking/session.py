@@ -213,7 +213,9 @@ class TrackingSession:
         self._predict(t_s, gyro_rad_s)
         expected = self._expect(observer)
         if expected is not None and self._filter is not None:
-            streak_px = float(np.linalg.norm(self._filter.rate_rad_s)) * self.exposure_s / self.tracker.camera.pixel_rad
+            across_x, across_y, about = self._filter.rate_rad_s
+            turn = math.hypot(across_x, across_y) + abs(about) * self.tracker.guide.half_diagonal_rad
+            streak_px = turn * self.exposure_s / self.tracker.camera.pixel_rad
             seen = look(
                 image,
                 self.tracker,

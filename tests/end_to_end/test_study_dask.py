@@ -13,6 +13,7 @@ from simulator.scenario import Scenario
 from simulator.study import dask_pool
 from simulator.study.blocks import run_block
 from simulator.study.engine import run_trials
+from simulator.study.sweep import plan_sweep, run_sweep
 from startracker.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,6 +68,17 @@ def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypat
     wanted = run_block(runner.run, range(TRIALS)).table
     kept = [name for name in wanted.column_names if not name.endswith("_ms")]
     assert done.table.select(kept).equals(wanted.select(kept))
+
+
+def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
+    plan = plan_sweep("cubesat", ["optics.aperture_mm=15,16"], trials=40)
+    sweep = run_sweep(plan, tmp_path / "sweep", dask=cluster)
+    assert sweep.trials.num_rows == 80
+    assert not any(point["status"] == "refused" for point in sweep.table["points"])
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
+    with pytest.raises(InputError, match="no scheduler answers there"):
+        run_sweep(plan, tmp_path / "other", dask="tcp://127.0.0.1:1")
 
 
 def _fake_runner():

@@ -53,8 +53,9 @@ def test_short_sequence_of_the_cubesat(rate_deg_s):
                 assert session.state.matched >= 0.6 * alone.matched
                 tracked.append(error[:2])
                 single.append(truth.attitude.rotation_vector_to(alone.attitude)[:2])
-        attitude = Attitude.from_rotation_vector(truth.rate_camera_rad_s * DT, "camera", "camera") @ attitude
+        # the first frame's rate: another trial's has another pointing error, and would shake the camera
+        attitude = Attitude.from_rotation_vector(first.rate_camera_rad_s * DT, "camera", "camera") @ attitude
     assert modes[0] == "lost_in_space"
     assert modes[3:] == ["tracking"] * (FRAMES - 3)
     # fourteen values each: their rms is known to 1/√28
-    assert np.std(tracked) < np.std(single) * (1.0 + 3.0 / math.sqrt(28.0))
+    assert np.sqrt(np.mean(np.square(tracked))) < np.sqrt(np.mean(np.square(single))) * (1.0 + 3.0 / math.sqrt(28.0))

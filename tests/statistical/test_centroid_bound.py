@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from startracker.centroid import METHODS
-from startracker.centroid.moments import SYSTEMATIC_PX
+from startracker.centroid import METHODS, moments, psf_fit
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
 
@@ -107,7 +106,8 @@ def test_fits_reach_the_bound(method, shape, flux):
 def test_covariances_tell_the_truth(method, shape, flux):
     # eᵀ C⁻¹ e has mean 2 and variance 4: ± 2/√900 = 0.067; 5 % for the noise of measured widths and signals
     found, error, _, _ = measure(method, shape, flux)
-    covariance = found.covariance - SYSTEMATIC_PX**2 * np.eye(2)
+    floor_px = moments.SYSTEMATIC_PX if method == "weighted_moment" else psf_fit.SYSTEMATIC_PX
+    covariance = found.covariance - floor_px**2 * np.eye(2)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert squared.mean() == pytest.approx(2.0, abs=3 * 0.067 + 0.1)
     correlation = (error[:, 0] * error[:, 1]).mean() / error.var()
@@ -134,6 +134,6 @@ def test_a_pixel_response_that_is_known_about_is_in_the_covariance():
     _, _, truth, _ = frame(ROUND, 60000)
     star = np.rint((found.xy - STEP // 2) / STEP).astype(int) @ [1, SIDE]
     error = found.xy - truth[star]
-    covariance = found.covariance - SYSTEMATIC_PX**2 * np.eye(2)
+    covariance = found.covariance - psf_fit.SYSTEMATIC_PX**2 * np.eye(2)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert squared.mean() == pytest.approx(2.0, abs=3 * 0.067 + 0.1)

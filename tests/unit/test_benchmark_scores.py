@@ -140,3 +140,10 @@ def test_markdown_is_moved_into_place_whole(tmp_path):
 def test_arrays_are_counted_once():
     whole = np.zeros(1000)
     assert megabytes({"a": whole, "b": [whole, whole[:10]]}) == pytest.approx(0.008)
+
+
+def test_the_command_explains_itself(capsys):
+    with pytest.raises(SystemExit) as ended:
+        identification.parser().parse_args(["--help"])
+    assert ended.value.code == 0
+    assert "--random-points" in capsys.readouterr().out

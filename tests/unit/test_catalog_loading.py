@@ -33,7 +33,8 @@ def small(v_mag, ra_arcsec, name="test", epoch=2000.0, **columns):
 
 
 def same(one, other):
-    assert (one.name, one.epoch_jyear) == (other.name, other.epoch_jyear)
+    for value in ("name", "epoch_jyear", "position_sigma_rad"):
+        assert getattr(one, value) == getattr(other, value)
     for column in StarCatalog.columns():
         np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
 

@@ -17,12 +17,15 @@ def flat(shape):
     return Background(np.zeros(shape, np.float32), np.ones(shape, np.float32))
 
 
-def twin(image, threshold, tau):
+def twin(image, threshold, tau, growth=0.0):
     """The thesis' words: pixel by pixel, nearest centre within τ or a new cluster; the centre moves along."""
     centres, members = [], []
     for y, x in zip(*np.nonzero(image > threshold), strict=True):
-        distance = [np.hypot(x - cx, y - cy) for cx, cy in centres]
-        if distance and min(distance) <= tau:
+        distance = [
+            d if d <= max(tau, growth * np.sqrt(len(own))) else np.inf
+            for d, own in zip((np.hypot(x - cx, y - cy) for cx, cy in centres), members, strict=True)
+        ]
+        if distance and min(distance) < np.inf:
             k = int(np.argmin(distance))
             members[k].append((x, y))
             centres[k] = tuple(np.mean(members[k], axis=0))
@@ -32,15 +35,15 @@ def twin(image, threshold, tau):
     return members
 
 
-@pytest.mark.parametrize("tau", [2.0, 3.3, 8.0])
+@pytest.mark.parametrize(("tau", "growth"), [(2.0, 0.0), (3.3, 0.0), (8.0, 0.0), (2.0, 1.0), (3.3, 1.7)])
 @pytest.mark.parametrize("density", [0.01, 0.06])
-def test_one_pass_equals_its_twin(tau, density):
+def test_one_pass_equals_its_twin(tau, growth, density):
     rng = np.random.default_rng([int(tau * 10), int(density * 100)])
     image = np.where(rng.random((70, 90)) < density, rng.uniform(10, 20, (70, 90)), 0).astype(np.float32)
     background = flat(image.shape)
     runs = find_runs(image, background.level, background.noise, np.float32(5.0))
-    table = cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf)
-    members = twin(image, 5.0, tau)
+    table = cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf, growth)
+    members = twin(image, 5.0, tau, growth)
     sizes = sorted(len(m) for m in members)
     fluxes = sorted(sum(float(image[y, x]) for x, y in m) for m in members)
     # a pixel equally near to two centres may go to either: at most one in twenty clusters
@@ -87,6 +90,25 @@ def test_radius_follows_the_size_of_the_stars_and_close_clusters_merge():
     assert sorted(merged[:, PIXELS]) == [5, 10]
     assert merged[:, FLUX].sum() == 60.0
     assert len(merge_clusters(table, 1.5)) == 3
+
+
+def test_the_radius_grows_with_the_star():
+    # one bright star 31 pixels across among small ones, one of them close to it
+    y, x = np.mgrid[0:200, 0:300]
+    image = np.zeros((200, 300), np.float32)
+    small = [(40 * i + 20, j) for i in range(7) for j in (20, 180)]
+    for cx, cy, r in [(150, 100, 15.0), (175, 100, 2.3), *((a, b, 2.3) for a, b in small)]:
+        image += 100.0 * (np.hypot(x - cx, y - cy) <= r)
+    runs = find_runs(image, np.zeros_like(image), np.ones_like(image), np.float32(5.0))
+    tau = adaptive_radius(runs, 1000)
+    assert tau < 15.0  # chosen for the small ones
+    static = merge_clusters(cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf), tau)
+    grown = merge_clusters(cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf, 1.0), tau, 1.0)
+    assert len(static) > 16
+    assert sorted(grown[:, PIXELS].astype(int).tolist()) == [21] * 15 + [709]
+    settings = DetectionSettings(threshold_dn=50.0, min_pixels=10, max_pixels=1000, isolation=0.0, reject_hits=False)
+    spots = find_clusters(image, flat(image.shape), settings, None)
+    assert spots.pixels.max() == 709
 
 
 def test_a_radius_that_cannot_be_is_refused():

@@ -156,6 +156,7 @@ def test_an_effect_that_is_off_asks_for_no_stream_and_leaves_the_other_noise(off
 def test_order_of_the_effects():
     names = [effect.name for effect in (*CHARGE, *READOUT)]
     assert names == [
+        "intensifier",
         "photo_response",
         "dark_signal",
         "shot_noise",
@@ -166,6 +167,7 @@ def test_order_of_the_effects():
         "read_noise",
         "nonlinearity",
         "gain_offset",
+        "video",
         "adc",
     ]
 

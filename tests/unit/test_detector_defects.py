@@ -99,7 +99,6 @@ def test_what_a_cmos_detector_cannot_have(keys, line):
     [
         ("rolling", "ccd_full_frame", "cmos"),
         ("frame_transfer", "cmos", "ccd_frame_transfer"),
-        ("frame_transfer", "ccd_full_frame", "ccd_frame_transfer"),
     ],
 )
 def test_the_shutter_belongs_to_the_kind(shutter, kind, right):
@@ -107,6 +106,10 @@ def test_the_shutter_belongs_to_the_kind(shutter, kind, right):
     assert (key, overridable) == ("detector.shutter", False)
     assert f"use kind: {right}, or shutter: global" in message
     assert not list(contradictions(flat(section(shutter=shutter, kind=right))))
+
+
+def test_a_full_frame_detector_may_be_clocked_out_under_light():
+    assert not list(contradictions(flat(section(shutter="frame_transfer", kind="ccd_full_frame"))))
 
 
 def test_a_response_that_falls_is_refused():

@@ -53,7 +53,7 @@ def test_every_shipped_curve_loads(kind):
 
 
 def test_shipped_values():
-    assert shipped_curves("quantum_efficiency") == ["ccd44_82", "cmv4000", "imx571", "tc211"]
+    assert shipped_curves("quantum_efficiency") == ["ccd44_82", "cmv4000", "gaas", "imx571", "multialkali", "tc211"]
     np.testing.assert_array_equal(
         load_curve("tc211", "quantum_efficiency")([440, 550, 640, 790, 1250]), [0.2, 0.4, 0.5, 0.38, 0.05]
     )

@@ -1,0 +1,48 @@
+"""``boresight export-c``: its options; the work is in `simulator.cli.c_source`, which loads when it is called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["export_c_command"]
+
+
+def export_c_command(
+    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the source.", show_default=False)],
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Image, pixels.")] = "427x319",
+    fov: Annotated[str, typer.Option("--fov", metavar="WxH", help="Field, degrees.")] = "9.0130x6.9049",
+    declination: Annotated[
+        str, typer.Option("--declination", metavar="A:B", help="Stars between these declinations, degrees.")
+    ] = "30:90",
+    magnitude_limit: Annotated[float, typer.Option("--magnitude-limit", metavar="V", help="Faintest star.")] = 6.0,
+    max_separation: Annotated[
+        float, typer.Option("--max-separation", metavar="DEG", help="Longest pair of stars.")
+    ] = 12.0,
+    tolerance: Annotated[float, typer.Option("--tolerance", metavar="DEG", help="Of separations.")] = 0.15,
+    rotation_tolerance: Annotated[
+        float, typer.Option("--rotation-tolerance", metavar="DEG", help="Of rotations, and of the groups of them.")
+    ] = 5.0,
+    enclosed_tolerance: Annotated[
+        float, typer.Option("--enclosed-tolerance", metavar="DEG", help="Of inner angles; 0: not looked at.")
+    ] = 1.0,
+    vote_number: Annotated[int, typer.Option("--vote-number", metavar="N", help="Fewest votes for a star.")] = 2,
+    edition: Annotated[int, typer.Option("--edition", metavar="N", help="Of the Bright Star Catalogue, 4 or 5.")] = 5,
+) -> None:
+    """Write the integer tracker as C99 source with its tables, and print its memory and time."""
+    from simulator.cli.c_source import ExportRequest, run_export
+    from startracker.identification.triad_search import TriadLimits
+
+    limits = TriadLimits(
+        separation_tolerance_deg=tolerance,
+        rotation_tolerance_deg=rotation_tolerance,
+        enclosed_tolerance_deg=enclosed_tolerance or None,
+        grouping_tolerance_deg=rotation_tolerance,
+        vote_number=vote_number,
+        three_stars=True,
+    )
+    raise typer.Exit(
+        run_export(ExportRequest(out, size, fov, declination, edition, magnitude_limit, max_separation, limits))
+    )

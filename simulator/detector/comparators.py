@@ -1,0 +1,46 @@
+"""Level comparators as a converter: as many numbers as levels and one, wherever the levels stand."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.errors import InputError
+
+__all__ = ["compare_levels", "even_levels", "geometric_levels"]
+
+FloatArray = NDArray[np.float64]
+
+
+def compare_levels(signal: ArrayLike, levels: ArrayLike) -> NDArray[np.uint16]:
+    """How many of the levels each signal reaches: 0 … number of levels.
+
+    The prototype of Greyling 1995 (section 6.2.3) has three comparators, each with its level set by hand: 2 bits.
+
+    Parameters
+    ----------
+    signal : array_like
+        Any shape and unit.
+    levels : (N,) array
+        Rising, in the same unit.
+
+    Raises
+    ------
+    InputError
+        When the levels do not rise.
+    """
+    limits = np.asarray(levels, dtype=float)
+    if limits.ndim != 1 or not len(limits) or not (np.diff(limits) > 0.0).all():
+        raise InputError(f"the levels of comparators must rise; got {limits.tolist()}")
+    return np.searchsorted(limits, np.asarray(signal, dtype=float), side="right").astype(np.uint16)
+
+
+def even_levels(bits: int, full: float) -> FloatArray:
+    """Levels (2^bits − 1,) of a converter that rounds to the nearest of 2^bits numbers from 0 to `full`."""
+    top = 2**bits - 1
+    return np.asarray((np.arange(top) + 0.5) * (full / top))
+
+
+def geometric_levels(lowest: float, highest: float, count: int = 3) -> FloatArray:
+    """Levels (count,) of equal ratio: closer together where a star's image is faint."""
+    return np.geomspace(lowest, highest, count)

@@ -1,0 +1,33 @@
+"""Noise of light behind an image intensifier, whose every photo-electron becomes a random number of electrons.
+
+The noise of the light in an area is larger than Poisson's by the excess noise factor
+
+    F² = 1 + var(g) / ⟨g⟩² + 1 / ⟨g⟩
+
+of the gain g, the last term from the counting of the phosphor's photons in the detector, and it hangs together over
+the size of a bunch (Bell 1975, IEEE Trans. Electron Devices 22, 821; for a gain distributed exponentially, as behind a
+microchannel plate, F² is 2).
+"""
+
+from __future__ import annotations
+
+from simulator.scenario.schema import DetectorSection
+
+__all__ = ["bunch_e", "excess_noise_factor", "signal_gain"]
+
+
+def signal_gain(section: DetectorSection) -> float:
+    """Mean electrons in the detector for a photo-electron: the intensifier's gain, 1 without one."""
+    return section.intensifier.gain or 1.0
+
+
+def excess_noise_factor(section: DetectorSection) -> float:
+    """F²: variance of the light summed over an area against that of ideal multiplication; 1 without an intensifier."""
+    intensifier = section.intensifier
+    return 1.0 + intensifier.gain_variance + 1.0 / intensifier.gain if intensifier.gain else 1.0
+
+
+def bunch_e(section: DetectorSection) -> float:
+    """⟨g⟩ F², electrons: variance over mean of the light summed over an area, in the detector; 1 without an
+    intensifier."""
+    return signal_gain(section) * excess_noise_factor(section)

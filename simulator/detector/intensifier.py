@@ -1,0 +1,60 @@
+"""Image intensifier before the detector: photocathode, electron multiplier, phosphor screen coupled to the detector.
+
+A photo-electron of the photocathode becomes a random number of electrons in the detector, spread over its pixels: its
+light comes in bunches (`simulator.detector.excess_noise`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from simulator.detector.pixels import SHOT_NOISE, Step, walk
+from simulator.scenario.schema import DetectorSection, IntensifierSection
+
+__all__ = ["intensify", "multiply"]
+
+FloatArray = NDArray[np.float64]
+
+_KERNEL_SIGMAS = 5.0
+
+
+def intensify(mean_photo_e: FloatArray, section: DetectorSection, rng: np.random.Generator) -> FloatArray:
+    """Mean electrons that an intensified image makes in the detector, (H, W).
+
+    Photo-electrons of the photocathode (light and dark) are counted, each multiplied by its own random gain, and
+    spread by phosphor and coupling; the detector's own shot noise, which counts the phosphor's light, comes
+    after. Light that would leave the frame at its borders comes back: as much enters from outside. With `shot_noise`
+    off the mean is multiplied and spread.
+
+    Parameters
+    ----------
+    mean_photo_e : (H, W) float64
+        Mean photo-electrons of the photocathode over the exposure; overwritten.
+    section : DetectorSection
+        With an intensifier.
+    rng : Generator
+        Draws counts and gains.
+    """
+    intensifier = section.intensifier
+    mean_photo_e += intensifier.dark_e_s * section.exposure_s
+    if section.shot_noise:
+        walk(mean_photo_e, [Step(SHOT_NOISE, rng=rng)], mean_photo_e)
+        electrons = multiply(mean_photo_e, intensifier, rng)
+    else:
+        electrons = mean_photo_e * intensifier.gain
+    sigma_px = intensifier.phosphor_sigma_px
+    return gaussian_filter(electrons, sigma_px, mode="reflect", truncate=_KERNEL_SIGMAS) if sigma_px else electrons
+
+
+def multiply(counts: FloatArray, section: IntensifierSection, rng: np.random.Generator) -> FloatArray:
+    """Electrons out of counted photo-electrons, of the same shape.
+
+    The gain of one is distributed as gamma with mean ⟨g⟩ and relative variance b (the Pólya distribution of electron
+    multipliers, Prescott 1966, Nucl. Instrum. Methods 39, 173); the sum of n of them then is gamma with shape n / b
+    and scale b ⟨g⟩, drawn at once.
+    """
+    if section.gain_variance == 0.0:
+        return counts * section.gain
+    return rng.standard_gamma(counts / section.gain_variance) * (section.gain_variance * section.gain)

@@ -1,0 +1,59 @@
+"""A body that spins freely: its axis of symmetry cones about the angular momentum, which stands still.
+
+With equal moments of inertia I across the axis of symmetry (body +Z) and r I about it, Euler's equations without a
+torque are solved by steady turns (Goldstein, Poole & Safko 2002, *Classical Mechanics*, section 5.6). With ω the
+angular velocity about +Z and θ the half angle of the cone, the axis goes about the angular momentum at
+
+    Ω = r ω / cos θ,
+
+and the body turns about its own axis, against that motion, at (1 − r) ω. The angular velocity is their sum.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario.schema import SpinSection
+from startracker.attitude import Attitude, radec_to_direction
+
+__all__ = ["cone_rate_rad_s", "spin_attitude", "spin_rate_rad_s"]
+
+FloatArray = NDArray[np.float64]
+
+
+def cone_rate_rad_s(section: SpinSection) -> float:
+    """Rate Ω at which the axis goes about the angular momentum, right-handed about it, rad/s."""
+    return section.inertia_ratio * math.radians(section.rate_deg_s) / math.cos(math.radians(section.cone_deg))
+
+
+def spin_attitude(section: SpinSection, t_s: float) -> Attitude:
+    """Attitude ICRS → principal axes, seconds after the epoch; these axes take the place of the local level.
+
+    At rest they are east, north and the axis that stands still; the body is tilted from there onto its cone, by the
+    smallest turn that does it, and turned about +Z.
+    """
+    ra, dec = (math.radians(angle) for angle in section.axis_deg)
+    east = np.array([-math.sin(ra), math.cos(ra), 0.0])
+    axis = radec_to_direction(ra, dec)
+    still = Attitude.from_matrix(np.stack([east, np.cross(axis, east), axis]), "icrs", "local_level")
+    on_cone = math.radians(section.cone_phase_deg) - cone_rate_rad_s(section) * t_s  # north through east: left-handed
+    node = np.array([-math.cos(on_cone), math.sin(on_cone), 0.0])
+    tilt = Attitude.from_rotation_vector(math.radians(section.cone_deg) * node, "local_level", "local_level")
+    angle = math.radians(section.phase_deg) + (_own_rate_rad_s(section) + cone_rate_rad_s(section)) * t_s
+    turn = Attitude.from_rotation_vector([0.0, 0.0, math.remainder(angle, math.tau)], "local_level", "local_level")
+    return turn @ tilt @ still
+
+
+def spin_rate_rad_s(section: SpinSection, t_s: float) -> FloatArray:
+    """Inertial angular velocity (3,) in principal axes, seconds after the epoch: (1 − r) ω about +Z and Ω about the
+    angular momentum; its component along +Z is `rate_deg_s`."""
+    ra, dec = (math.radians(angle) for angle in section.axis_deg)
+    momentum = spin_attitude(section, t_s).apply(radec_to_direction(ra, dec))
+    return np.asarray(cone_rate_rad_s(section) * momentum + np.array([0.0, 0.0, _own_rate_rad_s(section)]))
+
+
+def _own_rate_rad_s(section: SpinSection) -> float:
+    return (1.0 - section.inertia_ratio) * math.radians(section.rate_deg_s)

@@ -1,0 +1,187 @@
+"""The exported C, compiled and measured: memory, stack, time, instructions.
+
+A compiler of the machine itself, or a cross compiler with an emulator (QEMU's user mode), which also counts
+instructions. Nothing here is needed to export.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from startracker.errors import InputError
+from startracker.fixed_point.export_c import CExport
+
+__all__ = ["FLAGS", "HOST", "M68K", "Build", "Target", "compile_export", "native_compiler"]
+
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror")
+_SOLVER = ("tables", "integers", "attitude", "triads")
+_HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A processor that the C is compiled for.
+
+    Parameters
+    ----------
+    name : str
+        In words.
+    compiler, size, symbols : str
+        Commands of the tool chain: compiler, ``size`` and ``nm``.
+    flags : tuple of str
+        For this processor.
+    runner : tuple of str
+        Command before the program; empty: it runs by itself.
+    counter : tuple of str
+        The same with a line on standard error for every instruction; empty: they cannot be counted.
+    """
+
+    name: str
+    compiler: str
+    size: str = "size"
+    symbols: str = "nm"
+    flags: tuple[str, ...] = ()
+    runner: tuple[str, ...] = ()
+    counter: tuple[str, ...] = ()
+
+    def missing(self) -> str | None:
+        """The first command that is not installed, or None."""
+        needed = [self.compiler, self.size, self.symbols, *self.runner[:1]]
+        return next((command for command in needed if shutil.which(command) is None), None)
+
+
+HOST = Target("this machine", "gcc")
+M68K = Target(
+    "Motorola 68k (CPU32, emulated)",
+    "m68k-linux-gnu-gcc",
+    "m68k-linux-gnu-size",
+    "m68k-linux-gnu-nm",
+    ("-mcpu=cpu32",),
+    ("qemu-m68k", "-cpu", "m68020"),
+    ("qemu-m68k", "-cpu", "m68020", "-singlestep", "-d", "nochain,exec"),
+)
+"""Her MC68360 is a CPU32+, whose instructions a 68020 runs; Debian: gcc-m68k-linux-gnu, qemu-user."""
+
+
+def native_compiler() -> Target | None:
+    """The machine's own compiler, where there is one."""
+    for command in ("gcc", "cc"):
+        target = Target("this machine", command)
+        if target.missing() is None:
+            return target
+    return None
+
+
+@dataclass(frozen=True)
+class Build:
+    """A compiled export.
+
+    Parameters
+    ----------
+    target : Target
+    program : Path
+    table_bytes : int
+        Constant arrays.
+    code_bytes : int
+        Instructions of the solver, without the tables, the C library and ``main``.
+    static_bytes : int
+        Its fixed buffers.
+    stack_bytes : int
+        At most: all its functions' frames together (``-fstack-usage``), as none calls itself.
+    heap_calls : tuple of str
+        Functions of the heap that it calls: none.
+    """
+
+    target: Target
+    program: Path
+    table_bytes: int
+    code_bytes: int
+    static_bytes: int
+    stack_bytes: int
+    heap_calls: tuple[str, ...]
+
+    def solve(self, text: str, times: int = 1) -> list[str]:
+        """Lines that the program prints for lists of centroids, each list solved `times` times."""
+        command = [*self.target.runner, str(self.program), str(times)]
+        return _run(command, text).stdout.splitlines()
+
+    def time_s(self, text: str, times: int) -> float:
+        """Seconds that one of the lists takes, from runs of 1 and `times` + 1 repetitions, the better of three."""
+        lists = len(self.solve(text))
+        spent = []
+        for repetitions in (1, times + 1):
+            best = float("inf")
+            for _ in range(3):
+                start = time.perf_counter()
+                self.solve(text, repetitions)
+                best = min(best, time.perf_counter() - start)
+            spent.append(best)
+        return (spent[1] - spent[0]) / times / lists
+
+    def instructions(self, text: str) -> int:
+        """Instructions that the lists take, less those of a start without one."""
+        return self._counted(text) - self._counted("")
+
+    def _counted(self, text: str) -> int:
+        command = [*self.target.counter, str(self.program)]
+        with tempfile.TemporaryFile() as lists:
+            lists.write(text.encode())
+            lists.seek(0)
+            pipes: dict[str, Any] = {"stdin": lists, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+            with subprocess.Popen(command, **pipes) as process:
+                said = process.stderr
+                return 0 if said is None else sum(part.count(b"\n") for part in iter(lambda: said.read(1 << 20), b""))
+
+
+def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: Sequence[str] = ()) -> Build:
+    """Compile an export in a folder and measure it.
+
+    Raises
+    ------
+    InputError
+        The compiler is not installed, or refuses.
+    """
+    missing = target.missing()
+    if missing:
+        raise InputError(f"{missing} is not installed; the exported C can be compiled elsewhere with its Makefile")
+    for name, text in export.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    objects = []
+    for name in (*_SOLVER, "main"):
+        objects.append(str(folder / f"{name}.o"))
+        source = ["-fstack-usage", "-c", "-o", objects[-1], str(folder / f"{name}.c")]
+        _run([target.compiler, *FLAGS, *target.flags, *extra, *source])
+    program = folder / "solve"
+    _run([target.compiler, *(("-static",) if target.runner else ()), *extra, "-o", str(program), *objects])
+    text, data, bss = (sum(column) for column in zip(*(_sizes(target, path) for path in objects[1:4]), strict=True))
+    tables = sum(export.table_bytes.values())
+    undefined = _run([target.symbols, "-u", *objects[:4]]).stdout.split()
+    heap = tuple(sorted({name for name in undefined if _HEAP.match(name)}))
+    stack = sum(
+        int(line.split("\t")[1])
+        for name in _SOLVER
+        if (folder / f"{name}.su").exists()
+        for line in (folder / f"{name}.su").read_text(encoding="utf-8").splitlines()
+    )
+    return Build(target, program, tables, text, data + bss, stack, heap)
+
+
+def _sizes(target: Target, path: str) -> tuple[int, int, int]:
+    text, data, bss = _run([target.size, path]).stdout.splitlines()[1].split()[:3]
+    return int(text), int(data), int(bss)
+
+
+def _run(command: Sequence[str], text: str | None = None) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = (done.stderr.strip() or f"status {done.returncode}").splitlines()[0]
+        raise InputError(f"{Path(command[0]).name}: {said}")
+    return done

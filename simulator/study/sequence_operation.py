@@ -1,0 +1,188 @@
+"""A sequence under the sensor's own rules of operation: the camera exposed as they say, and what they leave behind.
+
+`startracker.tracking.operation` decides from the images alone; here are the exposures that it asks for, the columns
+and the summary, and the truth that the map of blemishes and the magnitudes are held against.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.frame import Frame, FrameTruth
+from simulator.mission.motion import MotionState
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.scenario.fields import flatten
+from startracker.solution import Solution
+from startracker.tracker import StarTracker
+from startracker.tracking import TrackingSession
+from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
+
+__all__ = ["DISCARDED", "SUSPENDED", "OperatedCamera", "summarise_operation"]
+
+FloatArray = NDArray[np.float64]
+
+DISCARDED = "discarded"
+"""Status of a frame whose brightest stars are over-exposed."""
+SUSPENDED = "suspended"
+"""Status of a frame that shows the Sun, and of those that are not taken until it has passed."""
+_FEWEST_FOR_SLOPE = 8
+
+
+class OperatedCamera:
+    """The camera of a sequence, operated by the rules of ``sequence.operation``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    renderer : Renderer
+        Of the scenario as it is; others are made for the exposures that the rules ask for.
+    tracker : StarTracker
+        Its settings and its catalogue.
+    """
+
+    def __init__(self, scenario: Scenario, renderer: Renderer, tracker: StarTracker) -> None:
+        self.scenario = scenario
+        settings, exposure_s = scenario.sequence.operation, scenario.detector.exposure_s
+        self.rules = SensorOperation(settings, tracker.detection, renderer.camera, exposure_s)
+        self._renderers = {exposure_s: renderer}
+        reference = renderer.focal_plane.photometer.electrons_per_s(0.0, settings.reference_b_v)
+        self._zero_point = 2.5 * math.log10(float(reference))
+        catalog = tracker.guide.catalog
+        self._b_v = dict(zip(catalog.id.tolist(), catalog.b_v.tolist(), strict=True))
+        self.verdict = Verdict("", "", None)
+        self.exposure_s = self.rules.exposure_s
+        """Exposure of the frame under way."""
+        self.colours: list[FloatArray] = []
+        """B − V and error of the magnitude of every star measured, (N, 2) a frame."""
+
+    def expose(
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession
+    ) -> tuple[Frame, FrameTruth] | None:
+        """Frame and truth at the exposure that the rules ask for, judged; None while the sensor is suspended."""
+        self.exposure_s = self.rules.exposure_s
+        if self.rules.suspended(since_s):
+            self.verdict = Verdict("sun", "suspended until the Sun has passed", None)
+            return None
+        session.exposure_s = self.exposure_s
+        frame, truth = self._renderer().frame(
+            k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s
+        )
+        self.verdict = self.rules.judge(frame.image, since_s, frame.saturation_dn, session.rate_rad_s)
+        return frame, truth
+
+    def _renderer(self) -> Renderer:
+        """Renderer for the exposure: the same device and sky."""
+        if self.exposure_s not in self._renderers:
+            changed = flatten(self.scenario) | {"detector.exposure_s": self.exposure_s}
+            self._renderers[self.exposure_s] = Renderer(self.scenario.changed(changed))
+        return self._renderers[self.exposure_s]
+
+    def dropped(self, solution: Solution, session: TrackingSession) -> dict[str, Any]:
+        """Columns of a time without a frame that no rule is the cause of."""
+        self.verdict = Verdict("", "", None)
+        return self.columns(None, solution, session)
+
+    def refused(self) -> dict[str, Any]:
+        """Status and reason of a frame that the tracker is not given."""
+        status = SUSPENDED if self.verdict.rule == "sun" else DISCARDED
+        return {"status": status, "reason": self.verdict.reason}
+
+    def columns(self, frame: Frame | None, solution: Solution, session: TrackingSession) -> dict[str, Any]:
+        """Columns of a frame, and what the sensor learns from it; call after the tracker."""
+        row: dict[str, Any] = {
+            "exposure_s": self.exposure_s,
+            "rule": self.verdict.rule,
+            "saturated_px": max(self.verdict.saturated_px, default=0),
+            "cleared_px": self.verdict.cleared_px,
+            "magnitude_stars": 0,
+            "magnitude_error_mean": math.nan,
+            "magnitude_error_rms": math.nan,
+        }
+        if frame is not None and self.verdict.image is not None and solution.solved:
+            self.rules.learn(frame.image, self.verdict, session.filter_attitude, solution.stars)
+            errors = self._magnitude_errors(frame, solution)
+            if len(errors):
+                self.colours.append(errors)
+                row |= {
+                    "magnitude_stars": len(errors),
+                    "magnitude_error_mean": float(errors[:, 1].mean()),
+                    "magnitude_error_rms": float(np.sqrt(np.mean(errors[:, 1] ** 2))),
+                }
+        row["blemished_px"] = int(self.rules.blemishes.sum())
+        return row
+
+    def _magnitude_errors(self, frame: Frame, solution: Solution) -> FloatArray:
+        """B − V and magnitude read from the image minus V, (N, 2), of identified stars that are not saturated."""
+        stars = solution.stars
+        read = image_magnitudes(stars.flux, frame.gain_e_per_dn, frame.exposure_s, self._zero_point)
+        b_v = np.array([self._b_v.get(int(number), math.nan) for number in stars.catalog_id])
+        good = np.isfinite(read) & np.isfinite(b_v) & ~saturated_near(frame.image, stars.xy, frame.saturation_dn)
+        return np.stack([b_v[good], (read - stars.v_mag)[good]], axis=1)
+
+    def truth_of_blemishes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Pixels that are blemished beyond doubt, and such that may be taken for it, (H, W).
+
+        By the mean dark signal at the longest exposure: over its median by twice `blemish_sigma` times the noise of a
+        pixel (the spread of the ordinary dark signal with it), or by half as much. Dead pixels read the offset, as an
+        empty sky does: they count as such that may be found.
+        """
+        scenario = self.scenario
+        shape = (scenario.detector.height, scenario.detector.width)
+        pattern = self._renderers[scenario.detector.exposure_s].pattern
+        dark = np.broadcast_to(pattern.dark_e, shape)
+        middle = float(np.median(dark))
+        spread = 1.4826 * float(np.median(np.abs(dark - middle)))
+        limit = scenario.sequence.operation.blemish_sigma * math.sqrt(
+            scenario.detector.read_noise_e**2 + middle + spread**2
+        )
+        maybe = dark - middle > 0.5 * limit
+        return np.asarray(dark - middle > 2.0 * limit), maybe if pattern.dead is None else maybe | pattern.dead
+
+
+def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]], step_s: float) -> dict[str, Any]:
+    """How often each rule acted, the exposures, the map of blemishes against the truth, and the magnitudes' errors.
+
+    The colour's slope is that of a straight line through all errors, magnitudes a magnitude of B − V: what one relation
+    for all stars leaves. Without it the errors have the standard deviation ``std_without_colour``.
+    """
+    status, rule = columns["status"], columns["rule"]
+    surely, maybe = camera.truth_of_blemishes()
+    mapped = camera.rules.blemishes
+    exposures = columns["exposure_s"]
+    return {
+        "discarded": int(np.sum(status == DISCARDED)),
+        "suspended_s": float(np.sum(status == SUSPENDED)) * step_s,
+        "sun_frames": int(np.sum((rule == "sun") & np.isfinite(columns["render_ms"]))),
+        "moon_frames": int(np.sum(rule == "moon")),
+        "exposure_s": {"first": float(exposures[0]), "shortest": float(exposures.min()), "last": float(exposures[-1])},
+        "blemishes": {
+            "mapped": int(mapped.sum()),
+            "certain": int(surely.sum()),
+            "certain_mapped": int(np.sum(surely & mapped)),
+            "sound_mapped": int(np.sum(mapped & ~maybe)),
+        },
+        "magnitudes": _magnitudes(camera.colours),
+    }
+
+
+def _magnitudes(measured: list[FloatArray]) -> dict[str, float | int | None]:
+    errors = np.concatenate(measured) if measured else np.empty((0, 2))
+    slope = without = None
+    if len(errors) >= _FEWEST_FOR_SLOPE and float(np.ptp(errors[:, 0])) > 0.0:
+        line = np.polyfit(errors[:, 0], errors[:, 1], 1)
+        slope = float(line[0])
+        without = float(np.std(errors[:, 1] - np.polyval(line, errors[:, 0])))
+    known = bool(len(errors))
+    return {
+        "stars": len(errors),
+        "mean": float(errors[:, 1].mean()) if known else None,
+        "rms": float(np.sqrt(np.mean(errors[:, 1] ** 2))) if known else None,
+        "colour_slope": slope,
+        "std_without_colour": without,
+    }

@@ -1,0 +1,238 @@
+"""Plate constants in 64-bit integers: centre, roll and attitude of an image (Yee 1999, section 2.4).
+
+Her 32 bits could not hold them (section 3.5). The fit is the one of `startracker.estimation.plate`: standard
+coordinates on the plane that touches the sky at the centre, a linear map from the image to them by least squares, the
+centre moved to where the origin falls, again until it stands. Three things make it fit into 64 bits. Directions are
+unit vectors of 2.30, whose products have 60 bits. Each round fits only what the rounds before left over, so that a
+quotient need be good to a few bits. And sums are shifted to 30 bits before their products are taken. A unit of 2.30 is
+0.0002″. Stars nearly in a line leave a scale and a rotation alone (four constants), as in
+`startracker.estimation.plate_constants`.
+
+The C export (`c/attitude.c`) does the same operations in the same order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from startracker.fixed_point.cordic import angles_deg
+from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Format, Integers, divide, integers
+from startracker.fixed_point.square_root import square_root
+
+__all__ = ["DIRECTION", "MAX_STARS", "NotSolved", "PlateAttitude", "plate_attitude", "unit"]
+
+DIRECTION = Format(2, 30)
+"""Components of unit vectors."""
+MAX_STARS = 16
+"""More would overflow the sums of products."""
+_ROUNDS = 40
+_SETTLED = 8  # units of 2.30: 0.0015″
+_LEAST_ROUNDS = 4
+_PIXEL_SHIFT = 6  # centroids of 10.22 to 10.16
+_MAP_BITS = 24  # of fraction more in the map than in its product
+_SLENDER_SHIFT = 10  # determinant below trace² × 2⁻¹⁰: the shear would be noise
+_NEAREST_DEPTH = DIRECTION.one // 2  # cosine of 60°
+_LARGEST_LEFT = 1 << 31  # whose products with 10.16 pixels, sixteen of them, have 62 bits
+_LARGEST_MAP = 1 << 32
+_NO_PLATE = "the stars fit no plate"
+
+
+class NotSolved(ArithmeticError):
+    """Why no attitude follows from the stars given, in words."""
+
+
+@dataclass(frozen=True)
+class PlateAttitude:
+    """Attitude of an image, integers only.
+
+    Parameters
+    ----------
+    matrix : int array, shape (3, 3)
+        Rows: the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30:
+        v_camera = matrix @ v_catalogue.
+    ra, dec, roll : int
+        Of the boresight, degrees of 10.22; roll is the position angle of the image's up, east of north.
+    rounds : int
+        Until the centre stood.
+    """
+
+    matrix: Integers
+    ra: int
+    dec: int
+    roll: int
+    rounds: int
+
+
+def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> PlateAttitude:
+    """Attitude from identified stars.
+
+    Parameters
+    ----------
+    xy : int array, shape (M, 2)
+        Centroids of 10.22 from the image's centre, 3 ≤ M ≤ 16; x right, y **up**.
+    directions : int array, shape (M, 3)
+        Unit vectors of 2.30 of the stars.
+
+    Raises
+    ------
+    NotSolved
+        Too few or too many stars, all in one place or 60° from the centre; no image of them, or its mirror image.
+    FixedPointOverflow
+        Centroids or directions outside their formats.
+    """
+    image = (CENTROID.check(xy, "centroid") >> _PIXEL_SHIFT) * np.array([1, -1])
+    sky = DIRECTION.check(directions, "direction")
+    count = len(image)
+    if not 3 <= count <= MAX_STARS:
+        raise NotSolved(f"plate constants take 3 to {MAX_STARS} stars; got {count}")
+    middle = image.sum(axis=0) // count
+    image = image - middle
+    fit = _Fit(image)
+    center = unit(sky.sum(axis=0))
+    smallest = int(np.argmin(np.abs(center)))
+    plate = np.zeros((2, 2), dtype=np.int64)  # 2.30 a 2⁻¹⁶ pixel, with _MAP_BITS more
+    for rounds in range(1, _ROUNDS + 1):
+        east, north = _axes(center, smallest)
+        left = _standard(sky, east, north, center) - ((image @ plate.T) >> _MAP_BITS)
+        if int(np.abs(left).max()) >= _LARGEST_LEFT:
+            raise NotSolved(_NO_PLATE)
+        mean = left.sum(axis=0) // count
+        left = left - mean
+        plate += fit.of(left)
+        if int(np.abs(plate).max()) >= _LARGEST_MAP:
+            raise NotSolved(_NO_PLATE)
+        offset = mean - ((plate @ middle) >> _MAP_BITS)
+        if int(np.abs(offset).max()) >= DIRECTION.one:
+            raise NotSolved(_NO_PLATE)
+        if rounds >= _LEAST_ROUNDS and int(np.abs(offset).max()) <= _SETTLED:
+            return _attitude(center, east, north, plate, rounds)
+        center = unit(center + ((int(offset[0]) * east + int(offset[1]) * north) >> 30))
+    raise NotSolved(f"the centre does not settle in {_ROUNDS} rounds: check the stars")
+
+
+class _Fit:
+    """Least squares of a linear map of the image (M, 2), 10.16 about its mean; four constants where it is a line."""
+
+    def __init__(self, image: Integers) -> None:
+        self.image = image
+        x, y = image[:, 0], image[:, 1]
+        sums, self.shift = _thirty_bits([int(x @ x), int(x @ y), int(y @ y)])
+        self.xx, self.xy, self.yy = sums
+        total = self.xx + self.yy
+        determinant = self.xx * self.yy - self.xy * self.xy
+        self.full = determinant > (total * total) >> _SLENDER_SHIFT
+        # determinant × 2⁻³⁰, or the trace: a divisor good to 16 bits and more
+        self.divisor = determinant >> 30 if self.full else total
+        if self.divisor < 1 << 12:
+            raise NotSolved("plate constants need stars in different places")
+
+    def of(self, left: Integers) -> Integers:
+        """The map (2, 2) of what is left over (M, 2) of 2.30: 2.30 a 2⁻¹⁶ pixel, with _MAP_BITS more."""
+        x, y = self.image[:, 0], self.image[:, 1]
+        u, v = left[:, 0], left[:, 1]
+        (ux, uy, vx, vy), shift = _thirty_bits([int(u @ x), int(u @ y), int(v @ x), int(v @ y)])
+        if self.full:
+            power = shift - self.shift + _MAP_BITS - 30
+            numerators = (
+                self.yy * ux - self.xy * uy,
+                self.xx * uy - self.xy * ux,
+                self.yy * vx - self.xy * vy,
+                self.xx * vy - self.xy * vx,
+            )
+        else:
+            power = shift - self.shift
+            along, across = (ux + vy) << _MAP_BITS, (vx - uy) << _MAP_BITS
+            numerators = (along, -across, across, along)
+        return np.array([_shifted(int(divide(n, self.divisor)), power) for n in numerators]).reshape(2, 2)
+
+
+def unit(vector: ArrayLike) -> Integers:
+    """A vector of components below 2³⁶ in magnitude, made one unit long, of 2.30.
+
+    Raises
+    ------
+    FixedPointOverflow
+        A longer one.
+    NotSolved
+        One of no length to speak of.
+    """
+    v = integers(vector)
+    largest = int(np.abs(v).max())
+    if largest >= 1 << 36:
+        raise FixedPointOverflow("length of a vector", largest, "36 bits")
+    if largest < 1 << 10:
+        raise NotSolved("directions that cancel have no mean")
+    while largest >= 1 << 30:
+        v, largest = v >> 1, largest >> 1
+    length = int(square_root(v @ v))
+    return divide(v << 30, length)
+
+
+def _axes(center: Integers, smallest: int) -> tuple[Integers, Integers]:
+    """Two axes across a direction, right-handed with it; the first lies towards the coordinate axis `smallest`."""
+    first = -((int(center[smallest]) * center) >> 30)
+    first[smallest] += DIRECTION.one
+    first = unit(first)
+    second = np.array(
+        [
+            (center[1] * first[2] - center[2] * first[1]) >> 30,
+            (center[2] * first[0] - center[0] * first[2]) >> 30,
+            (center[0] * first[1] - center[1] * first[0]) >> 30,
+        ]
+    )
+    return first, second
+
+
+def _standard(sky: Integers, east: Integers, north: Integers, center: Integers) -> Integers:
+    """Gnomonic coordinates (M, 2) of 2.30: products of 60 bits divided by the depth of 30."""
+    depth = (sky @ center) >> 30
+    if int(depth.min()) < _NEAREST_DEPTH:
+        raise NotSolved("plate constants need stars less than 60° from the centre of the image")
+    return np.column_stack([divide(sky @ east, depth), divide(sky @ north, depth)])
+
+
+def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers, rounds: int) -> PlateAttitude:
+    """The rotation nearest to the plate's map, and its angles."""
+    turning = int(plate[0, 0]) * (int(plate[1, 1]) >> 4) - int(plate[0, 1]) * (int(plate[1, 0]) >> 4)
+    if turning <= 0:
+        raise NotSolved("the stars are the mirror image of the picture, or none of it")
+    reach, swing = int(plate[0, 0] + plate[1, 1]), int(plate[1, 0] - plate[0, 1])
+    cosine, sine, _ = unit(_long(np.array([reach, swing, 0])))
+    x = (cosine * east + sine * north) >> 30
+    y = (cosine * north - sine * east) >> 30
+    cx, cy, cz = (int(c) for c in center)
+    level = int(square_root(cx * cx + cy * cy))
+    up = [-int(c) for c in y]
+    to_east = (cx * up[1] - cy * up[0]) >> 30
+    to_north = (up[2] * level >> 30) * level - ((cx * up[0] + cy * up[1]) >> 30) * cz >> 30
+    ra, dec, roll = (int(a) for a in angles_deg([cy, cz, to_east], [cx, level, to_north]))
+    if dec > 180 << 22:
+        dec -= 360 << 22
+    return PlateAttitude(np.vstack([x, y, center]), ra, dec, roll, rounds)
+
+
+def _long(vector: Integers) -> Integers:
+    """A vector of less than 34 bits, shifted left while it has less than 30: short ones keep their direction."""
+    while 0 < int(np.abs(vector).max()) < 1 << 30:
+        vector = vector * 2
+    return vector
+
+
+def _thirty_bits(sums: list[int]) -> tuple[list[int], int]:
+    """Integers shifted right alike until all are below 2³⁰ in magnitude, and by how much."""
+    shift, largest = 0, max(abs(s) for s in sums)
+    while largest >= 1 << 30:
+        largest, shift = largest >> 1, shift + 1
+    return [s >> shift for s in sums], shift
+
+
+def _shifted(value: int, power: int) -> int:
+    """value × 2^power, downwards; what has no chance of being a plate's map is refused before it is too long."""
+    if power <= 0:
+        return value >> -power
+    if abs(value) >> max(33 - power, 0):
+        raise NotSolved(_NO_PLATE)
+    return value << power

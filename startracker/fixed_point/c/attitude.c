@@ -1,0 +1,265 @@
+/* Plate constants in 64 bits: the same operations in the same order as startracker/fixed_point/attitude.py. */
+#include "tracker.h"
+
+#define ONE ((int64_t)1 << 30)
+#define MAP_BITS 24
+#define ROUNDS 40
+#define LEAST_ROUNDS 4
+#define SETTLED 8
+#define SLENDER_SHIFT 10
+#define LARGEST_LEFT ((int64_t)1 << 31)
+#define LARGEST_MAP ((int64_t)1 << 32)
+
+struct fit {
+    int64_t xx, xy, yy, divisor;
+    int shift, full;
+};
+
+static int64_t image[MAX_STARS][2], left[MAX_STARS][2];
+
+static int64_t magnitude(int64_t value)
+{
+    return value < 0 ? -value : value;
+}
+
+static int64_t largest_of(const int64_t *values, int count)
+{
+    int64_t largest = 0;
+    int k;
+
+    for (k = 0; k < count; k++)
+        if (magnitude(values[k]) > largest)
+            largest = magnitude(values[k]);
+    return largest;
+}
+
+/* A vector made one unit long, of 2.30; 0 where it has no length to speak of. */
+static int unit(const int64_t vector[3], int64_t out[3])
+{
+    int64_t v[3], largest = largest_of(vector, 3), length;
+    int k;
+
+    if (largest >= (int64_t)1 << 36 || largest < 1 << 10)
+        return 0;
+    for (k = 0; k < 3; k++)
+        v[k] = vector[k];
+    while (largest >= ONE) {
+        for (k = 0; k < 3; k++)
+            v[k] = shift_right(v[k], 1);
+        largest >>= 1;
+    }
+    length = square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (k = 0; k < 3; k++)
+        out[k] = v[k] * ONE / length;
+    return 1;
+}
+
+static void cross(const int64_t a[3], const int64_t b[3], int64_t out[3])
+{
+    int k;
+
+    for (k = 0; k < 3; k++)
+        out[k] = shift_right(a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3], 30);
+}
+
+static int axes(const int64_t center[3], int smallest, int64_t east[3], int64_t north[3])
+{
+    int64_t first[3];
+    int k;
+
+    for (k = 0; k < 3; k++)
+        first[k] = -shift_right(center[smallest] * center[k], 30);
+    first[smallest] += ONE;
+    if (!unit(first, east))
+        return 0;
+    cross(center, east, north);
+    return 1;
+}
+
+/* Sums shifted right alike until all are below 2^30; by how much. */
+static int thirty_bits(int64_t *sums, int count)
+{
+    int64_t largest = largest_of(sums, count);
+    int shift = 0, k;
+
+    while (largest >= ONE) {
+        largest >>= 1;
+        shift++;
+    }
+    for (k = 0; k < count; k++)
+        sums[k] = shift_right(sums[k], shift);
+    return shift;
+}
+
+static int make_fit(struct fit *fit, int count)
+{
+    int64_t sums[3] = {0, 0, 0}, total, determinant;
+    int n;
+
+    for (n = 0; n < count; n++) {
+        sums[0] += image[n][0] * image[n][0];
+        sums[1] += image[n][0] * image[n][1];
+        sums[2] += image[n][1] * image[n][1];
+    }
+    fit->shift = thirty_bits(sums, 3);
+    fit->xx = sums[0];
+    fit->xy = sums[1];
+    fit->yy = sums[2];
+    total = fit->xx + fit->yy;
+    determinant = fit->xx * fit->yy - fit->xy * fit->xy;
+    fit->full = determinant > shift_right(total * total, SLENDER_SHIFT);
+    fit->divisor = fit->full ? shift_right(determinant, 30) : total;
+    return fit->divisor >= 1 << 12;
+}
+
+static int add_shifted(int64_t value, int power, int64_t *to)
+{
+    if (power <= 0) {
+        *to += shift_right(value, -power);
+        return 1;
+    }
+    if (magnitude(value) >> (power < 33 ? 33 - power : 0))
+        return 0;
+    *to += value * ((int64_t)1 << power);
+    return 1;
+}
+
+/* Adds to the map what fits what is left over. */
+static int add_fit(const struct fit *fit, int count, int64_t plate[2][2])
+{
+    int64_t sums[4] = {0, 0, 0, 0}, numerator[4];
+    int power, n, k;
+
+    for (n = 0; n < count; n++)
+        for (k = 0; k < 4; k++)
+            sums[k] += left[n][k / 2] * image[n][k % 2];
+    power = thirty_bits(sums, 4) - fit->shift;
+    if (fit->full) {
+        power += MAP_BITS - 30;
+        for (k = 0; k < 2; k++) {
+            numerator[2 * k] = fit->yy * sums[2 * k] - fit->xy * sums[2 * k + 1];
+            numerator[2 * k + 1] = fit->xx * sums[2 * k + 1] - fit->xy * sums[2 * k];
+        }
+    } else {
+        numerator[0] = numerator[3] = (sums[0] + sums[3]) * ((int64_t)1 << MAP_BITS);
+        numerator[2] = (sums[2] - sums[1]) * ((int64_t)1 << MAP_BITS);
+        numerator[1] = -numerator[2];
+    }
+    for (k = 0; k < 4; k++)
+        if (!add_shifted(numerator[k] / fit->divisor, power, &plate[k / 2][k % 2]))
+            return 0;
+    return 1;
+}
+
+static int32_t rounded_degrees(int64_t y, int64_t x)
+{
+    int64_t angle = shift_right(fine_angle(y, x) + ((int64_t)1 << 17), 18), turn = (int64_t)360 << 22;
+
+    angle %= turn;
+    return (int32_t)(angle < 0 ? angle + turn : angle);
+}
+
+static int finish(const int64_t center[3], const int64_t east[3], const int64_t north[3], const int64_t plate[2][2],
+                  struct attitude *attitude)
+{
+    int64_t vector[3], turn[3], up[3], level, to_east, to_north;
+    int k;
+
+    if (plate[0][0] * shift_right(plate[1][1], 4) - plate[0][1] * shift_right(plate[1][0], 4) <= 0)
+        return 0;
+    vector[0] = plate[0][0] + plate[1][1];
+    vector[1] = plate[1][0] - plate[0][1];
+    vector[2] = 0;
+    while (largest_of(vector, 2) > 0 && largest_of(vector, 2) < ONE) {
+        vector[0] *= 2;
+        vector[1] *= 2;
+    }
+    if (!unit(vector, turn))
+        return 0;
+    for (k = 0; k < 3; k++) {
+        attitude->matrix[0][k] = (int32_t)shift_right(turn[0] * east[k] + turn[1] * north[k], 30);
+        attitude->matrix[1][k] = (int32_t)shift_right(turn[0] * north[k] - turn[1] * east[k], 30);
+        attitude->matrix[2][k] = (int32_t)center[k];
+        up[k] = -(int64_t)attitude->matrix[1][k];
+    }
+    level = square_root(center[0] * center[0] + center[1] * center[1]);
+    to_east = shift_right(center[0] * up[1] - center[1] * up[0], 30);
+    to_north = shift_right(shift_right(up[2] * level, 30) * level
+                               - shift_right(center[0] * up[0] + center[1] * up[1], 30) * center[2],
+                           30);
+    attitude->ra = rounded_degrees(center[1], center[0]);
+    attitude->dec = rounded_degrees(center[2], level);
+    if (attitude->dec > (int32_t)180 << 22)
+        attitude->dec -= (int32_t)360 << 22;
+    attitude->roll = rounded_degrees(to_east, to_north);
+    return 1;
+}
+
+int plate_attitude(const int32_t xy[][2], const uint16_t *catalog, int count, struct attitude *attitude)
+{
+    int64_t middle[2] = {0, 0}, sum[3] = {0, 0, 0}, center[3], east[3], north[3], plate[2][2] = {{0, 0}, {0, 0}};
+    int64_t mean[2], offset[2], depth, along[2];
+    struct fit fit;
+    int smallest = 0, round, n, k;
+
+    for (n = 0; n < count; n++) {
+        image[n][0] = shift_right(xy[n][0], 6);
+        image[n][1] = -shift_right(xy[n][1], 6);
+        for (k = 0; k < 2; k++)
+            middle[k] += image[n][k];
+        for (k = 0; k < 3; k++)
+            sum[k] += star_direction[catalog[n]][k];
+    }
+    for (k = 0; k < 2; k++) {
+        middle[k] = floor_quotient(middle[k], count);
+        for (n = 0; n < count; n++)
+            image[n][k] -= middle[k];
+    }
+    if (!make_fit(&fit, count) || !unit(sum, center))
+        return 0;
+    for (k = 1; k < 3; k++)
+        if (magnitude(center[k]) < magnitude(center[smallest]))
+            smallest = k;
+    for (round = 1; round <= ROUNDS; round++) {
+        if (!axes(center, smallest, east, north))
+            return 0;
+        mean[0] = mean[1] = 0;
+        for (n = 0; n < count; n++) {
+            depth = along[0] = along[1] = 0;
+            for (k = 0; k < 3; k++) {
+                const int64_t component = star_direction[catalog[n]][k];
+                depth += component * center[k];
+                along[0] += component * east[k];
+                along[1] += component * north[k];
+            }
+            depth = shift_right(depth, 30);
+            if (depth < ONE / 2)
+                return 0;
+            for (k = 0; k < 2; k++) {
+                left[n][k] = along[k] / depth
+                             - shift_right(plate[k][0] * image[n][0] + plate[k][1] * image[n][1], MAP_BITS);
+                if (magnitude(left[n][k]) >= LARGEST_LEFT)
+                    return 0;
+                mean[k] += left[n][k];
+            }
+        }
+        for (k = 0; k < 2; k++) {
+            mean[k] = floor_quotient(mean[k], count);
+            for (n = 0; n < count; n++)
+                left[n][k] -= mean[k];
+        }
+        if (!add_fit(&fit, count, plate) || largest_of(&plate[0][0], 4) >= LARGEST_MAP)
+            return 0;
+        for (k = 0; k < 2; k++)
+            offset[k] = mean[k] - shift_right(plate[k][0] * middle[0] + plate[k][1] * middle[1], MAP_BITS);
+        if (largest_of(offset, 2) >= ONE)
+            return 0;
+        if (round >= LEAST_ROUNDS && largest_of(offset, 2) <= SETTLED)
+            return finish(center, east, north, (const int64_t(*)[2])plate, attitude);
+        for (k = 0; k < 3; k++)
+            sum[k] = center[k] + shift_right(offset[0] * east[k] + offset[1] * north[k], 30);
+        if (!unit(sum, center))
+            return 0;
+    }
+    return 0;
+}

@@ -1,0 +1,103 @@
+"""Square roots and angular separations in integers (Yee 1999, section 3.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_product, integers
+from startracker.fixed_point.tables import arccosine_table, cosine_table
+
+__all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "separation", "square_root"]
+
+CROSSOVER = 11929
+"""11.65° in 6.10: up to here Pythagoras' theorem errs less than the tables; see `separation`."""
+
+
+def square_root(value: ArrayLike) -> Integers:
+    """⌊√n⌋ of integers 0 ≤ n < 2⁶², by Newton and Raphson's x ← (x + n/x)/2.
+
+    Begun at a power of two that is not below the root, the iteration falls until it stands at the root: it ends by
+    itself, and exactly. A fixed-point root of M.N is the integer root of the number times 2ᴺ.
+
+    Raises
+    ------
+    ValueError
+        A negative number, or one of more than 62 bits.
+    """
+    n = integers(value)
+    if n.size and (n.min() < 0 or n.max() >= 1 << 62):
+        raise ValueError("square roots are of integers from 0 to below 2**62")
+    return np.asarray(_roots(n.ravel())).reshape(n.shape)
+
+
+@njit(cache=True, error_model="numpy")
+def _roots(numbers: Integers) -> Integers:
+    out = np.zeros_like(numbers)
+    for k in range(len(numbers)):
+        n = numbers[k]
+        if n == 0:
+            continue
+        x, left = 1, n
+        while left > 0:  # a power of two of half the length, rounded up
+            x, left = x << 1, left >> 2
+        while True:
+            lower = (x + n // x) >> 1
+            if lower >= x:
+                break
+            x = lower
+        out[k] = x
+    return out
+
+
+def by_pythagoras(chi: ArrayLike, psi: ArrayLike) -> Integers:
+    """θ = √(χ² + ψ²) (Yee 1999, eq. 3.3), all of 6.10, truncated.
+
+    Raises
+    ------
+    FixedPointOverflow
+        A separation of 32° or more.
+    """
+    return SEPARATION.check(_hypotenuse(integers(chi), integers(psi)), "angular separation")
+
+
+def by_tables(chi: ArrayLike, psi: ArrayLike) -> Integers:
+    """arccos(cos χ cos ψ) (Yee 1999, eq. 3.2) from the tables, all of 6.10.
+
+    Raises
+    ------
+    FixedPointOverflow
+        A separation beyond the table of arccosines, 32° or more.
+    """
+    cosine, (arccosine, discarded) = cosine_table(), arccosine_table()
+    x, y = np.abs(SEPARATION.check(chi, "angle")), np.abs(SEPARATION.check(psi, "angle"))
+    largest = len(cosine) - 1
+    product = (cosine[np.minimum(x, largest)] * cosine[np.minimum(y, largest)]) >> COSINE.fraction_bits
+    place = product - discarded
+    SEPARATION.check(np.where((place < 0) | (x > largest) | (y > largest), SEPARATION.largest + 1, 0), "separation")
+    return np.asarray(arccosine[place])
+
+
+def separation(chi: ArrayLike, psi: ArrayLike, crossover: int = CROSSOVER) -> Integers:
+    """Angular separation of 6.10 of stars that are χ and ψ apart along the image's axes (6.10).
+
+    Pythagoras' theorem up to the crossover, the tables beyond, each where it errs less: the greatest error is 0.02°.
+
+    Raises
+    ------
+    FixedPointOverflow
+        A separation of 32° or more.
+    """
+    x, y = np.broadcast_arrays(integers(chi), integers(psi))
+    plane: Integers = _hypotenuse(x, y)
+    far = plane > crossover
+    if far.any():
+        plane[far] = by_tables(x[far], y[far])
+    return plane
+
+
+def _hypotenuse(x: Integers, y: Integers) -> Integers:
+    check_product(x, 2 * x, "square of an angle")
+    check_product(y, 2 * y, "square of an angle")
+    return square_root(x * x + y * y)

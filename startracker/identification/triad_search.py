@@ -1,0 +1,265 @@
+"""Triads of catalogue stars for every three image stars, tested and grouped (Yee 1999, sections 2.3.4.1 to 2.3.4.3).
+
+One algorithm for every `Arithmetic`. The order of triads, on which the grouping may depend and which an export in C
+repeats, does not depend on how they were found: image triangles 1-2-3, 1-2-4, ..., those of one triangle by the place
+in the sub-catalogue of their first star, then their second, then their third.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.identification.arithmetic import Arithmetic, Numbers
+from startracker.identification.triad_tables import TriadTables
+
+__all__ = ["TriadLimits", "Triads", "find_triads", "group_rotations", "image_pairs"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TriadLimits:
+    """Thresholds of the method; the defaults are those of the Vega image (Yee 1999, section 4.2.1).
+
+    Parameters
+    ----------
+    separation_tolerance_deg : float or sequence of float
+        Largest difference between a measured and a catalogued separation: one for all, or one for each pair of image
+        stars in the order 1-2, 1-3, ..., 2-3, ...
+    rotation_tolerance_deg : float
+        Largest difference between the two rotations of a triad.
+    enclosed_tolerance_deg : float or None
+        Largest difference of an inner angle; None leaves the test out, as her program on the MC68360 did.
+    grouping_tolerance_deg : float
+        Largest difference of a triad's mean rotation from the running mean of its group.
+    vote_number : int
+        Fewest triads of a group that must name a catalogue star.
+    combine_px : float
+        Catalogue stars that lie as close as this in the image are one: her τ.
+    three_stars : bool
+        Where only three stars are seen and one group is found, one vote is enough (her section 5.2).
+    """
+
+    separation_tolerance_deg: float | tuple[float, ...] = 0.15
+    rotation_tolerance_deg: float = 5.0
+    enclosed_tolerance_deg: float | None = 1.0
+    grouping_tolerance_deg: float = 5.0
+    vote_number: int = 2
+    combine_px: float = 8.0
+    three_stars: bool = False
+
+    def pair_tolerances(self, arithmetic: Arithmetic, count: int) -> Numbers:
+        """Tolerance of each of `count` pairs in the arithmetic's format (count,)."""
+        fixed = self.separation_tolerance_deg
+        each = fixed if isinstance(fixed, tuple) else (fixed,) * count
+        return np.array([arithmetic.separation_of(value) for value in each])
+
+
+@dataclass(frozen=True, eq=False)
+class Triads:
+    """Catalogue triads that passed every test, in the order in which they were found.
+
+    Parameters
+    ----------
+    stars : int (T, 3)
+        Image stars.
+    catalog : int (T, 3)
+        Place in the sub-catalogue of the star that each may be.
+    rotations : (T, 2)
+        Angles that turn the vectors 1-2 and 1-3 of the image into the catalogue's, in the arithmetic's format.
+    group : int (T,)
+        Group of each, from 0 in the order of their first members.
+    group_rotations : (K,)
+        Mean rotation of each group.
+    """
+
+    stars: IntArray
+    catalog: IntArray
+    rotations: Numbers
+    group: IntArray
+    group_rotations: Numbers
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    @property
+    def group_sizes(self) -> IntArray:
+        """Triads in each group (K,)."""
+        return np.bincount(self.group, minlength=len(self.group_rotations))
+
+
+def image_pairs(count: int) -> tuple[IntArray, IntArray]:
+    """Pairs i < j of `count` image stars in the order 1-2, 1-3, ..., 2-3, ..."""
+    i, j = np.triu_indices(count, 1)
+    return i.astype(np.int64), j.astype(np.int64)
+
+
+class _Side(NamedTuple):
+    """Catalogue pairs that one image pair may be, both ways round: partners of each star, ascending."""
+
+    begin: IntArray  # (stars + 1,) where each star's partners begin
+    partner: IntArray
+
+
+def _side(tables: TriadTables, low: int, high: int) -> _Side:
+    first, second = tables.first[low:high], tables.second[low:high]
+    stars = max(len(tables), 1)
+    codes = np.sort(np.concatenate([first * stars + second, second * stars + first]))
+    return _Side(np.searchsorted(codes, stars * np.arange(stars + 1)), codes % stars)
+
+
+@njit(cache=True, error_model="numpy")
+def join_sides(one: _Side, two: _Side, three: _Side) -> IntArray:
+    """Catalogue triads (K, 3), ascending, whose sides are all among the pairs of the image's sides 1-2, 1-3 and 2-3.
+
+    For each pair (a, b) of side 1-2 the partners of a in 1-3 and those of b in 2-3 are two rising lists; what stands
+    in both completes the triad.
+    """
+    out = np.empty((64, 3), np.int64)
+    count = 0
+    for a in range(len(one.begin) - 1):
+        for k in range(one.begin[a], one.begin[a + 1]):
+            b = one.partner[k]
+            p, q = two.begin[a], three.begin[b]
+            while p < two.begin[a + 1] and q < three.begin[b + 1]:
+                if two.partner[p] < three.partner[q]:
+                    p += 1
+                elif two.partner[p] > three.partner[q]:
+                    q += 1
+                else:
+                    if count == len(out):
+                        out = np.concatenate((out, np.empty_like(out)))
+                    out[count, 0], out[count, 1], out[count, 2] = a, b, two.partner[p]
+                    count += 1
+                    p += 1
+                    q += 1
+    return out[:count].copy()
+
+
+def find_triads(
+    image: Any, stars: int, separations: Numbers, tables: TriadTables, limits: TriadLimits
+) -> tuple[Triads, IntArray]:
+    """Every catalogue triad that some three image stars may be, grouped by rotation.
+
+    Parameters
+    ----------
+    image : object
+        Image stars as the tables' arithmetic keeps them.
+    stars : int
+        How many of them, the first ones, make triangles.
+    separations : (P,)
+        Of these, in the order of `image_pairs`.
+    tables : TriadTables
+        The sub-catalogue.
+    limits : TriadLimits
+        Thresholds.
+
+    Returns
+    -------
+    triads : Triads
+    pair_counts : int (P,)
+        Catalogue pairs found for each image pair.
+    """
+    arithmetic = tables.arithmetic
+    low, high = tables.windows(separations, limits.pair_tolerances(arithmetic, len(separations)))
+    i, j = image_pairs(stars)
+    sides = {(int(p), int(q)): _side(tables, int(a), int(b)) for p, q, a, b in zip(i, j, low, high, strict=True)}
+    rotation_tolerance = arithmetic.angle_of(limits.rotation_tolerance_deg)
+    found = []
+    for p, q, r in combinations(range(stars), 3):
+        catalog = join_sides(sides[p, q], sides[p, r], sides[q, r])
+        if not len(catalog):
+            continue
+        seen = np.broadcast_to(np.array([p, q, r]), catalog.shape)
+        rotations = np.stack([_rotations(arithmetic, image, tables.sky, seen, catalog, to) for to in (1, 2)], axis=1)
+        keep = arithmetic.angles_agree(rotations[:, 0], rotations[:, 1], rotation_tolerance)
+        seen, catalog, rotations = seen[keep], catalog[keep], rotations[keep]
+        if limits.enclosed_tolerance_deg is not None and len(catalog):
+            tolerance = arithmetic.angle_of(limits.enclosed_tolerance_deg)
+            inner = arithmetic.image_enclosed(image, *seen[:1].T)
+            agree = [
+                arithmetic.angles_agree(ours, theirs, tolerance)
+                for ours, theirs in zip(inner, arithmetic.catalog_enclosed(tables.sky, *catalog.T), strict=True)
+            ]
+            keep = np.logical_and.reduce(agree)
+            seen, catalog, rotations = seen[keep], catalog[keep], rotations[keep]
+        found.append((seen, catalog, rotations))
+    none = np.empty((0, 3), dtype=np.int64)
+    found.append((none, none, np.empty((0, 2), dtype=np.asarray(arithmetic.angle_of(0.0)).dtype)))
+    seen, catalog, rotations = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    group, means = _grouped(arithmetic, rotations, limits)
+    return Triads(seen, catalog, rotations, group, means), high - low
+
+
+def _rotations(arithmetic: Arithmetic, image: Any, sky: Any, seen: IntArray, catalog: IntArray, to: int) -> Numbers:
+    return arithmetic.rotations(
+        arithmetic.catalog_directions(sky, catalog[:, 0], catalog[:, to]),
+        arithmetic.image_directions(image, seen[:1, 0], seen[:1, to]),
+    )
+
+
+def _grouped(arithmetic: Arithmetic, rotations: Numbers, limits: TriadLimits) -> tuple[IntArray, Numbers]:
+    mean = arithmetic.mean_rotations(rotations[:, 0], rotations[:, 1])
+    tolerance = arithmetic.angle_of(limits.grouping_tolerance_deg)
+    group, origin, total, count = group_rotations(mean, tolerance, arithmetic.full_turn)
+    means = [arithmetic.group_mean(o, t, int(n)) for o, t, n in zip(origin, total, count, strict=True)]
+    return group, np.array(means, dtype=mean.dtype)
+
+
+@njit(cache=True, error_model="numpy")
+def group_rotations(mean: Numbers, tolerance: Any, full_turn: Any) -> tuple[IntArray, Numbers, Numbers, IntArray]:
+    """Sort angles one by one into groups: the first whose running mean is within the tolerance, else a new one.
+
+    A group's mean is origin + total/count, the origin its first member. |angle − mean| ≤ tolerance is compared as
+    |count (angle − origin) − total| ≤ tolerance × count, which needs no division and is the same for integers.
+
+    Parameters
+    ----------
+    mean : (T,)
+        Angles in [0, full_turn), floating point or integer.
+    tolerance, full_turn : number
+        Of the same type.
+
+    Returns
+    -------
+    group : int (T,)
+    origin, total : (K,)
+        Of the groups; `total` is the sum of differences from the origin.
+    count : int (K,)
+    """
+    n = len(mean)
+    group = np.empty(n, np.int64)
+    origin, total = np.empty_like(mean), np.empty_like(mean)
+    count = np.zeros(n, np.int64)
+    groups = 0
+    for t in range(n):
+        found = -1
+        step = mean[t] - mean[t]
+        for g in range(groups):
+            step = mean[t] - origin[g]
+            # on the side of the circle where the group's mean is
+            off = step * count[g] - total[g]
+            if 2 * off >= full_turn * count[g]:
+                step -= full_turn
+            elif 2 * off < -full_turn * count[g]:
+                step += full_turn
+            if abs(step * count[g] - total[g]) <= tolerance * count[g]:
+                found = g
+                break
+        if found < 0:
+            found = groups
+            groups += 1
+            origin[found] = mean[t]
+            total[found] = step - step
+            step = total[found]
+        group[t] = found
+        total[found] += step
+        count[found] += 1
+    return group, origin[:groups].copy(), total[:groups].copy(), count[:groups].copy()

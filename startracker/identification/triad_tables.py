@@ -1,0 +1,111 @@
+"""The databases of identification by triads: a sub-catalogue and its pairs sorted by separation (Yee 1999, 2.3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from startracker.errors import InputError
+from startracker.identification.arithmetic import Arithmetic, Numbers
+
+__all__ = ["TriadTables"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ROUNDING = 1e-9
+"""Relative allowance of the search for pairs; what is really too far apart is left out afterwards."""
+
+
+@dataclass(frozen=True, eq=False)
+class TriadTables:
+    """Sub-catalogue and pair database in the format of one arithmetic.
+
+    Parameters
+    ----------
+    arithmetic : Arithmetic
+        Whose numbers these are.
+    id : int (G,)
+        Catalogue number of each star, HR for the thesis' catalogue.
+    v_mag : (G,)
+        Visual magnitudes, which say which of several stars is the brightest.
+    sky : object
+        The stars' coordinates as the arithmetic keeps them.
+    separation : (P,)
+        Separations of the pairs, ascending; equal ones in the order of `first`, then `second`.
+    first, second : int (P,)
+        Places of the two stars in the sub-catalogue, `first` < `second`.
+    """
+
+    arithmetic: Arithmetic
+    id: IntArray
+    v_mag: FloatArray
+    sky: Any
+    separation: Numbers
+    first: IntArray
+    second: IntArray
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @classmethod
+    def build(
+        cls,
+        arithmetic: Arithmetic,
+        star_id: ArrayLike,
+        ra_deg: ArrayLike,
+        dec_deg: ArrayLike,
+        v_mag: ArrayLike,
+        max_separation_deg: float,
+    ) -> TriadTables:
+        """Databases of the stars given, of all pairs up to the largest separation that the camera holds.
+
+        Raises
+        ------
+        InputError
+            Columns that differ in length or hold values that are not finite; a separation that is not in (0, 180].
+        """
+        number = np.array(star_id, dtype=np.int64)
+        ra, dec, magnitude = (np.array(column, dtype=float) for column in (ra_deg, dec_deg, v_mag))
+        if not (number.shape == ra.shape == dec.shape == magnitude.shape and number.ndim == 1):
+            raise InputError("a sub-catalogue needs columns of one length: numbers, coordinates, magnitudes")
+        if not all(np.isfinite(column).all() for column in (ra, dec, magnitude)):
+            raise InputError("a sub-catalogue needs finite coordinates and magnitudes")
+        if not 0.0 < max_separation_deg <= 180.0:
+            raise InputError(f"the largest separation is {max_separation_deg}°; it must be in (0, 180]")
+        a, d = np.radians(ra), np.radians(dec)
+        vectors = np.column_stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
+        chord = 2.0 * np.sin(np.radians(max_separation_deg) / 2.0)
+        pairs = np.empty((0, 2), dtype=np.int64)
+        if len(vectors):
+            reach = chord * (1.0 + _ROUNDING) + _ROUNDING
+            pairs = cKDTree(vectors).query_pairs(reach, output_type="ndarray").astype(np.int64)
+        first, second = pairs.min(axis=1), pairs.max(axis=1)
+        keep = np.linalg.norm(vectors[first] - vectors[second], axis=1) <= chord
+        sky = arithmetic.sky(ra, dec, max_separation_deg)
+        return cls.of_pairs(arithmetic, number, magnitude, sky, first[keep], second[keep])
+
+    @classmethod
+    def of_pairs(
+        cls,
+        arithmetic: Arithmetic,
+        star_id: IntArray,
+        v_mag: FloatArray,
+        sky: Any,
+        first: IntArray,
+        second: IntArray,
+    ) -> TriadTables:
+        """Databases of pairs that are known already."""
+        separation = arithmetic.catalog_separations(sky, first, second)
+        order = np.lexsort((second, first, separation))
+        return cls(arithmetic, star_id, v_mag, sky, separation[order], first[order], second[order])
+
+    def windows(self, separations: Numbers, tolerance: Numbers) -> tuple[IntArray, IntArray]:
+        """Half-open ranges [low, high) of the pairs within the tolerance of each separation, by binary search."""
+        low = np.searchsorted(self.separation, separations - tolerance, side="left")
+        high = np.searchsorted(self.separation, separations + tolerance, side="right")
+        return low.astype(np.int64), high.astype(np.int64)

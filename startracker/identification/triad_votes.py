@@ -1,0 +1,240 @@
+"""From groups of triads to matched stars: votes, multiple stars, the final check (Yee 1999, section 2.3.4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.identification.arithmetic import Arithmetic, Numbers
+from startracker.identification.triad_search import TriadLimits, Triads, find_triads, image_pairs
+from startracker.identification.triad_tables import TriadTables
+
+__all__ = ["COMBINED_ID", "GroupMatch", "TriadMatch", "Vote", "combine_separation", "match_triads"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+COMBINED_ID = 10_000
+"""Added to the number of the brightest of several stars that are one in the image: 7139 becomes 17139."""
+
+
+@dataclass(frozen=True)
+class Vote:
+    """A catalogue star, or several too close to be told apart, that an image star may be.
+
+    Parameters
+    ----------
+    catalog : int
+        Place in the sub-catalogue; of several the brightest.
+    members : tuple of int
+        Places of all of them.
+    frequency : int
+        Triads of the group that name it.
+    """
+
+    catalog: int
+    members: tuple[int, ...]
+    frequency: int
+
+    def number(self, tables: TriadTables) -> int:
+        """Catalogue number, of several the brightest's plus 10,000."""
+        return int(tables.id[self.catalog]) + (COMBINED_ID if len(self.members) > 1 else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class GroupMatch:
+    """What one group of triads says.
+
+    Parameters
+    ----------
+    group : int
+        Which.
+    votes : tuple of tuple of Vote
+        Of each image star, brightest first, combined ones last.
+    winners : tuple of (Vote or None)
+        Of each image star, the vote that won.
+    matches : tuple of (Vote or None)
+        The same after the final check of separations.
+    """
+
+    group: int
+    votes: tuple[tuple[Vote, ...], ...]
+    winners: tuple[Vote | None, ...]
+    matches: tuple[Vote | None, ...]
+
+    @property
+    def matched(self) -> int:
+        """Stars matched."""
+        return sum(match is not None for match in self.matches)
+
+    @property
+    def pairs(self) -> IntArray:
+        """Image star and place in the sub-catalogue of each match (M, 2)."""
+        found = [(star, match.catalog) for star, match in enumerate(self.matches) if match is not None]
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class TriadMatch:
+    """Every step of one identification.
+
+    Parameters
+    ----------
+    tables : TriadTables
+        The sub-catalogue.
+    scale_deg : (2,)
+        Degrees a pixel, across and down.
+    limits : TriadLimits
+        The thresholds.
+    stars : int
+        Image stars.
+    separations : (P,)
+        Of the image stars, in the order of `image_pairs`.
+    pair_counts : int (P,)
+        Catalogue pairs found for each.
+    triads : Triads
+        What passed the tests, grouped.
+    """
+
+    tables: TriadTables
+    scale_deg: ArrayLike
+    limits: TriadLimits
+    stars: int
+    separations: Numbers
+    pair_counts: IntArray
+    triads: Triads
+
+    def groups(self) -> IntArray:
+        """Groups by falling size, of equal ones in the order found."""
+        return np.argsort(-self.triads.group_sizes, kind="stable")
+
+    def candidates(self) -> Iterator[GroupMatch]:
+        """Groups that match at least three stars, the largest first, those that follow for who asks on.
+
+        Her program looked at the largest groups alone; the others follow as her section 5.2 recommends.
+        """
+        for group in self.groups():
+            found = self.vote(int(group))
+            if found.matched >= 3:
+                yield found
+
+    def best(self) -> GroupMatch | None:
+        """The first group that matches three stars; None where none does."""
+        return next(self.candidates(), None)
+
+    def vote(self, group: int) -> GroupMatch:
+        """Count the votes of a group's triads and check what wins."""
+        arithmetic, tables, limits = self.tables.arithmetic, self.tables, self.limits
+        members = self.triads.group == group
+        seen, catalog = self.triads.stars[members], self.triads.catalog[members]
+        close = combine_separation(arithmetic, self.scale_deg, limits.combine_px)
+        unique = limits.three_stars and self.stars == 3 and len(self.triads.group_rotations) == 1
+        needed = 1 if unique else limits.vote_number
+        votes = tuple(_votes(tables, catalog[seen == star], close) for star in range(self.stars))
+        winners = tuple(_winner(possible, needed) for possible in votes)
+        return GroupMatch(group, votes, winners, self._checked(winners))
+
+    def _checked(self, winners: tuple[Vote | None, ...]) -> tuple[Vote | None, ...]:
+        """Drop matches until all separations agree, each time the one with most disagreements, of equal ones the last.
+
+        Several stars that are one in the image agree where one of them does: what is seen lies between them.
+        """
+        left = list(winners)
+        tolerance = self.limits.pair_tolerances(self.tables.arithmetic, len(self.separations))
+        wrong = np.zeros((self.stars, self.stars), dtype=bool)
+        for pair, (i, j) in enumerate(zip(*image_pairs(self.stars), strict=True)):
+            one, other = winners[i], winners[j]
+            if one is not None and other is not None:
+                agrees = self._agree(one, other, self.separations[pair], tolerance[pair])
+                wrong[i, j] = wrong[j, i] = not agrees
+        while wrong.any():
+            count = wrong.sum(axis=1)
+            worst = int(np.flatnonzero(count == count.max())[-1])
+            left[worst] = None
+            wrong[worst, :] = wrong[:, worst] = False
+        return tuple(left)
+
+    def _agree(self, one: Vote, other: Vote, separation: Any, tolerance: Any) -> bool:
+        i, j = (grid.ravel() for grid in np.meshgrid(one.members, other.members))
+        theirs = self.tables.arithmetic.catalog_separations(self.tables.sky, i, j)
+        return bool(self.tables.arithmetic.separations_agree(separation, theirs, tolerance).any())
+
+
+def combine_separation(arithmetic: Arithmetic, scale_deg: ArrayLike, radius_px: float) -> Any:
+    """Separation up to which stars are one in the image: the larger of τ pixels across and τ pixels down (eq. 2.4)."""
+    probe = arithmetic.image([[0.0, 0.0], [radius_px, 0.0], [0.0, radius_px]], scale_deg)
+    apart = arithmetic.image_separations(probe, np.array([0, 0]), np.array([1, 2]))
+    return apart.max()
+
+
+def match_triads(
+    tables: TriadTables, xy_px: ArrayLike, scale_deg: ArrayLike, limits: TriadLimits | None = None
+) -> TriadMatch:
+    """Identify image stars by triads (Yee 1999, section 2.3.4), in the tables' arithmetic.
+
+    Parameters
+    ----------
+    tables : TriadTables
+        The sub-catalogue.
+    xy_px : (N, 2)
+        Centroids, x right and y up from the image's centre, brightest first; all are used.
+    scale_deg : (2,)
+        Degrees a pixel, across and down.
+    limits : TriadLimits, optional
+        Thresholds.
+
+    Returns
+    -------
+    TriadMatch
+        Whose `best` is the answer; its groups, triads and separations are the steps on the way.
+
+    Raises
+    ------
+    InputError
+        Centroids or scales that are not finite.
+    """
+    limits = limits or TriadLimits()
+    arithmetic = tables.arithmetic
+    image = arithmetic.image(xy_px, scale_deg)
+    stars = len(np.asarray(xy_px))
+    separations = arithmetic.image_separations(image, *image_pairs(stars))
+    triads, counts = find_triads(image, stars, separations, tables, limits)
+    return TriadMatch(tables, scale_deg, limits, stars, separations, counts, triads)
+
+
+def _votes(tables: TriadTables, catalog: IntArray, close: Any) -> tuple[Vote, ...]:
+    """Stars that are named and how often, brightest first; then those of them that are one in the image."""
+    place, frequency = np.unique(catalog, return_counts=True)
+    order = np.lexsort((place, tables.v_mag[place]))
+    place, frequency = place[order], frequency[order]
+    single = [Vote(int(p), (int(p),), int(f)) for p, f in zip(place, frequency, strict=True)]
+    combined = []
+    for members in _chains(tables, place, close):
+        stars = tuple(int(p) for p in place[members])
+        combined.append(Vote(stars[0], stars, int(frequency[members].sum())))
+    return tuple(single + combined)
+
+
+def _chains(tables: TriadTables, place: IntArray, close: Any) -> list[IntArray]:
+    """Sets of several stars that hang together by separations of at most `close`, as rising indices into `place`."""
+    label = np.arange(len(place))
+    i, j = image_pairs(len(place))
+    near = tables.arithmetic.catalog_separations(tables.sky, place[i], place[j]) <= close
+    for a, b in zip(i[near], j[near], strict=True):
+        low, high = sorted((label[a], label[b]))
+        label[label == high] = low
+    several = np.flatnonzero(np.bincount(label, minlength=len(place)) > 1)
+    return [np.flatnonzero(label == value) for value in several]
+
+
+def _winner(votes: tuple[Vote, ...], needed: int) -> Vote | None:
+    """The one named most often, if that is often enough and no other is named as often."""
+    if not votes:
+        return None
+    most = max(vote.frequency for vote in votes)
+    top = [vote for vote in votes if vote.frequency == most]
+    return top[0] if len(top) == 1 and most >= needed else None

@@ -1,0 +1,164 @@
+"""Identification by triads (Yee 1999, section 2.3.4), accepted by probability.
+
+1. Every triangle of the brightest stars is looked for in the sorted pairs of guide stars (`triad_search`): three
+   separations, the rotations of two sides, the inner angles.
+2. Triads are grouped by rotation, and the votes of a group name each star (`triad_votes`), the largest group first.
+3. The attitude of each group that names three stars is checked against all stars of the field and accepted by
+   probability (`hypothesis`), where the thesis takes the largest group as it is.
+
+The image is laid in the plane that touches the sphere at the boresight, and the geometry is exact
+(`FloatArithmetic(exact=True)`), so that separations are matched within the centroids' errors: those stated first, then
+within 3 and 10 times those. Rotations refer to the celestial pole. In its neighbourhood the meridians run together, and
+triads agree on one only where they share their first star; the groups are smaller there, but large enough.
+"""
+
+from __future__ import annotations
+
+import math
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.fixed_point.formats import FixedPointOverflow
+from startracker.fixed_point.wide import WideArithmetic
+from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
+from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
+from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.pairs import observed_pairs, pair_tolerance
+from startracker.identification.triad_search import TriadLimits
+from startracker.identification.triad_tables import TriadTables
+from startracker.identification.triad_votes import match_triads
+from startracker.settings import IdentificationSettings
+from startracker.solution import Status
+
+__all__ = ["triads", "triads_integer"]
+
+FloatArray = NDArray[np.float64]
+
+_MOST_STARS = 12
+"""Brightest observed stars that make triads (thesis section 2.3.4), unless the settings ask for more."""
+_MOST_GROUPS = 12
+"""Groups checked at one scale."""
+_WIDEST = 0.01
+"""Errors are not assumed larger than this share of the field's half diagonal, unless stated so."""
+_LOWEST = 0.2
+"""Cosine from the boresight below which a star is not laid in the tangent plane."""
+_COMBINE_PX = 4.0
+"""Guide stars this close in the image are one; closer doubles than the camera resolves are merged already."""
+_TABLES: WeakKeyDictionary[PairList, dict[Arithmetic, TriadTables]] = WeakKeyDictionary()
+
+
+def triads(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """Identify observed stars, lost in space or around a prior attitude.
+
+    Parameters
+    ----------
+    observed : Observed
+        Brightest first; the 12 brightest (or `settings.max_stars`, if that is more) make triads, all verify.
+    guide : GuideDatabase
+        As the observer sees it.
+    settings : IdentificationSettings
+        `separation_tolerance_deg`, `rotation_tolerance_deg`, `enclosed_tolerance_deg`, `grouping_tolerance_deg`,
+        `vote_number`, `three_stars`, `min_stars`, `max_stars`, `false_alarm_rate`.
+    prior : Prior, optional
+        Confines the guide pairs to what the prior allows.
+
+    Returns
+    -------
+    Identification
+        Status, reason and pairs. Never raises for what was observed.
+    """
+    return _identify(observed, guide, settings or IdentificationSettings(), prior, FloatArithmetic(exact=True))
+
+
+def triads_integer(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """The same, triads and votes in 64-bit integers (`startracker.fixed_point.wide`).
+
+    What does not fit the formats, a star 83° from the boresight, is ``no_match`` with the overflow as its reason.
+    """
+    try:
+        return _identify(observed, guide, settings or IdentificationSettings(), prior, WideArithmetic())
+    except FixedPointOverflow as overflow:
+        return Identification(Status.NO_MATCH, str(overflow))
+
+
+def _identify(
+    observed: Observed,
+    guide: GuideDatabase,
+    settings: IdentificationSettings,
+    prior: Prior | None,
+    arithmetic: Arithmetic,
+) -> Identification:
+    least = max(settings.min_stars, 3)
+    if len(observed) < least:
+        reason = f"{len(observed)} stars seen, {least} are needed"
+        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+    bench = Bench(settings, prior, len(observed))
+    before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[: max(_MOST_STARS, settings.max_stars)]
+    vectors = observed.vectors[before]
+    pixel_deg = math.degrees(guide.camera.pixel_rad)
+    # x as the columns run, y up; one pixel is its angle at the boresight
+    xy = vectors[:, :2] / vectors[:, 2:] * [1.0, -1.0] / guide.camera.pixel_rad
+    fixed = settings.separation_tolerance_deg
+    scales: tuple[float, ...] = SCALES if fixed is None else SCALES[-1:]
+    largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
+    scales = tuple(scale for scale in scales if scale <= largest) or scales[:1]
+    tables = _tables(guide, prior, arithmetic)
+    i, j, separations = observed_pairs(vectors)
+    verdict = bench.judge(observed)
+    for scale in scales:
+        tolerance = pair_tolerance(
+            observed.sigma_rad[before] * scale, i, j, separations, None if fixed is None else math.radians(fixed)
+        )
+        limits = TriadLimits(
+            separation_tolerance_deg=tuple(np.degrees(tolerance).tolist()),
+            rotation_tolerance_deg=settings.rotation_tolerance_deg,
+            enclosed_tolerance_deg=settings.enclosed_tolerance_deg,
+            grouping_tolerance_deg=settings.grouping_tolerance_deg,
+            vote_number=settings.vote_number,
+            combine_px=_COMBINE_PX,
+            three_stars=settings.three_stars,
+        )
+        match = match_triads(tables, xy, (pixel_deg, pixel_deg), limits)
+        checked = 0
+        for found in match.candidates():
+            seen, stars = before[found.pairs[:, 0]], found.pairs[:, 1]
+            weight = 1.0 / observed.sigma_rad[seen] ** 2
+            matrix = fit_rotation(observed.vectors[seen], guide.directions[stars], weight)
+            bench.add(verify(matrix, observed, guide, scale))
+            checked += 1
+            if bench.surely or checked == _MOST_GROUPS:
+                break
+        sizes = match.triads.group_sizes
+        bench.note(
+            f"triads within {scale:g} stated errors: {len(match.triads)} in {len(sizes)} groups, the largest of "
+            f"{sizes.max(initial=0)}; {checked} groups name three stars"
+        )
+        verdict = bench.judge(observed)
+        if verdict.status is Status.SOLVED:
+            break
+    return verdict
+
+
+def _tables(guide: GuideDatabase, prior: Prior | None, arithmetic: Arithmetic) -> TriadTables:
+    """Tables of the guide stars, of the whole sky or about a prior attitude; places are the guide's own."""
+    pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
+    known = _TABLES.setdefault(pairs, {})
+    if arithmetic not in known:
+        x, y, z = guide.directions.T
+        sky = arithmetic.sky(np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y))), 180.0)
+        first, second = pairs.first.astype(np.int64), pairs.second.astype(np.int64)
+        known[arithmetic] = TriadTables.of_pairs(arithmetic, guide.catalog.id, guide.v_mag, sky, first, second)
+    return known[arithmetic]

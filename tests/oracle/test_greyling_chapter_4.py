@@ -1,0 +1,203 @@
+"""Chapter 4 of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", against its print.
+
+Values that come out exactly are held to their printed digits; the others to formulas of their own: sums in NumPy and
+SciPy's Bessel functions, which share nothing with the study. Statistical tolerances are derived beside each.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import j1
+
+from simulator.study.greyling1995.blur import CRITERIA, airy_bias, airy_pattern, best_sigma, sigma_of_bias, spread
+from simulator.study.greyling1995.blur import section as blur_section
+from simulator.study.greyling1995.centroiding import section as centroiding_section
+from simulator.study.greyling1995.digits import compare_cut, cut_off
+from simulator.study.greyling1995.segmentation import mars_diameters_arcsec, success_rate, thesis_settings
+from simulator.study.greyling1995.segmentation import section as segmentation_section
+from simulator.study.greyling1995.star_images import (
+    OFFSETS,
+    distortion_errors,
+    moments,
+    noise_errors,
+    smear_errors,
+    star_stamps,
+    tracker_errors,
+)
+
+
+def verdicts(section):
+    return {(row.where, row.quantity): row.verdict for row in section.rows}
+
+
+@pytest.fixture(scope="module")
+def blur():
+    return blur_section()
+
+
+@pytest.fixture(scope="module")
+def centroids():
+    return centroiding_section(seeds=50)
+
+
+def test_digits_cut_off():
+    assert cut_off("0.010284", 0.0102847)
+    assert not cut_off("0.010284", 0.0102851)
+    assert not cut_off("0.010284", 0.0102839)
+    assert compare_cut("", "", "1.89", 1.8954).verdict == "exact"
+    assert compare_cut("", "", "1.89", 1.9).verdict == "close"
+
+
+def test_airy_pattern_is_that_of_the_bessel_function():
+    x = np.linspace(0.05, 12.0, 200)
+    np.testing.assert_allclose(airy_pattern(x), (2 * j1(x) / x) ** 2, rtol=1e-12)
+    assert airy_pattern(0.0) == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "sigma"),
+    [("range of the error (max − min)", 1.34985), ("largest absolute error", 1.3246), ("rms error", 1.336)],
+)
+def test_best_sigma_by_brute_force(criterion, sigma):
+    assert best_sigma(CRITERIA[criterion]) == pytest.approx(sigma, abs=5e-5)
+    x = 0.1 * np.arange(1, 51)
+    grid = np.arange(1.30, 1.40, 1e-4)
+    errors = np.exp(-(x**2) / (2 * grid[:, None] ** 2)) - (2 * j1(x) / x) ** 2
+    measure = {
+        "range of the error (max − min)": np.ptp(errors, axis=1),
+        "largest absolute error": np.abs(errors).max(axis=1),
+        "rms error": (errors**2).sum(axis=1),
+    }[criterion]
+    assert grid[np.argmin(measure)] == pytest.approx(best_sigma(CRITERIA[criterion]), abs=1.01e-4)
+
+
+def test_sigma_whose_bias_is_the_airy_patterns():
+    assert round(sigma_of_bias(), 2) == 1.23
+    grid = np.arange(1.20, 1.26, 1e-3)
+    i, offsets = np.arange(-2, 3), np.arange(11) * 0.05
+    weight = np.exp(-((i - offsets[:, None]) ** 2) / (2 * grid[:, None, None] ** 2))
+    bias = offsets - (weight * i).sum(axis=2) / weight.sum(axis=2)
+    misfit = ((bias - airy_bias(offsets)) ** 2).sum(axis=1)
+    assert grid[np.argmin(misfit)] == pytest.approx(sigma_of_bias(), abs=1.01e-3)
+    assert airy_bias([0.5])[0] == pytest.approx(0.10855, abs=1e-3)  # "near perfect match"
+
+
+def test_share_of_the_nine_pixels():
+    i = np.arange(-2, 3)
+    line = np.exp(-(i**2) / (2 * 1.23**2))
+    image = spread(1.23)
+    assert image[1:4, 1:4].sum() / image.sum() == pytest.approx((line[1:4].sum() / line.sum()) ** 2, rel=1e-12)
+
+
+def test_verdicts_of_the_stellar_image(blur):
+    by = {row.quantity: row for row in blur.rows}
+    exact = [quantity for quantity, row in by.items() if row.verdict == "exact"]
+    assert "diameter of the Airy disk, f/1.4, 555 nm" in exact
+    assert "σ whose centroid bias is the Airy pattern's" in exact
+    assert by["σ of least error between Gaussian and Airy"].computed == "1.34985"
+    assert by["largest relative error in the central region"].verdict == "differs"
+    assert by["share of the central 3 × 3 in the 5 × 5 pixels"].computed.startswith("67.3 %")
+
+
+def test_moment_of_the_kernel_is_the_plain_sum():
+    stamps = star_stamps(OFFSETS, 1.1, 1.4)
+    i = np.arange(-2, 3)
+    plain = (stamps * i).sum(axis=(1, 2)) / stamps.sum(axis=(1, 2))
+    np.testing.assert_allclose(moments(stamps), plain, atol=2e-7)  # single precision of an image
+
+
+def test_table_4_1_and_4_2_come_out_as_printed(centroids):
+    rows = [row for row in centroids.rows if row.where == "Table 4.1"]
+    assert len(rows) == 11
+    assert {row.verdict for row in rows} == {"exact"}
+    table = [row for row in centroids.rows if row.where == "Table 4.2"]
+    assert [row.verdict for row in table].count("exact") == 7
+    (misprint,) = [row for row in table if row.verdict == "differs"]
+    assert (misprint.printed, misprint.computed) == ("0.025°", "0.00250°")
+
+
+def test_printed_noise_errors_are_what_a_seed_may_give(centroids):
+    assert [row.verdict for row in centroids.rows if row.where == "Fig. 4.10"] == ["close", "close"]
+
+
+def test_noise_error_has_the_variance_of_a_first_moment():
+    """Uniform noise ±A: var(m) = A²/3 Σ (i − m)² / S², first order. 3000 draws of eleven offsets have a relative error
+    of 1/√(2·33000) = 0.4 % of the standard deviation: 4σ are 1.6 %; the second order is (noise of S / S)² = 1e-4."""
+    errors = noise_errors(40.0, 3000)
+    stamps = star_stamps()
+    i = np.arange(-2, 3)
+    total = stamps.sum(axis=(1, 2))
+    spreads = ((i - moments(stamps)[:, None]) ** 2).sum(axis=1) * 5
+    expected = 0.01 / math.sqrt(3.0) * np.sqrt(np.mean(spreads / total**2))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(expected, rel=0.016)
+
+
+def test_smear_is_that_of_a_long_sum():
+    t = (np.arange(20_000) + 0.5) / 20_000 - 0.5
+    i = np.arange(-2, 3)
+    rate, angle, offset = 8.0, math.radians(30.0), 0.35
+    x = offset + rate * 0.5 * math.cos(angle) * t
+    y = rate * 0.5 * math.sin(angle) * t
+    image = np.einsum(
+        "ti,tj->ji", np.exp(-((i - x[:, None]) ** 2) / (2 * 1.23**2)), np.exp(-((i - y[:, None]) ** 2) / (2 * 1.23**2))
+    )
+    still = np.exp(-((i - offset) ** 2) / (2 * 1.23**2))
+    error = (still * i).sum() / still.sum() - (image * i).sum() / image.sum()
+    assert smear_errors(rate, 30.0)[7] == pytest.approx(error, abs=2e-5)  # nodes: 1e-4 of the peak at the most
+    assert smear_errors(rate, 90.0) == pytest.approx(np.zeros(11), abs=1e-6)
+
+
+def test_distortion_of_20_per_cent_costs_nearly_0_09():
+    assert round(float(distortion_errors(0.8)[-1]), 2) == 0.09
+    # the printed claim that 50 % stays below 0.1 L does not hold
+    assert np.abs(distortion_errors(0.5)).max() > 0.2
+
+
+def test_our_tracker_has_no_bias_and_does_not_mind_distortion():
+    assert np.abs(tracker_errors()).max() < 1e-6
+    assert np.abs(tracker_errors(1.23 / 0.8, 1.23)).max() < 1e-6
+    assert len(tracker_errors()) == 81
+    assert np.abs(tracker_errors(snr_db=20.0)).max() > 0.05
+
+
+@pytest.mark.parametrize("rule", ["first", "brightest"])
+def test_region_growing_deteriorates_below_30_db(rule):
+    assert success_rate(40.0, 3, rule=rule).clean == 1.0
+    assert success_rate(25.0, 3, rule=rule).clean == 0.0
+
+
+def test_the_trackers_own_settings_bear_more_noise():
+    assert success_rate(25.0, 3, rule="tracker").clean == 1.0
+
+
+def test_alien_objects_are_told_from_stars():
+    odd = success_rate(60.0, 5, aliens=True)
+    assert (odd.clean, odd.false_objects) == (1.0, 0.0)
+
+
+def test_thesis_limits():
+    settings = thesis_settings(5.0)
+    assert (settings.min_pixels, settings.max_pixels, settings.search_step_px) == (7, 36, 3)
+
+
+def test_mars_is_seconds_of_arc_across():
+    # Meeus, Astronomical Algorithms, ch. 55: semidiameter 4.68″ at 1 au; nearest in 2003 at 0.3727 au, 25.1″
+    least, most = mars_diameters_arcsec()
+    assert most == pytest.approx(2 * 4.68 / 0.3727, rel=2e-3)
+    assert 3.4 < least < 3.6
+
+
+def test_verdicts_of_region_growing():
+    section = segmentation_section(frames=5)
+    assert verdicts(section)["§ 4.2.1", "pixels searched, 512 × 512"] == "exact"
+    assert verdicts(section)["§ 4.2.3", "SNR below which the performance deteriorates rapidly"] == "close"
+
+
+def test_figures_of_chapter_4_draw(blur, centroids):
+    for made in (blur, centroids, segmentation_section(frames=1)):
+        assert made.figures
+        for name in made.figures:
+            figure = made.figure(name)
+            assert any(ax.get_xlabel() for ax in figure.axes)
+            assert any(ax.get_ylabel() for ax in figure.axes)

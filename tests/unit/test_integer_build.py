@@ -1,0 +1,92 @@
+"""The integer tracker in the study and as an identifier of the tracker."""
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from simulator.study.c_build import HOST, M68K, Target, compile_export
+from simulator.study.yee1999 import SECTIONS
+from simulator.study.yee1999.integer_build import attitude_differences
+from startracker import Camera
+from startracker.attitude import Attitude
+from startracker.catalog import load_catalog
+from startracker.catalog.guide import GuideDatabase
+from startracker.errors import InputError
+from startracker.fixed_point.export_c import CExport
+from startracker.identification import METHODS, Observed
+from startracker.solution import Status
+
+CAMERA = Camera.from_fov(12.0, 512, 512)
+
+
+def test_attitudes_are_those_of_floating_point():
+    off = attitude_differences()
+    assert len(off) > 40
+    assert np.abs(off).max() < 1.0
+
+
+def test_section(monkeypatch):
+    module = import_module("simulator.study.yee1999.integer_build")  # the package has a function of that name
+    monkeypatch.setattr(module, "M68K", Target("none", "no-such-gcc"))  # its instructions are counted below
+    section = SECTIONS["build"]()
+    rows = {row.quantity: row for row in section.rows}
+    assert rows["centre of the Vega image"].verdict == "close"
+    assert "376 kB" in rows["databases in memory"].computed
+    low, high = rows["fixed-point and floating-point centroids differ by"].computed.removesuffix(" px").split(" to ")
+    assert 0.0 <= float(low) <= float(high) < 1e-4
+    assert rows["database of enclosed angles"].computed == "4.7 MB"
+    assert "by 1 in the last bit" in rows["databases in memory"].why
+    assert rows["fixed point"].computed.endswith("ms")
+    if HOST.missing() is None:
+        assert "heap 0" in rows["memory, this machine"].computed
+    assert not any("68k" in name for name in rows)
+    axes = section.figure("integer_attitude").axes[0]
+    assert "″" in axes.get_xlabel()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(M68K.missing() is not None, reason=f"{M68K.missing()} is not installed")
+def test_section_with_the_68k():
+    rows = {row.quantity: row for row in SECTIONS["build"]().rows}
+    assert rows["fixed point in C on the 68k"].computed.endswith(" instructions")
+    assert "heap 0" in rows[f"memory, {M68K.name}"].computed
+
+
+def test_compilers_that_are_not_there_or_refuse(tmp_path):
+    export = CExport({"tables.c": "int x = ;\n"}, {})
+    with pytest.raises(InputError, match="no-such-gcc is not installed"):
+        compile_export(export, tmp_path, Target("none", "no-such-gcc"))
+    if HOST.missing() is None:
+        with pytest.raises(InputError, match="gcc"):
+            compile_export(export, tmp_path)
+
+
+def test_identifier_of_the_tracker():
+    guide = GuideDatabase.build(load_catalog("hipparcos"), CAMERA, 6.0)
+    rng = np.random.default_rng(5)
+    solved = 0
+    for _ in range(8):
+        attitude = Attitude(rng.normal(size=4), "icrs", "camera")
+        index, _, xy = guide.in_field(attitude.as_matrix(), 0.0, CAMERA)
+        xy = np.vstack([xy + rng.normal(0, 0.1, xy.shape), rng.uniform(0, 511, (2, 2))])
+        flux = np.append(10.0 ** (-0.4 * guide.v_mag[index]), [1e-3, 5e-4])
+        order = np.argsort(-flux)
+        observed = Observed(CAMERA.unproject(xy[order]), flux[order], np.full(len(xy), 0.15 * CAMERA.pixel_rad))
+        ours = METHODS["triads_integer"](observed, guide)
+        theirs = METHODS["triads"](observed, guide)
+        assert ours.status == theirs.status
+        if ours.status is Status.SOLVED:
+            solved += 1
+            assert ours.pairs.tolist() == theirs.pairs.tolist()
+            assert all(index[order[star]] == place for star, place in ours.pairs if order[star] < len(index))
+    assert solved >= 7
+
+
+def test_identifier_says_what_overflowed():
+    guide = GuideDatabase.build(load_catalog("bsc5"), CAMERA, 4.0)
+    wide = np.array([[0.97, 0.0, 0.2431], [0.0, 0.1, 0.995], [0.1, 0.0, 0.995], [0.1, 0.1, 0.99]])
+    observed = Observed(wide, None, np.full(4, 1e-4))
+    assert METHODS["triads_integer"](observed, guide).status in {Status.NO_MATCH, Status.AMBIGUOUS}
+    few = Observed(wide[:2], None, np.full(2, 1e-4))
+    assert METHODS["triads_integer"](few, guide).status is Status.TOO_FEW_STARS
