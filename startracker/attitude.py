@@ -7,6 +7,7 @@ ICRS and the target the camera (+z boresight, +x along increasing column, +y alo
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 
@@ -173,24 +174,28 @@ class Attitude:
 
     def as_matrix(self) -> FloatArray:
         """Matrix A (3, 3) with ``v_target = A @ v_source``."""
+        return self._matrix.copy()
+
+    @functools.cached_property
+    def _matrix(self) -> FloatArray:
         return quat_to_matrix(self.quat)
 
     @property
     def boresight(self) -> FloatArray:
         """Unit vector of the target frame's +z axis in the source frame."""
-        axis: FloatArray = self.as_matrix()[2]
+        axis: FloatArray = self._matrix[2].copy()
         return axis
 
     @property
     def ra_deg(self) -> float:
         """Right ascension of the boresight, degrees in [0, 360)."""
-        x, y, _ = self.boresight.tolist()
+        x, y, _ = self._matrix[2].tolist()
         return math.degrees(_right_ascension(x, y))
 
     @property
     def dec_deg(self) -> float:
         """Declination of the boresight, degrees."""
-        x, y, z = self.boresight.tolist()
+        x, y, z = self._matrix[2].tolist()
         return math.degrees(math.atan2(z, math.hypot(x, y)))
 
     @property
@@ -199,7 +204,7 @@ class Attitude:
 
         At a celestial pole north is the limit along the meridian of `ra_deg`.
         """
-        _, (a, b, c), (x, y, z) = self.as_matrix().tolist()
+        _, (a, b, c), (x, y, z) = self._matrix.tolist()
         ra, across = _right_ascension(x, y), math.hypot(x, y)  # cos Dec; sin Dec is z
         north = z * (math.cos(ra) * a + math.sin(ra) * b) - across * c
         east = math.sin(ra) * a - math.cos(ra) * b
@@ -223,7 +228,7 @@ class Attitude:
 
     def apply(self, vectors: ArrayLike) -> FloatArray:
         """Vectors of shape (..., 3) from the source into the target frame."""
-        return np.asarray(vectors, dtype=float) @ self.as_matrix().T
+        return np.asarray(vectors, dtype=float) @ self._matrix.T
 
     def rotation_vector_to(self, other: Attitude) -> FloatArray:
         """Rotation vector (3,), radians, in target axes, that takes this attitude to `other`.

@@ -166,7 +166,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
-    """Unit vectors (N, 3) in camera axes of pixels (N, 2): the inverse of `project_pinhole`; NaN as `undistort` has it."""
+    """Unit vectors (N, 3) in camera axes of pixels (N, 2): `project_pinhole` undone; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))
     for i in range(len(xy)):
         normalised[i, 0], normalised[i, 1] = (xy[i, 0] - cx) / fx, (xy[i, 1] - cy) / fy

@@ -1,13 +1,13 @@
 """The stages' results in words: what `Solution.steps` and ``boresight solve --explain`` tell.
 
-Each function takes what its stage gave and costs some microseconds: maps are looked at on a lattice of at most
-some thousand pixels, so that the explanation is always there and never paid for.
+Each function takes what its stage gave; the words are made when someone reads them (`startracker.trace.Steps`), maps
+looked at on a lattice of about a thousand pixels: the explanation is always there and hardly paid for.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ __all__ = [
     "detection_steps",
     "hints",
     "identification_steps",
+    "image_sample",
     "image_step",
     "listed_step",
     "search_step",
@@ -54,12 +55,16 @@ def _extent(values: FloatArray) -> tuple[float, float, float]:
     return float(ordered[0]), 0.5 * (float(ordered[last // 2]) + float(ordered[(last + 1) // 2])), float(ordered[last])
 
 
-def image_step(image: NDArray[Any], saturated_share: float, saturation_dn: float) -> Step:
-    """Size, type, range and saturation of an image (H, W)."""
-    height, width = image.shape
-    text = f"{width}×{height} pixels, {image.dtype}"
+def image_sample(image: NDArray[Any]) -> NDArray[Any]:
+    """Values on a lattice: what `image_step` needs of an image that may have changed by the time it is told of."""
     rows, columns = _steps(image.shape)
-    sample = image[rows // 2 :: rows, columns // 2 :: columns].ravel()
+    return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
+
+
+def image_step(shape: tuple[int, ...], sample: NDArray[Any], saturated_share: float, saturation_dn: float) -> Step:
+    """Size, type, range and saturation of an image of the shape (H, W) with such a sample."""
+    height, width = shape
+    text = f"{width}×{height} pixels, {sample.dtype}"
     sample = sample[np.isfinite(sample)]
     if len(sample):
         low, middle, high = _extent(sample)
@@ -231,8 +236,9 @@ def hints(
     return tuple(Step("hint", text) for text in says)
 
 
-def as_text(steps: tuple[Step, ...]) -> str:
+def as_text(steps: Iterable[Step]) -> str:
     """Steps as lines, the stage's name before its first one."""
+    steps = tuple(steps)
     width = max((len(step.stage) for step in steps), default=0)
     lines, last = [], ""
     for step in steps:

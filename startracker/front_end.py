@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.camera import Camera
@@ -15,11 +18,12 @@ from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.errors import InputError
-from startracker.explain import background_step, centroid_step, detection_steps, image_step
+from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
-from startracker.trace import Step
+from startracker.trace import Step, Steps
 
 __all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again"]
 
@@ -72,7 +76,7 @@ class FoundStars:
         Set where the image cannot be used.
     saturated_share, saturation_dn : float
         Share of pixels at saturation, and that level.
-    steps : tuple of Step
+    steps : sequence of Step
         What was found, in words.
     saturated : int
         Saturated star images.
@@ -89,9 +93,9 @@ class FoundStars:
     reason: str = ""
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
-    steps: tuple[Step, ...] = ()
+    steps: Sequence[Step] = ()
     saturated: int = 0
-    pixels: NDArray[np.float32] | None = None
+    pixels: Image | None = None
     background: Background | None = None
     smeared: bool = False
 
@@ -130,24 +134,26 @@ def find_stars(
     if survey is None:
         return FoundStars(status=Status.BAD_IMAGE, reason=fault)
     pixels, share, level = survey.pixels, survey.saturated_share, survey.saturation_dn
-    steps = [image_step(pixels, share, level)]
+    steps: list[Callable[[], Step | Sequence[Step]]] = [
+        partial(image_step, pixels.shape, image_sample(pixels), share, level)
+    ]
     if share > _WHITE_SHARE:
-        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=tuple(steps))
+        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
     if survey.highest == survey.lowest:
         reason = f"every pixel is {survey.highest:g}"
-        return FoundStars(status=Status.NO_STARS, reason=reason, steps=tuple(steps))
+        return FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
     try:
         background = estimate(pixels, detection.background_tile_px)
         clock.lap("background")
-        steps.append(background_step(background))
+        steps.append(partial(background_step, background))
         spots = detect(pixels, background, detection, saturation_dn)
         clock.lap("detection")
-        steps.extend(detection_steps(spots, detection, background))
+        steps.append(partial(detection_steps, spots, detection, background))
         found = measure(pixels, background, spots, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
-        return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=tuple(steps))
-    steps.append(centroid_step(found))
+        return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
+    steps.append(partial(centroid_step, found))
     variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
     return FoundStars(
         found.xy,
@@ -155,7 +161,7 @@ def find_stars(
         variance,
         saturated_share=share,
         saturation_dn=level,
-        steps=tuple(steps),
+        steps=Steps(*steps),
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
@@ -207,7 +213,7 @@ def look_again(
         np.trace(stars.covariance, axis1=1, axis2=2) / 2.0,
         saturated_share=first.saturated_share,
         saturation_dn=first.saturation_dn,
-        steps=(Step("detection", text), centroid_step(stars)),
+        steps=Steps(Step("detection", text), partial(centroid_step, stars)),
         saturated=int(np.count_nonzero(stars.saturated)),
     )
 
@@ -263,19 +269,27 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
             points, signal = points[order], signal[order]
         else:
             signal = None
-    alone = [k for k, point in enumerate(points) if not _near_any(point, points[:k])]
+    alone = _first_of_each(points)
     return points[alone], None if signal is None else signal[alone]
 
 
-def _near_any(point: FloatArray, others: FloatArray) -> bool:
-    return bool(np.any(np.abs(others - point).max(axis=1, initial=0.0) < SAME_STAR_PX))
+@njit(cache=True, error_model="numpy")
+def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
+    """Points (N,) without another before them that is nearer than `SAME_STAR_PX` on both axes."""
+    alone = np.ones(len(points), np.bool_)
+    for i in range(len(points)):
+        for j in range(i):
+            if max(abs(points[i, 0] - points[j, 0]), abs(points[i, 1] - points[j, 1])) < SAME_STAR_PX:
+                alone[i] = False
+                break
+    return alone
 
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """A usable image as float32, NaN where it is not finite; its range; its saturated share and that level."""
+    """A usable image as uint16 or float32, NaN where not finite; its range; its saturated share and that level."""
 
-    pixels: NDArray[np.float32]
+    pixels: Image
     lowest: float
     highest: float
     saturated_share: float
@@ -291,12 +305,11 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
         given = np.asarray(image)
         if given.dtype.kind not in "buif":
             return None, f"an image needs real numbers; got {given.dtype}"
-        with np.errstate(over="ignore"):
-            pixels = np.ascontiguousarray(given, dtype=np.float32)
     except (TypeError, ValueError):
         return None, "an image must be an array of numbers"
     if given.ndim != 2:
         return None, f"an image must have two dimensions (rows, columns); got {given.shape}"
+    pixels = as_pixels(given)
     if shape is not None and given.shape != shape:
         return None, (
             f"the image is {given.shape[1]}×{given.shape[0]} pixels, the camera {shape[1]}×{shape[0]}: "
@@ -305,8 +318,11 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     if not given.size:
         return None, "no pixel of the image is a finite number"
     # whole numbers need no search for what is not finite, and have their range in a quarter of the time
-    plane = given if given.dtype.kind in "ui" else pixels
-    lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
+    if pixels.dtype == np.uint16:
+        lowest, highest = (float(value) for value in whole_range(pixels))
+    else:
+        plane = given if given.dtype.kind in "ui" else pixels
+        lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
     if not (math.isfinite(lowest) and math.isfinite(highest)):  # NaN makes both NaN
         pixels = np.where(np.isfinite(pixels), pixels, np.float32(np.nan))
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
@@ -317,7 +333,9 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
         level = float(np.iinfo(given.dtype).max)
     if level is None:
         level = highest if highest > 0 else math.inf
-    full = np.count_nonzero(pixels >= level) if highest >= level else 0
+    # a Python float compares in the image's own type, for integers in float64
+    limit = math.ceil(level) if pixels.dtype.kind == "u" else level
+    full = np.count_nonzero(pixels >= limit) if highest >= level else 0
     return _Survey(pixels, lowest, highest, full / pixels.size, level), ""
 
 

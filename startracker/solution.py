@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -91,7 +92,7 @@ class Solution:
         Milliseconds a stage.
     camera : Camera, optional
         The camera that the attitude goes with: the one given, or the fitted one.
-    steps : tuple of Step
+    steps : sequence of Step
         What each stage found, tried and rejected, in words; `startracker.explain.as_text` prints it.
     """
 
@@ -105,7 +106,7 @@ class Solution:
     parity: int = 1
     times_ms: dict[str, float] = field(default_factory=dict)
     camera: Camera | None = None
-    steps: tuple[Step, ...] = ()
+    steps: Sequence[Step] = ()
 
     @property
     def solved(self) -> bool:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, overload
 
-__all__ = ["Step"]
+__all__ = ["Step", "Steps"]
 
 
 @dataclass(frozen=True)
@@ -21,3 +23,50 @@ class Step:
 
     stage: str
     text: str
+
+
+class Steps(Sequence[Step]):
+    """Findings in order, put into words when they are first read: most solves are asked for their attitude alone.
+
+    Parameters
+    ----------
+    *parts : Step, iterable of Step, or function without arguments that gives either
+    """
+
+    def __init__(self, *parts: Step | Iterable[Step] | Callable[[], Step | Iterable[Step]]) -> None:
+        self._parts = parts
+        self._told: tuple[Step, ...] | None = None
+
+    def _all(self) -> tuple[Step, ...]:
+        if self._told is None:
+            told: list[Step] = []
+            for part in self._parts:
+                found = part() if callable(part) else part
+                told.extend((found,) if isinstance(found, Step) else found)
+            self._told, self._parts = tuple(told), ()
+        return self._told
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+    def __iter__(self) -> Iterator[Step]:
+        return iter(self._all())
+
+    @overload
+    def __getitem__(self, place: int) -> Step: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[Step, ...]: ...
+    def __getitem__(self, place: int | slice) -> Step | tuple[Step, ...]:
+        return self._all()[place]
+
+    def __eq__(self, other: object) -> bool:
+        return self._all() == tuple(other) if isinstance(other, (Steps, tuple)) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._all())
+
+    def __repr__(self) -> str:
+        return repr(self._all())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Steps, self._all()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +38,7 @@ from startracker.refine import refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
-from startracker.trace import Step
+from startracker.trace import Step, Steps
 
 __all__ = ["StarTracker"]
 
@@ -180,7 +182,7 @@ class StarTracker:
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return replace(solution, steps=(*found.steps, *solution.steps, *tips))
+        return replace(solution, steps=Steps(found.steps, solution.steps, tips))
 
     def solve_centroids(
         self,
@@ -232,7 +234,7 @@ class StarTracker:
         observer: Observer | None,
         clock: Clock,
     ) -> Solution:
-        tried: tuple[Step, ...] = ()
+        tried: Sequence[Step] = ()
         if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
             camera, error = self.camera, self.focal_error
             search = FreeSearch(
@@ -272,7 +274,10 @@ class StarTracker:
                 found = _beside_prior(elsewhere)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
-        tried += identification_steps(found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
+        told = partial(
+            identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera
+        )
+        tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
             return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
         pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
@@ -305,7 +310,7 @@ class StarTracker:
             clock.times_ms(),
             refined.camera,
         )
-        return replace(solution, steps=(*tried, *attitude_steps(solution)))
+        return replace(solution, steps=Steps(tried, partial(attitude_steps, solution)))
 
     def _look_again(
         self, found: FoundStars, clock: Clock, saturation_dn: float | None, gain_e_per_dn: float | None

@@ -13,12 +13,15 @@ from pathlib import Path
 REPEATS = 5
 TRIALS = 4000
 _RUN = """
-import json, resource, sys, time
+import json, resource, sys, tempfile, time
+from pathlib import Path
 from benchmarks.speed.workload import small_scenario
 from simulator.study.engine import run_trials
 workers, trials = int(sys.argv[1]), int(sys.argv[2])
 seen = []
-run_trials(small_scenario(), trials, workers=workers, progress=lambda done, _: seen.append((time.perf_counter(), done)))
+with tempfile.TemporaryDirectory() as folder:
+    told = lambda done, _: seen.append((time.perf_counter(), done))
+    run_trials(small_scenario(), trials, workers=workers, folder=Path(folder), progress=told)
 # the first results came when every process was warm
 (begin, early), (end, done) = seen[max(1, len(seen) // 4)], seen[-1]
 most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))

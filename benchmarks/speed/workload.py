@@ -86,9 +86,9 @@ def even_scenario(size: int, in_field: int, *more: str) -> Scenario:
 
 
 def small_scenario() -> Scenario:
-    """The real sky on 512 × 512 pixels, 10 degrees across, lost in space."""
-    changes = ("detector.width=512", "detector.height=512", "optics.focal_length_mm=16.1", "tracker.prior=false")
-    return Scenario.load(CUBESAT, changes)
+    """`cubesat.yaml` on 512 × 512 pixels with a 16 mm f/1.4 lens, 10 degrees across, lost in space."""
+    lens = ("optics.focal_length_mm=16.1", "optics.aperture_mm=11.5")
+    return Scenario.load(CUBESAT, ("detector.width=512", "detector.height=512", "tracker.prior=false", *lens))
 
 
 @cache

@@ -6,6 +6,7 @@ Angles about X, Y, Z are roll, pitch, yaw, taken as one rotation vector.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -246,7 +247,12 @@ def _axes(r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:
 
 def _offset(section: PointingSection) -> Attitude:
     """Local level → body, without the random error."""
-    return Attitude.from_rotation_vector(np.radians(section.offset_deg), "local_level", "body")
+    return _turned_by(section.offset_deg)
+
+
+@functools.lru_cache(maxsize=64)
+def _turned_by(offset_deg: tuple[float, float, float]) -> Attitude:
+    return Attitude.from_rotation_vector(np.radians(offset_deg), "local_level", "body")
 
 
 def _level_rate(orbital_rate_rad_s: float) -> FloatArray:

@@ -11,7 +11,6 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import fftconvolve
 
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
@@ -236,6 +235,8 @@ def _convolve(
     Cells stand as points at their middles, which blurs by a variance of 1/12 cell²; (−1, 26, −1)/24 along both axes
     takes that out again.
     """
+    from scipy.signal import fftconvolve  # a fifth of a cold start, and few frames have a disk
+
     disk = np.pad(disk, fine)
     left, top = left - 1, top - 1
     for axis in (0, 1):

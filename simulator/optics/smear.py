@@ -53,6 +53,8 @@ def exposure_nodes(
     count = 1 if ratio <= (0.04 if cycles == 0.0 else 1e-4) else math.ceil(1.03 * ratio + 1.6 + 3.5 * cycles)
     panels = math.ceil(count / _MAX_PANEL)
     nodes, weights = _legendre(math.ceil(count / panels))
+    if panels == 1:
+        return nodes.copy(), weights / 2.0
     middles = (2.0 * np.arange(panels) + 1.0) / panels - 1.0
     return (middles[:, None] + nodes / panels).ravel(), np.tile(weights / (2.0 * panels), panels)
 
@@ -133,7 +135,8 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
     if angle == 0.0 or len(directions) == 0:
         return 0.0
     chords = 8 + math.ceil(angle / math.radians(5.0))
-    xy = _positions(camera, directions, _rotations(turn, np.linspace(-0.5, 0.5, chords + 1)), limit_rad)
+    moments = np.arange(-chords, chords + 1, 2) / (2.0 * chords)
+    xy = _positions(camera, directions, _rotations(turn, moments), limit_rad)
     return float(_longest(xy))
 
 

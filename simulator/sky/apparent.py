@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from simulator.sky.light import aberrated, bent, unit
 from startracker.catalog.stars import StarCatalog
@@ -28,6 +27,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _AU_LIGHT_TIME_JYEAR = AU_KM / SPEED_OF_LIGHT_KM_S / (86_400.0 * DAYS_PER_JULIAN_YEAR)
+_CELLS = 16
 _SHIFT_RAD = 30.0 * ARCSEC_RAD
 """Aberration (26″ from a low orbit), deflection (1.75″) and parallax (0.8″) together, the most they can move a star."""
 
@@ -167,7 +167,8 @@ def _limit(distance_au: float) -> float:
 
 
 class SkyIndex:
-    """A catalogue that finds the stars of a field of view without a look at all the others.
+    """A catalogue that finds the stars of a field of view without a look at all the others: only at those in the same
+    cells of the cube around the sphere, 16 along each edge.
 
     Parameters
     ----------
@@ -179,7 +180,10 @@ class SkyIndex:
         self.catalog = catalog
         self._u, self._motion = catalog.space_motion()
         across = self._motion - self._u * np.einsum("ij,ij->i", self._u, self._motion)[:, None]
-        self._tree = cKDTree(self._u)
+        cell = np.minimum(((self._u + 1.0) * (0.5 * _CELLS)).astype(np.int64), _CELLS - 1)
+        key = (cell[:, 0] * _CELLS + cell[:, 1]) * _CELLS + cell[:, 2]
+        self._order = np.argsort(key, kind="stable")
+        self._starts = np.searchsorted(key[self._order], np.arange(_CELLS**3 + 1))
         self._fastest_rad_yr = float(np.sqrt((across**2).sum(axis=1).max(initial=0.0)))
 
     def near(self, direction: ArrayLike, radius_rad: float, epoch_jyear: float) -> IntArray:
@@ -201,10 +205,8 @@ class SkyIndex:
         # 1.1: perspective may quicken a star that comes near, by less than 10 % in a millennium
         reach = radius_rad + _SHIFT_RAD + 1.1 * years * self._fastest_rad_yr
         chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)
-        rows = self._tree.query_ball_point(
-            np.asarray(direction, dtype=float), chord * (1.0 + 1e-12), return_sorted=True
-        )
-        return np.asarray(rows, dtype=np.int64)
+        centre = np.asarray(direction, dtype=float)
+        return np.sort(_within(self._u, self._order, self._starts, centre, chord * (1.0 + 1e-12)))
 
     def view(
         self, direction: ArrayLike, radius_rad: float, observer: Observer, sun_au: ArrayLike | None, section: SkySection
@@ -225,3 +227,28 @@ class SkyIndex:
         return _apparent(
             rows, self._u, self._motion, catalog.parallax_rad, catalog.epoch_jyear, observer, sun_au, section
         )
+
+
+@njit(cache=True, error_model="numpy")
+def _within(u: FloatArray, order: IntArray, starts: IntArray, centre: FloatArray, chord: float) -> IntArray:
+    """Kernel: rows of the unit vectors `u` that lie no further than `chord` from `centre`, in any order."""
+    low, high = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for axis in range(3):
+        low[axis] = min(max(int((centre[axis] - chord + 1.0) * (0.5 * _CELLS)), 0), _CELLS - 1)
+        high[axis] = min(max(int((centre[axis] + chord + 1.0) * (0.5 * _CELLS)), 0), _CELLS - 1)
+    most = 0
+    for i in range(low[0], high[0] + 1):
+        for j in range(low[1], high[1] + 1):
+            line = (i * _CELLS + j) * _CELLS
+            most += starts[line + high[2] + 1] - starts[line + low[2]]
+    found, count = np.empty(most, dtype=np.int64), 0
+    for i in range(low[0], high[0] + 1):
+        for j in range(low[1], high[1] + 1):
+            line = (i * _CELLS + j) * _CELLS
+            for k in range(starts[line + low[2]], starts[line + high[2] + 1]):
+                row = order[k]
+                x, y, z = u[row, 0] - centre[0], u[row, 1] - centre[1], u[row, 2] - centre[2]
+                if x * x + y * y + z * z <= chord * chord:
+                    found[count] = row
+                    count += 1
+    return found[:count]

@@ -22,6 +22,7 @@ _Tables = tuple[FloatArray, FloatArray, FloatArray]
 _B_V_GRID = np.linspace(*B_V_RANGE, round((B_V_RANGE[1] - B_V_RANGE[0]) / 0.0025) + 1)
 _LATE_GRID = np.linspace(*LATE_GIANT, round((LATE_GIANT[1] - LATE_GIANT[0]) / 0.02) + 1)
 _LATE_B_V = 1.6  # for families of spectra that know B−V only
+_SPECTRA_AT_ONCE = 128
 _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
 
@@ -182,11 +183,16 @@ class Photometer:
             weight[1:] += half
             kernels = kernels * weight[:, None]
         spectrum = lookup("spectra", SPECTRA, self.spectrum)
-        zero = np.zeros(len(_LATE_GRID))
+
+        def along(b_v: FloatArray, giant: FloatArray) -> FloatArray:
+            # a few spectra at a time: all at once are tens of megabytes several times over
+            parts = [slice(k, k + _SPECTRA_AT_ONCE) for k in range(0, len(b_v), _SPECTRA_AT_ONCE)]
+            return np.concatenate([spectrum(wavelength_nm, b_v[part], giant[part]) @ kernels for part in parts])
+
         return (
-            spectrum(wavelength_nm, _B_V_GRID, np.zeros(len(_B_V_GRID))) @ kernels,
-            spectrum(wavelength_nm, _B_V_GRID, np.ones(len(_B_V_GRID))) @ kernels,
-            spectrum(wavelength_nm, zero + _LATE_B_V, _LATE_GRID) @ kernels,
+            along(_B_V_GRID, np.zeros(len(_B_V_GRID))),
+            along(_B_V_GRID, np.ones(len(_B_V_GRID))),
+            along(np.full(len(_LATE_GRID), _LATE_B_V), _LATE_GRID),
         )
 
 

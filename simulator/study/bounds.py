@@ -21,7 +21,7 @@ from simulator.detector.readout import gain_e_per_dn, section_reset_noise_e
 from simulator.frame import FrameTruth
 from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
-from simulator.optics.splat import add_gaussians, add_tabulated
+from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
 from simulator.scenario.schema import DetectorSection
 from startracker.camera import Camera
@@ -120,7 +120,7 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
     paths, weights = star_paths(
         plane.true_camera, directions, truth.rate_camera_rad_s, detector.exposure_s, plane.psfs.feature_px
     )
-    streak_px = float(np.nanmax(np.ptp(paths, axis=1), initial=0.0))
+    streak_px = _widest(paths)
     for members, psf in plane.psfs.groups(sources.b_v[stars], sources.xy[stars]):
         wide = math.ceil(_HALF_WIDTHS * max(psf.sigma_px, psf.sigma_y_px) + 0.5 * streak_px)
         half = min(max(_LEAST_HALF, psf.core_half_px, wide), max(_MOST_HALF, math.ceil(0.5 * streak_px) + _LEAST_HALF))
@@ -172,41 +172,71 @@ def image_slopes(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Share of a star's light in the pixels about it, and its slopes against x and y, px⁻¹: three (N, M, M) arrays,
     M = 2 `half` + 1, of stars with paths (N, K, 2) relative to the middle pixel."""
+    side = 2 * half + 1
+    if psf.core is None or psf.wing is None or psf.drawn is None:
+        images = np.zeros((3, len(paths), side, side))
+        radius = float(psf.radius_px(1.0))
+        _gaussian_slopes(images, paths + half, weights, radius, psf.sigma_px, psf.sigma_y_px)
+        return images[0], images[1], images[2]
     steps = np.array([[0.0, 0.0], [_STEP_PX, 0.0], [-_STEP_PX, 0.0], [0.0, _STEP_PX], [0.0, -_STEP_PX]])
-    moved = (paths[None] + half + steps[:, None, None, :]).reshape(-1, *paths.shape[1:])
-    images = np.zeros((len(moved), 2 * half + 1, 2 * half + 1))
-    _draw_each(images, np.ascontiguousarray(moved), np.ascontiguousarray(weights), psf)
-    here, right, left, below, above = images.reshape(5, len(paths), *images.shape[1:])
+    moved = np.ascontiguousarray((paths[None] + half + steps[:, None, None, :]).reshape(-1, *paths.shape[1:]))
+    images = np.zeros((len(moved), side, side))
+    one = np.ones(1)
+    for image, path in zip(images, moved, strict=True):
+        add_stars(image, path[None], weights, one, psf)
+    here, right, left, below, above = images.reshape(5, len(paths), side, side)
     return here, (right - left) / (2.0 * _STEP_PX), (below - above) / (2.0 * _STEP_PX)
 
 
-def _draw_each(images: FloatArray, xy: FloatArray, weights: FloatArray, psf: Psf) -> None:
-    """Stars of one electron, each on an image of its own, as far as the images reach."""
-    one = np.ones(len(images))
-    radius = psf.radius_px(one)
-    if psf.core is None or psf.wing is None or psf.drawn is None:
-        _gaussians(images, xy, weights, one, radius, psf.sigma_px, psf.sigma_y_px)
-        return
-    drawn = np.interp(radius, np.arange(len(psf.drawn)) * psf.wing_step_px, psf.drawn)
-    for k in range(len(images)):
-        add_tabulated(
-            images[k], xy[k : k + 1], weights, one[k : k + 1], radius[k : k + 1], psf.core, psf.phases,
-            drawn[k : k + 1], psf.wing, 1.0 / psf.wing_step_px, 1.0 / psf.aspect,
-        )  # fmt: skip
+@njit(cache=True, error_model="numpy")
+def _gaussian_slopes(
+    images: FloatArray, paths: FloatArray, weights: FloatArray, radius: float, sigma_x: float, sigma_y: float
+) -> None:
+    """Kernel: pixel-integrated Gaussians of one electron as `simulator.optics.splat.add_gaussians` draws them, each
+    on an image of its own, and their slopes: `images` (3, N, M, M), which start black."""
+    side = images.shape[2]
+    scale_x, scale_y = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
+    column, row = np.empty((3, side)), np.empty((3, side))
+    for n in range(paths.shape[0]):
+        for k in range(paths.shape[1]):
+            x, y = paths[n, k, 0], paths[n, k, 1]
+            if not (math.isfinite(x) and math.isfinite(y)):
+                continue
+            for s in range(3):
+                step = (0.0, _STEP_PX, -_STEP_PX)[s]
+                _shares(column[s], x + step, radius + 0.5, scale_x)
+                _shares(row[s], y + step, radius * sigma_y / sigma_x + 0.5, scale_y)
+            for j in range(side):
+                here = weights[k] * row[0, j]
+                down = weights[k] * (row[1, j] - row[2, j]) / (2.0 * _STEP_PX)
+                for i in range(side):
+                    images[0, n, j, i] += here * column[0, i]
+                    images[1, n, j, i] += here * (column[1, i] - column[2, i]) / (2.0 * _STEP_PX)
+                    images[2, n, j, i] += down * column[0, i]
 
 
 @njit(cache=True, error_model="numpy")
-def _gaussians(
-    images: FloatArray,
-    xy: FloatArray,
-    weights: FloatArray,
-    electrons: FloatArray,
-    radius: FloatArray,
-    sigma_x: float,
-    sigma_y: float,
-) -> None:
-    for k in range(len(images)):
-        add_gaussians(images[k], xy[k : k + 1], weights, electrons[k : k + 1], radius[k : k + 1], sigma_x, sigma_y)
+def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None:
+    """Share of a Gaussian in each of the pixels of a line, as far as `radius`."""
+    out[:] = 0.0
+    first, last = max(math.ceil(centre - radius), 0), min(math.floor(centre + radius), len(out) - 1)
+    low = math.erf((first - 0.5 - centre) * scale)
+    for i in range(first, last + 1):
+        high = math.erf((i + 0.5 - centre) * scale)
+        out[i] = 0.5 * (high - low)
+        low = high
+
+
+@njit(cache=True, error_model="numpy")
+def _widest(paths: FloatArray) -> float:
+    """Kernel: the longest side of the boxes around paths (N, K, 2), without those that have a NaN."""
+    widest = 0.0
+    for n in range(len(paths)):
+        if np.isnan(paths[n]).any():
+            continue
+        for axis in range(2):
+            widest = max(widest, paths[n, :, axis].max() - paths[n, :, axis].min())
+    return widest
 
 
 def pixel_variance_e2(

@@ -30,6 +30,10 @@ STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
 between two runs of the same scenario and seed."""
 
+_TRUE_QUATERNION = tuple(f"true_q{axis}" for axis in "xyzw")
+_SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
+_BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
+
 
 def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
     """Star tracker that a scenario's ``tracker`` section describes, for a camera."""
@@ -164,15 +168,14 @@ class TrialRunner:
             "true_dec_deg": truth.attitude.dec_deg,
             "true_roll_deg": truth.attitude.roll_deg,
         }
-        row |= {f"true_q{axis}": float(v) for axis, v in zip("xyzw", truth.attitude.quat, strict=True)}
+        row |= zip(_TRUE_QUATERNION, truth.attitude.quat.tolist(), strict=True)
         row |= {
             "galactic_latitude_deg": galactic_latitude_deg(truth.attitude),
             "orbit_argument_deg": argument_of_latitude_deg(self.renderer.scenes.orbit, truth.t_s),
             "temperature_c": scenario.detector.temperature_c,
         }
         errors = dict.fromkeys(("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"), math.nan)
-        sigma = np.full(3, math.nan)
-        estimate = np.full(4, math.nan)
+        sigma, estimate = [math.nan] * 3, [math.nan] * 4
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
@@ -180,20 +183,16 @@ class TrialRunner:
             row["wrong"] = any(
                 abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
             )
-            estimate = solution.attitude.quat
+            estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:
-                sigma = np.degrees(np.sqrt(np.diag(solution.covariance)))
-        row |= dict(zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True))
-        row |= {f"q{axis}": float(v) for axis, v in zip("xyzw", estimate, strict=True)}
+                sigma = np.degrees(np.sqrt(solution.covariance.diagonal())).tolist()
+        row |= zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True)
+        row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
         row |= {f"error_{axis}_deg": value for axis, value in errors.items()}
-        row |= {
-            f"sigma_{axis}_deg": float(v)
-            for axis, v in zip(("cross_x", "cross_y", "about_boresight"), sigma, strict=True)
-        }
+        row |= zip(_SIGMA, sigma, strict=True)
         matched = matched_sources(truth, solution.stars.xy)
-        bound = attitude_bound_deg(self.renderer, truth, matched)
-        row |= {f"bound_{axis}_deg": float(v) for axis, v in zip(CAMERA_AXES, bound, strict=True)}
+        row |= zip(_BOUND, attitude_bound_deg(self.renderer, truth, matched).tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
         row["limit_mag"] = float(np.max(solution.stars.v_mag)) if solution.matched else math.nan

@@ -23,7 +23,7 @@ _MOST_CUBES_PER_AXIS = 96
 DRIFT = 2e-4
 """What aberration (26″) and two decades of proper motion move a star after the grid was made, at most, bar a few."""
 _LARGEST_DRIFT = 2e-3
-"""The same of the fastest stars over half a century: a cone reaches so many more cubes, of which it looks at the edge."""
+"""The same of the fastest stars over half a century; a cone reaches so much farther for cubes."""
 
 
 class VoxelGrid(NamedTuple):

@@ -15,6 +15,9 @@ FloatArray = NDArray[np.float64]
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 _CONVERGED = 1e-13
+_UNGUARDED = 8
+_STEEP = 0.05
+"""Slope from which Newton's method is tried without a bracket."""
 _FLAT = 1e-6
 """Slope of the mean against the centre below which the window no longer tells the position."""
 _NO_LIGHT = 1e-280
@@ -70,12 +73,20 @@ def window_moments(
 def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[float, float]:
     """Centre of the pixel-integrated Gaussian whose mean over the window is `moment`, and d(centre)/d(moment).
 
-    The mean grows steadily with the centre: Newton's method within a bracket of one window about the middle. The slope
-    is infinite for a moment that no centre in the bracket explains.
+    The mean grows steadily with the centre: Newton's method, within a bracket of one window about the middle where it
+    does not get there by itself. The slope is infinite for a moment that no centre in the bracket explains.
     """
     middle = 0.5 * (low + high)
     reach = float(high - low + 1)
     left, right = middle - reach, middle + reach
+    centre = moment
+    for _ in range(_UNGUARDED):
+        _light, mean, _variance, slope, _a, _b, _c = window_moments(centre, sigma, low, high)
+        if abs(mean - moment) < _CONVERGED and slope > _FLAT:
+            return centre, 1.0 / slope
+        centre -= (mean - moment) / slope if slope > _STEEP else np.inf
+        if not left < centre < right:
+            break
     if not window_moments(left, sigma, low, high)[1] < moment < window_moments(right, sigma, low, high)[1]:
         return moment, np.inf
     centre, slope, error = moment, 0.0, 1.0
@@ -104,6 +115,19 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
     """
     narrow, wide = SMALLEST_SIGMA_PX, float(high - low + 1)
     sigma = min(max(math.sqrt(max(variance, 0.01)), narrow), wide)
+    # both at once, which most often gets there by itself
+    middle, centre, width = 0.5 * (low + high), mean, sigma
+    for _ in range(_UNGUARDED):
+        _light, here, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, width, low, high)
+        off, over, determinant = here - mean, found - variance, mean_c * variance_s - mean_s * variance_c
+        if abs(off) < _CONVERGED and abs(over) < _CONVERGED and mean_c > _FLAT:
+            return centre, width
+        if not (mean_c > _STEEP and variance_s > _STEEP and determinant > _STEEP * variance_s):
+            break
+        centre -= (off * variance_s - over * mean_s) / determinant
+        width -= (over * mean_c - off * variance_c) / determinant
+        if not (narrow <= width <= wide and abs(centre - middle) < 0.5 * wide):
+            break
     for _ in range(50):
         centre, slope = invert_moment(mean, sigma, low, high)
         _light, _mean, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, sigma, low, high)

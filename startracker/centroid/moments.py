@@ -12,13 +12,23 @@ from numpy.typing import NDArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import measure_stars, measure_widths
-from startracker.detection.background import Background, as_image
+from startracker.detection.background import Background
 from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
-__all__ = ["SYSTEMATIC_PX", "Prepared", "collect", "first_moment", "measure_moments", "measure_psf_sigma", "prepare"]
+__all__ = [
+    "SYSTEMATIC_PX",
+    "Prepared",
+    "collect",
+    "column_medians",
+    "first_moment",
+    "measure_moments",
+    "measure_psf_sigma",
+    "prepare",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +43,7 @@ _FLAT_TOP_ERROR_PX = 0.05
 
 
 def first_moment(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     spots: Spots,
     settings: CentroidSettings | None = None,
@@ -97,7 +107,7 @@ class Prepared:
 
     Parameters
     ----------
-    image : float32 array, shape (H, W)
+    image : float32 or uint16 array, shape (H, W)
         DN.
     level, noise : Plane
         Background, DN.
@@ -109,7 +119,7 @@ class Prepared:
         DN an electron.
     """
 
-    image: NDArray[np.float32]
+    image: Image
     level: Plane
     noise: Plane
     settings: CentroidSettings
@@ -118,7 +128,7 @@ class Prepared:
 
 
 def prepare(
-    image: NDArray[np.float32], background: Background, settings: CentroidSettings | None, gain_e_per_dn: float | None
+    image: Image, background: Background, settings: CentroidSettings | None, gain_e_per_dn: float | None
 ) -> Prepared:
     """Check what a centroider is given; see `first_moment` for the meaning and the errors raised."""
     settings = settings or CentroidSettings()
@@ -132,7 +142,7 @@ def prepare(
         )
     if gain_e_per_dn is not None and not 0 < gain_e_per_dn < math.inf:
         raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
-    pixels = as_image(image)
+    pixels = as_pixels(image)
     if pixels.shape != background.shape:
         raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
     gain = gain_e_per_dn or (_gain_from_background(background) if pixels.size else 1.0)
@@ -188,7 +198,7 @@ def collect(
 
 
 def measure_psf_sigma(
-    image: NDArray[np.float32], background: Background, spots: Spots, window_px: int = 5
+    image: Image, background: Background, spots: Spots, window_px: int = 5
 ) -> tuple[float, float]:
     """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
 
@@ -197,7 +207,7 @@ def measure_psf_sigma(
     """
     clean = np.flatnonzero(~spots.saturated & ~spots.edge)[:_WIDTH_STARS]
     widths = measure_widths(
-        as_image(image),
+        as_pixels(image),
         background.level_plane,
         background.noise_plane,
         spots.x_peak[clean],
@@ -207,8 +217,14 @@ def measure_psf_sigma(
     widths = widths[np.isfinite(widths).all(axis=1)]
     if not len(widths):
         return _UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX
-    sigma_x, sigma_y = np.median(widths, axis=0)
+    sigma_x, sigma_y = column_medians(widths)
     return float(sigma_x), float(sigma_y)
+
+
+def column_medians(values: FloatArray) -> FloatArray:
+    """Median of each column of (N, k) finite values, in a fraction of `numpy.median`'s time."""
+    ordered = np.sort(values, axis=0)
+    return np.asarray(0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]))
 
 
 @njit(cache=True, error_model="numpy")
@@ -231,6 +247,6 @@ def _intrusion(
 
 def _gain_from_background(background: Background) -> float:
     """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
-    level = float(np.median(sample_plane(background.level_plane, 16, 16).astype(np.float64)))
-    noise = float(np.median(sample_plane(background.noise_plane, 16, 16).astype(np.float64)))
+    samples = [sample_plane(plane, 16, 16) for plane in (background.level_plane, background.noise_plane)]
+    level, noise = (float(column_medians(sample[:, None].astype(np.float64))[0]) for sample in samples)
     return max(level, noise) / noise**2

@@ -14,6 +14,7 @@ from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
@@ -34,7 +35,7 @@ _MISFIT_SIGMA = 4.0
 
 
 def weighted_moment(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     spots: Spots,
     settings: CentroidSettings | None = None,
@@ -75,7 +76,7 @@ def weighted_moment(
 
 
 def least_squares(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     spots: Spots,
     settings: CentroidSettings | None = None,
@@ -90,7 +91,7 @@ def least_squares(
 
 
 def maximum_likelihood(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     spots: Spots,
     settings: CentroidSettings | None = None,
@@ -130,7 +131,7 @@ def maximum_likelihood(
 
 
 def _fit(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     spots: Spots,
     settings: CentroidSettings | None,

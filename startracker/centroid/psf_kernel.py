@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from startracker.detection.values import Image
+
 __all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
 
 FloatImage = NDArray[np.float32]
@@ -20,9 +22,13 @@ MOST_TOGETHER = 8
 """Stars fitted jointly at most."""
 
 _ITERATIONS = 25
+_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 _LONGEST_STEP_PX = 0.5
 _CONVERGED_PX = 2e-4
 """Of the last step; the steps shrink tenfold and more, so that the next would be below 2e-5."""
+_CONVERGED_SIGMA = 0.02
+"""Of the last step of a star alone, in its own standard errors, where it is accepted: the next would be below 0.002 of
+them and 1e-4 px."""
 _ACCEPTED_PX = 1e-3
 _WEIGHINGS = 3
 _LARGEST_GROWTH = 2.0
@@ -57,15 +63,19 @@ def _interpolated(
     size = table.shape[0]
     if i < 1 or j < 1 or i > size - 3 or j > size - 3:
         return 0.0, 0.0, 0.0
+    w0, w1, w2, w3 = weights[row, 0], weights[row, 1], weights[row, 2], weights[row, 3]
+    s0, s1, s2, s3 = weights[row, 4], weights[row, 5], weights[row, 6], weights[row, 7]
     value, by_x, by_y = 0.0, 0.0, 0.0
+    points = table.reshape(-1)
+    place = np.uint64((j - 1) * size + i - 1)  # unsigned, so that no index is looked at for being negative
     for k in range(4):
-        line = table[j - 1 + k]
-        p0, p1, p2, p3 = line[i - 1], line[i], line[i + 1], line[i + 2]
-        across = weights[row, 0] * p0 + weights[row, 1] * p1 + weights[row, 2] * p2 + weights[row, 3] * p3
-        slope = weights[row, 4] * p0 + weights[row, 5] * p1 + weights[row, 6] * p2 + weights[row, 7] * p3
+        p0, p1, p2, p3 = points[place], points[place + _ONE], points[place + _TWO], points[place + _THREE]
+        across = w0 * p0 + w1 * p1 + w2 * p2 + w3 * p3
+        slope = s0 * p0 + s1 * p1 + s2 * p2 + s3 * p3
         value += weights[row + 1, k] * across
         by_x += weights[row + 1, k] * slope
         by_y += weights[row + 1, 4 + k] * across
+        place += np.uint64(size)
     return value, by_x * oversampling, by_y * oversampling
 
 
@@ -142,7 +152,7 @@ def _initial_flux(image, level, noise, table, oversampling, x, y, half, ceiling)
 
 @njit(cache=True, error_model="numpy")
 def _fit_group(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     table: FloatArray,
@@ -172,65 +182,62 @@ def _fit_group(
         if not flux[k] > 0.0:
             return
         pixels += (2 * half[k] + 1) ** 2
-    variances = np.empty(pixels)
+    # the pixels' places, signal above the background and its variance; those of overlapping windows once
+    px, py, signal, dark = np.empty(pixels, np.int64), np.empty(pixels, np.int64), np.empty(pixels), np.empty(pixels)
+    used, lowest_ceiling = 0, ceilings[members].min()
+    for k in range(m):
+        for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
+            for i in range(max(cx[k] - half[k], 0), min(cx[k] + half[k] + 1, width)):
+                value = np.float64(image[j, i])
+                usable = math.isfinite(value) and value < lowest_ceiling
+                for other in range(k):
+                    if abs(i - cx[other]) <= half[other] and abs(j - cy[other]) <= half[other]:
+                        usable = False
+                if usable:
+                    px[used], py[used] = i * oversampling, j * oversampling
+                    signal[used], dark[used] = value - level[j, i], np.float64(noise[j, i]) ** 2
+                    used += 1
+    if used <= size:
+        return
+    variances = np.empty(used)
     normal, right = np.zeros((size, size)), np.zeros(size)
     gradient = np.empty(size)
     weights = np.empty((2 * m, 8))
     first_x, first_y = np.empty(m, np.int64), np.empty(m, np.int64)
-    chi2, used, step = 0.0, 0, 1.0
+    chi2, step = 0.0, 1.0
     for iteration in range(_ITERATIONS):
         normal[:], right[:] = 0.0, 0.0
-        chi2, used = 0.0, 0
+        chi2 = 0.0
         for star in range(m):
             first_x[star] = _interpolate(table.shape[0], oversampling, -x[star], weights, 2 * star)
             first_y[star] = _interpolate(table.shape[0], oversampling, -y[star], weights, 2 * star + 1)
-        for k in range(m):
-            ceiling = ceilings[members[k]]
-            for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
-                for i in range(max(cx[k] - half[k], 0), min(cx[k] + half[k] + 1, width)):
-                    value = np.float64(image[j, i])
-                    usable = math.isfinite(value) and value < ceiling
-                    for other in range(k):
-                        if abs(i - cx[other]) <= half[other] and abs(j - cy[other]) <= half[other]:
-                            usable = False
-                    for other in range(m):
-                        usable = usable and value < ceilings[members[other]]
-                    if not usable:
-                        continue
-                    model = 0.0
-                    for star in range(m):
-                        p, by_x, by_y = _interpolated(
-                            table,
-                            oversampling,
-                            first_x[star] + i * oversampling,
-                            first_y[star] + j * oversampling,
-                            weights,
-                            2 * star,
-                        )
-                        model += flux[star] * p
-                        gradient[3 * star] = -flux[star] * by_x
-                        gradient[3 * star + 1] = -flux[star] * by_y
-                        gradient[3 * star + 2] = flux[star] * p
-                    if reweigh or iteration < _WEIGHINGS:
-                        light = max(model, 0.0)
-                        variances[used] = (
-                            np.float64(noise[j, i]) ** 2 + light * inverse_gain + (flat_error * light) ** 2
-                        )
-                    weight = 1.0 / variances[used]
-                    residual = value - level[j, i] - model
-                    used += 1
-                    chi2 += weight * residual * residual
-                    for a in range(size):
-                        g = weight * gradient[a]
-                        right[a] += g * residual
-                        for b in range(a + 1):
-                            normal[a, b] += g * gradient[b]
-        if used <= size or not _factorise(normal, size):
+        for n in range(used):
+            model = 0.0
+            for star in range(m):
+                i, j = first_x[star] + px[n], first_y[star] + py[n]
+                p, by_x, by_y = _interpolated(table, oversampling, i, j, weights, 2 * star)
+                model += flux[star] * p
+                gradient[3 * star] = -flux[star] * by_x
+                gradient[3 * star + 1] = -flux[star] * by_y
+                gradient[3 * star + 2] = flux[star] * p
+            if reweigh or iteration < _WEIGHINGS:
+                light = max(model, 0.0)
+                variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2
+            weight = 1.0 / variances[n]
+            residual = signal[n] - model
+            chi2 += weight * residual * residual
+            for a in range(size):
+                g = weight * gradient[a]
+                right[a] += g * residual
+                for b in range(a + 1):
+                    normal[a, b] += g * gradient[b]
+        if not _factorise(normal, size):
             return
-        if step < _CONVERGED_PX:
-            break
+        score = right.copy()
         _substitute(normal, size, right)
-        longest = 0.0
+        longest, gain = 0.0, 0.0
+        for a in range(size):
+            gain += score[a] * right[a]
         for star in range(m):
             longest = max(longest, abs(right[3 * star]), abs(right[3 * star + 1]))
         if not math.isfinite(longest):
@@ -244,6 +251,12 @@ def _fit_group(
             if abs(x[star] - cx[star]) > half[star] or abs(y[star] - cy[star]) > half[star]:
                 return
         step = longest
+        enough = m == 1 and (reweigh or iteration > _WEIGHINGS) and step < _ACCEPTED_PX
+        enough = enough and gain < _CONVERGED_SIGMA**2
+        if step < _CONVERGED_PX or enough:
+            # what the last step gains is known; matrix and χ² are those of its start but for that
+            chi2, step = chi2 - gain, 0.0
+            break
     if step > _ACCEPTED_PX:
         return
     column = np.empty(size)
@@ -260,7 +273,7 @@ def _fit_group(
 
 @njit(cache=True, error_model="numpy")
 def fit_stars(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     table: FloatArray,
@@ -312,7 +325,7 @@ def fit_stars(
 
 @njit(cache=True, error_model="numpy")
 def weighted_moments(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     table: FloatArray,

@@ -9,10 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
-from startracker.centroid.moments import Prepared
+from startracker.centroid.moments import Prepared, column_medians
 from startracker.centroid.psf_kernel import fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image
 
 __all__ = ["fit_gaussians", "frame_psf"]
 
@@ -34,7 +35,7 @@ _STREAK_RATIO = 1.5
 
 @njit(cache=True, error_model="numpy")
 def fit_gaussians(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     xs: FloatArray,
@@ -142,7 +143,7 @@ def frame_psf(
     x, y = positions[clean].T.copy()
     shapes = fit_gaussians(frame.image, frame.level, frame.noise, x, y, half, start[0], start[1], frame.inverse_gain)
     shapes = shapes[np.isfinite(shapes).all(axis=1)]
-    xx, yy, xy = np.median(shapes, axis=0) if len(shapes) else (start[0], start[1], 0.0)
+    xx, yy, xy = column_medians(shapes) if len(shapes) else (start[0], start[1], 0.0)
     if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
         xx, yy, xy = start[0], start[1], 0.0
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import invert_moment, invert_moments, window_moments
+from startracker.detection.values import Image
 
 __all__ = ["MEASURED", "measure_stars", "measure_widths", "read_window"]
 
@@ -28,7 +29,7 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 
 @njit(cache=True, error_model="numpy")
 def read_window(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     x: int,
@@ -79,7 +80,7 @@ def read_window(
 
 @njit(cache=True, error_model="numpy")
 def measure_widths(
-    image: FloatImage, level: FloatImage, noise: FloatImage, xs: IntArray, ys: IntArray, half: int
+    image: Image, level: FloatImage, noise: FloatImage, xs: IntArray, ys: IntArray, half: int
 ) -> FloatArray:
     """Gaussian widths (N, 2) of stars whose brightest pixels are given; NaN where the window does not tell.
 
@@ -99,7 +100,7 @@ def measure_widths(
 
 
 @njit(cache=True, error_model="numpy")
-def _recentred(image: FloatImage, level: FloatImage, noise: FloatImage, x: int, y: int, half: int) -> tuple[int, int]:
+def _recentred(image: Image, level: FloatImage, noise: FloatImage, x: int, y: int, half: int) -> tuple[int, int]:
     """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
     height, width = image.shape
     for _ in range(8):
@@ -115,7 +116,7 @@ def _recentred(image: FloatImage, level: FloatImage, noise: FloatImage, x: int, 
 
 @njit(cache=True, error_model="numpy")
 def measure_stars(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     xs: IntArray,

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.plane import Plane, as_plane, fill_plane
 from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics, whole_step
+from startracker.detection.values import Image, as_image, as_pixels
 from startracker.errors import InputError
 
 __all__ = ["Background", "as_image", "estimate", "noise_floor"]
@@ -63,17 +64,6 @@ class Background:
         return np.asarray(fill_plane(self.noise_plane))
 
 
-def as_image(image: ArrayLike) -> FloatImage:
-    """Image as a C-contiguous float32 array (H, W); `InputError` when it is not two-dimensional and numeric."""
-    array = np.asarray(image)
-    if array.ndim != 2:
-        raise InputError(f"an image must have two dimensions (rows, columns); got the shape {array.shape}")
-    if array.dtype.kind not in "buif":
-        raise InputError(f"an image must hold real numbers; got the type {array.dtype}")
-    with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, dtype=np.float32)
-
-
 def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     """Background level and noise of an image.
 
@@ -106,16 +96,16 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     """
     if tile_px < _SMALLEST_TILE_PX:
         raise InputError(f"detection.background_tile_px is {tile_px}; it must be at least {_SMALLEST_TILE_PX} pixels")
-    pixels = as_image(image)
+    pixels = as_pixels(image)
     height, width = pixels.shape
     if pixels.size == 0:
-        return Background(np.zeros_like(pixels), np.ones_like(pixels))
+        return Background(np.zeros(pixels.shape, np.float32), np.ones(pixels.shape, np.float32))
     step, floor = noise_floor(pixels)
     rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
     level, noise = tile_statistics(pixels, rows, columns, step)
     valid = np.isfinite(level)
     if not valid.any():
-        return Background(np.zeros_like(pixels), np.ones_like(pixels))
+        return Background(np.zeros(pixels.shape, np.float32), np.ones(pixels.shape, np.float32))
     if not valid.all():
         level[~valid], noise[~valid] = np.median(level[valid]), np.median(noise[valid])
     level = smooth_tiles(level)
@@ -126,7 +116,7 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     )
 
 
-def noise_floor(image: FloatImage) -> tuple[float, float]:
+def noise_floor(image: Image) -> tuple[float, float]:
     """Digitisation step of an image and the least noise it can have, DN.
 
     The step is the greatest common divisor of the differences of whole-numbered values (16 for a 12-bit image
@@ -135,7 +125,7 @@ def noise_floor(image: FloatImage) -> tuple[float, float]:
     of the range where values are not whole.
     """
     flat = image.reshape(-1)
-    sample = flat[:: max(1, flat.size // _STEP_SAMPLES)]
+    sample = flat[:: max(1, flat.size // _STEP_SAMPLES)].astype(np.float32)
     divisor = whole_step(sample)
     if divisor:
         return float(divisor), divisor / math.sqrt(12.0)

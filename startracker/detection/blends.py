@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.objects import add_pixel
 from startracker.detection.spots import COLUMNS, EDGE, PEAK_RESIDUAL, PIXELS
+from startracker.detection.values import Image
 
 __all__ = ["part_blends"]
 
@@ -25,7 +26,7 @@ IntArray = NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")
-def _is_peak(image: FloatImage, x: int, y: int) -> bool:
+def _is_peak(image: Image, x: int, y: int) -> bool:
     """Whether no neighbour is brighter; of equal neighbours the first in reading order is the peak."""
     height, width = image.shape
     value = image[y, x]
@@ -38,7 +39,7 @@ def _is_peak(image: FloatImage, x: int, y: int) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def _valley(image: FloatImage, level: FloatImage, x0: int, y0: int, x1: int, y1: int) -> float:
+def _valley(image: Image, level: FloatImage, x0: int, y0: int, x1: int, y1: int) -> float:
     """Least signal on the straight way from one pixel to another.
 
     Between pixels of equal value, as on a saturated top, the way may step aside by one pixel: its stair-shaped border
@@ -64,7 +65,7 @@ def part_blends(
     number: IntArray,
     table: NDArray[np.float64],
     most_pixels: int,
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     saturation: float,

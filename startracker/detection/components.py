@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.detection.background import Background, as_image
+from startracker.detection.background import Background
 from startracker.detection.blends import part_blends
-from startracker.detection.forms import measure_forms
+from startracker.detection.forms import count_long
 from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, scan_rows
 from startracker.detection.selection import select_smeared, select_spots
-from startracker.detection.spots import FLUX, PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
+from startracker.detection.spots import PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
+from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -30,7 +31,7 @@ _LONGEST = 5
 
 
 def find_components(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     settings: DetectionSettings,
     saturation_dn: float | None = None,
@@ -64,7 +65,7 @@ def find_components(
     Spots
         Brightest first.
     """
-    pixels = as_image(image)
+    pixels = as_pixels(image)
     if pixels.shape != background.shape:
         raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
     saturation = np.float32(np.inf if saturation_dn is None else saturation_dn)
@@ -90,15 +91,13 @@ def find_components(
 
 def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:
     """Whether there are three long objects among the thirty brightest: then it is worth looking for a motion."""
-    large = table[(table[:, PIXELS] >= settings.min_pixels) & (table[:, FLUX] > 0)]
-    brightest = large[np.argsort(-large[:, FLUX], kind="stable")[:_LOOKED_AT]]
-    return bool(np.count_nonzero(measure_forms(brightest, settings.max_axis_ratio).long) >= _FEWEST_LONG)
+    return bool(count_long(table, settings.min_pixels, _LOOKED_AT, settings.max_axis_ratio) >= _FEWEST_LONG)
 
 
 def measure_found(
     runs: NDArray[np.int64],
     signal: NDArray[np.float32],
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     threshold: float,
     max_pixels: int,

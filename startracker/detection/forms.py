@@ -23,7 +23,7 @@ from startracker.detection.spots import (
     Y_PEAK,
 )
 
-__all__ = ["Forms", "is_halo", "measure_forms"]
+__all__ = ["Forms", "brightest_first", "count_long", "is_halo", "measure_forms"]
 
 FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -83,6 +83,49 @@ def _measure_forms(table: FloatArray, max_axis_ratio: float) -> tuple[FloatArray
 
 
 @njit(cache=True, error_model="numpy")
+def brightest_first(table: FloatArray, fewest: int, largest: int) -> tuple[NDArray[np.int64], int, int, int]:
+    """Objects of `fewest` to `largest` pixels that have a signal, brightest first; how many are smaller, larger, dark.
+
+    Position breaks ties, so that the order never depends on how the objects were found.
+    """
+    index, count, small, large, dark = np.empty(len(table), np.int64), 0, 0, 0, 0
+    for n in range(len(table)):
+        if table[n, PIXELS] < fewest:
+            small += 1
+        elif table[n, PIXELS] > largest:
+            large += 1
+        elif not table[n, FLUX] > 0.0:
+            dark += 1
+        else:
+            index[count] = n
+            count += 1
+    index = index[:count]
+    index = index[np.argsort(-table[index, FLUX], kind="mergesort")]
+    for last in range(1, count):
+        n, place = index[last], last
+        while place > 0 and _comes_before(table[n], table[index[place - 1]]):
+            index[place] = index[place - 1]
+            place -= 1
+        index[place] = n
+    return index, small, large, dark
+
+
+@njit(cache=True, error_model="numpy")
+def _comes_before(row: FloatArray, other: FloatArray) -> bool:
+    """Of two objects of the same flux, the first in reading order."""
+    if row[FLUX] != other[FLUX]:
+        return False
+    return row[Y_PEAK] < other[Y_PEAK] or (row[Y_PEAK] == other[Y_PEAK] and row[X_PEAK] < other[X_PEAK])
+
+
+@njit(cache=True, error_model="numpy")
+def count_long(table: FloatArray, fewest: int, most: int, max_axis_ratio: float) -> int:
+    """How many of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`."""
+    index = brightest_first(table, fewest, np.iinfo(np.int64).max)[0][:most]
+    return int(_measure_forms(table[index], max_axis_ratio)[2].sum())
+
+
+@njit(cache=True, error_model="numpy")
 def is_halo(table: FloatArray) -> Flags:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
@@ -101,10 +144,15 @@ def is_halo(table: FloatArray) -> Flags:
             continue
         near = _HALO_RADII * math.sqrt(table[star, PIXELS] / np.pi) + _HALO_MARGIN_PX
         dark_radius = 1.9 * math.sqrt(table[star, FLUX] / (np.pi * peak))
+        # no farther than the ring about as faint as the faintest
+        reach = max(near, dark_radius * (_RING_MARGIN * 0.045 * peak / max(faintest, 1e-30)) ** (1.0 / 3.0)) + 1.0
         for n in range(count):
+            dx, dy = table[n, X_PEAK] - table[star, X_PEAK], table[n, Y_PEAK] - table[star, Y_PEAK]
+            if dx * dx + dy * dy > reach * reach:
+                continue
             times = peak / table[n, PEAK_RESIDUAL]
             if times > _HALO_TIMES and not halo[n]:
-                distance = math.hypot(table[n, X_PEAK] - table[star, X_PEAK], table[n, Y_PEAK] - table[star, Y_PEAK])
+                distance = math.hypot(dx, dy)
                 ring = (distance / dark_radius) ** 3 < _RING_MARGIN * 0.045 * times
                 halo[n] = distance < near or ring
     return halo

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from startracker.detection.background import Background
 from startracker.detection.objects import cut_runs
 from startracker.detection.scan import kernel_half, scan_rows
+from startracker.detection.values import Image
 from startracker.errors import InputError
 
 __all__ = ["DEFAULT_SIGMA_PX", "filter_half", "matched_kernel", "quantiles", "search_filtered"]
@@ -51,7 +52,7 @@ def filter_half(sigma_px: float | None) -> FloatImage:
 
 
 def search_filtered(
-    image: FloatImage, background: Background, half: FloatImage, threshold: float
+    image: Image, background: Background, half: FloatImage, threshold: float
 ) -> tuple[NDArray[np.int64], FloatImage, float]:
     """Where the image correlated with a Gaussian star image is above threshold × its own noise.
 

@@ -24,6 +24,7 @@ from startracker.detection.spots import (
     X_PEAK,
     Y_PEAK,
 )
+from startracker.detection.values import Image
 
 __all__ = [
     "add_pixel",
@@ -69,7 +70,7 @@ def add_pixel(row: NDArray[np.float64], x: int, y: int, value: float, level: flo
 
 @njit(cache=True, error_model="numpy")
 def find_runs(
-    image: NDArray[np.float32], level: NDArray[np.float32], noise: NDArray[np.float32], threshold: np.float32
+    image: Image, level: NDArray[np.float32], noise: NDArray[np.float32], threshold: np.float32
 ) -> IntArray:
     """Runs (row, first column, last column + 1), shape (R, 3), of pixels above level + threshold × noise.
 
@@ -209,7 +210,7 @@ def measure_objects(
     runs: IntArray,
     number: IntArray,
     count: int,
-    image: NDArray[np.float32],
+    image: Image,
     level: NDArray[np.float32],
     saturation: float,
 ) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane
+from startracker.detection.values import Image, is_value
 
 __all__ = ["UNFILTERED", "filter_stamp", "filtered_at", "kernel_half", "scan_rows"]
 
@@ -33,7 +34,7 @@ UNFILTERED = kernel_half(np.ones(1))
 
 
 @njit(cache=True, error_model="numpy")
-def _residual_row(image: FloatImage, level: Plane, y: int, first: int, out: FloatImage) -> None:
+def _residual_row(image: Image, level: Plane, y: int, first: int, out: FloatImage) -> None:
     """Image minus level from column `first` on; zero where the image is not finite."""
     width = len(out)
     share, cell = level.share[y], level.cell[y]
@@ -42,8 +43,8 @@ def _residual_row(image: FloatImage, level: Plane, y: int, first: int, out: Floa
     lower = level.lines[min(cell + 1, len(level.lines) - 1), first : first + width]
     zero = np.float32(0.0)
     for x in range(width):
-        # the comparison is false for NaN: such a pixel is background
-        out[x] = row[x] - (upper[x] + share * (lower[x] - upper[x])) if abs(row[x]) < np.inf else zero
+        signal = np.float32(row[x]) - (upper[x] + share * (lower[x] - upper[x]))
+        out[x] = signal if is_value(row[x]) else zero
 
 
 @njit(cache=True, error_model="numpy")
@@ -64,8 +65,19 @@ def _filter_row(padded: FloatImage, half: FloatImage, line: FloatImage) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _least_limits(noise: Plane, y: int, threshold: float, out: FloatImage) -> None:
+    """At most threshold × noise of each column, in all rows between the two lines about a row (or in this row alone)."""
+    share, cell = noise.share[y], noise.cell[y]
+    upper, lower = noise.lines[cell], noise.lines[min(cell + 1, len(noise.lines) - 1)]
+    less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
+    for x in range(len(out)):
+        value = min(upper[x], lower[x]) if 0.0 <= share <= 1.0 else upper[x] + share * (lower[x] - upper[x])
+        out[x] = threshold * value * less
+
+
+@njit(cache=True, error_model="numpy")
 def scan_rows(
-    image: FloatImage, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
+    image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
 ) -> tuple[IntArray, FloatImage, FloatImage]:
     """Runs of pixels whose filtered signal is above threshold × noise.
 
@@ -95,8 +107,9 @@ def scan_rows(
     pitch = width + _PADDING
     ring = np.zeros(size * pitch, np.float32)
     padded = np.zeros(width + 2 * reach, np.float32)
-    total, limit = np.empty(width, np.float32), np.empty(width, np.float32)
+    total = np.empty(width, np.float32)
     above = row_marks(width)
+    cell, least = -1, np.empty(width, np.float32)
     edges = np.empty(width + 2, np.int64)
     runs, signal, count, values = np.empty((1024, 3), np.int64), np.empty(8192, np.float32), 0, 0
     sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
@@ -111,27 +124,36 @@ def scan_rows(
         if centre < 0:
             continue
         _filter_column(ring, pitch, half, centre, total)
-        cell, share = noise.cell[centre], noise.share[centre]
-        upper, lower = noise.lines[cell], noise.lines[min(cell + 1, len(noise.lines) - 1)]
         row = image[centre]
+        # first what is above the lower of the two lines' limits, which is quickly told, then what of that is above its own
+        if noise.cell[centre] != cell or noise.share[centre] > 1.0 or noise.share[centre] < 0.0:
+            _least_limits(noise, centre, threshold, least)
+            cell = noise.cell[centre] if 0.0 <= noise.share[centre] <= 1.0 else -1
         for x in range(width):
-            limit[x] = upper[x] + share * (lower[x] - upper[x])
-            above[x] = (total[x] > threshold * limit[x]) & (abs(row[x]) < np.inf)
+            above[x] = total[x] > least[x]
         changes = row_edges(above, width, edges)
         if values + width > len(signal):
             signal = np.concatenate((signal, np.empty(len(signal) + width, np.float32)))
-        if count + changes // 2 > len(runs):
+        if count + width > len(runs):
             runs = np.concatenate((runs, np.empty((len(runs) + width, 3), np.int64)))
         for k in range(0, changes, 2):
-            runs[count, 0], runs[count, 1], runs[count, 2] = centre, edges[k], edges[k + 1]
-            count += 1
+            start = -1
             for x in range(edges[k], edges[k + 1]):
-                signal[values] = total[x]
-                values += 1
+                if total[x] > threshold * noise[centre, x] and is_value(row[x]):
+                    start = x if start < 0 else start
+                    signal[values] = total[x]
+                    values += 1
+                elif start >= 0:
+                    runs[count, 0], runs[count, 1], runs[count, 2] = centre, start, x
+                    count += 1
+                    start = -1
+            if start >= 0:
+                runs[count, 0], runs[count, 1], runs[count, 2] = centre, start, edges[k + 1]
+                count += 1
         while place < (centre + 1) * width:
             x = place - centre * width
-            sample[samples] = total[x] / limit[x]
-            samples += abs(row[x]) < np.inf
+            sample[samples] = total[x] / noise[centre, x]
+            samples += is_value(row[x])
             place += stride
     return runs[:count].copy(), signal[:values].copy(), sample[:samples].copy()
 
@@ -160,7 +182,7 @@ def _filter_column(rows: FloatImage, pitch: int, half: FloatImage, centre: int, 
 
 @njit(cache=True, error_model="numpy")
 def filter_stamp(
-    image: FloatImage, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, ring: FloatImage, out: FloatImage
+    image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, ring: FloatImage, out: FloatImage
 ) -> None:
     """Filtered signal around a pixel, row by row into out[: (2 radius + 1)²]; not a number where the image is not.
 
@@ -188,25 +210,25 @@ def filter_stamp(
         y -= reach
         for i in range(side):
             x = x0 - radius + i
-            if not (0 <= y < height and 0 <= x < width and abs(image[y, x]) < np.inf):
+            if not (0 <= y < height and 0 <= x < width and is_value(image[y, x])):
                 line[i] = np.nan
 
 
 @njit(cache=True, error_model="numpy")
-def filtered_at(image: FloatImage, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatImage:
+def filtered_at(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatImage:
     """Filtered signal of pixels; not a number where the image is not finite."""
     height, width = image.shape
     reach = len(half) - 1
     out = np.full(len(xs), np.float32(np.nan))
     for n in range(len(xs)):
-        if not abs(image[ys[n], xs[n]]) < np.inf:
+        if not is_value(image[ys[n], xs[n]]):
             continue
         total = np.float32(0.0)
         for y in range(max(ys[n] - reach, 0), min(ys[n] + reach + 1, height)):
             line = np.float32(0.0)
             for x in range(max(xs[n] - reach, 0), min(xs[n] + reach + 1, width)):
-                if abs(image[y, x]) < np.inf:
-                    line += half[abs(x - xs[n])] * (image[y, x] - level[y, x])
+                if is_value(image[y, x]):
+                    line += half[abs(x - xs[n])] * (np.float32(image[y, x]) - level[y, x])
             total += half[abs(y - ys[n])] * line
         out[n] = total
     return out

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background
-from startracker.detection.forms import is_halo, measure_forms
+from startracker.detection.forms import brightest_first, is_halo, measure_forms
+from startracker.detection.hits import is_hit
 from startracker.detection.matched import quantiles
 from startracker.detection.plane import sample_plane
-from startracker.detection.scan import UNFILTERED, filtered_at
-from startracker.detection.shapes import find_clutter, measure_shapes, ring_pixels
+from startracker.detection.scan import UNFILTERED
+from startracker.detection.shapes import find_clutter, ring_pixels
 from startracker.detection.smear import agrees, common_motion, motion_at
 from startracker.detection.spots import (
     AT_PEAK,
@@ -25,9 +24,10 @@ from startracker.detection.spots import (
     Y_PEAK,
     Spots,
 )
+from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
 
-__all__ = ["common_width", "is_clutter", "is_hit", "select_smeared", "select_spots"]
+__all__ = ["is_clutter", "select_smeared", "select_spots"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -36,21 +36,8 @@ Flags = NDArray[np.bool_]
 _FLAT_TOP_PIXELS = 5
 """Pixels that share the highest value of a flat top; a star centred on a corner has four of them."""
 _STREAK_PIXELS = 12
-_PIXEL_VARIANCE = 1.0 / 12.0
 _LOOKED_AT = 6
 """Objects examined for each star asked for: the brightest; an image full of noise has thousands."""
-_WEIGHT_PX = 1.2
-_WIDTH_STARS = 40
-_WIDTH_SNR = 8.0
-_WIDTH_RATIO = 1.3
-_SHARP_SHARE = 0.45
-_SHARPEST_STAR_PX2 = 0.3
-"""Star images of less variance, pixel included (σ < 0.47 px), are as sharp as a particle's track, which has 0.03 to
-0.25: then sharpness tells nothing."""
-_TRACK_PX2 = 0.4
-_SHARP_ERRORS = 2.0
-_PEAK_ERRORS = 3.0
-_ONE_PIXEL = 0.6
 _QUIET_QUANTILE = 0.25
 _QUIET_STEP_PX = 16
 
@@ -59,7 +46,7 @@ def select_spots(
     table: FloatArray,
     settings: DetectionSettings,
     saturation_known: bool,
-    image: FloatImage,
+    image: Image,
     background: Background,
     half: FloatImage | None = None,
     excess: float = 1.0,
@@ -93,24 +80,20 @@ def select_spots(
         return Spots.none()
     saturated = is_saturated(table, saturation_known)
     fewest = settings.min_pixels if half is None else 1
-    small, large = table[:, PIXELS] < fewest, table[:, PIXELS] > settings.max_pixels
-    dark = ~small & ~large & ~(table[:, FLUX] > 0)
-    _count(rejected, "too small", small)
-    _count(rejected, "too large", large)
-    _count(rejected, "without signal", dark)
-    index = np.flatnonzero(~(small | large | dark))
-    # position breaks ties, so that the order never depends on how the objects were found
-    order = np.lexsort((table[index, X_PEAK], table[index, Y_PEAK], -table[index, FLUX]))
+    index, small, large, dark = brightest_first(table, fewest, settings.max_pixels)
+    _note(rejected, "too small", small)
+    _note(rejected, "too large", large)
+    _note(rejected, "without signal", dark)
     most = max(settings.max_stars, 0)
-    if len(index) > _LOOKED_AT * most:
-        rejected["fainter than the brightest"] = len(index) - _LOOKED_AT * most
-    index = index[order[: _LOOKED_AT * most]]
+    _note(rejected, "fainter than the brightest", len(index) - _LOOKED_AT * most)
+    index = index[: _LOOKED_AT * most]
     table, saturated = table[index], saturated[index]
 
+    filtering = UNFILTERED if half is None else half
     keep = ~_counted(rejected, "halo of a brighter star", is_halo(table))
     x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
-    if settings.reject_hits and keep.any():
-        hit, one_pixel = is_hit(table, saturated, image, background, half)
+    if settings.reject_hits and len(table):
+        hit, one_pixel = is_hit(table, saturated, image, background.level_plane, background.noise_plane, filtering)
         _count(rejected, "hot pixel", keep & hit & one_pixel)
         _count(rejected, "cosmic-ray hit", keep & hit & ~one_pixel)
         keep &= ~hit
@@ -119,13 +102,11 @@ def select_spots(
     chosen = np.flatnonzero(keep)
     if settings.isolation > 0.0 and len(chosen):
         threshold = excess * settings.threshold_sigma
-        filtering = UNFILTERED if half is None else half
         cluttered = is_clutter(
             table[chosen], saturated[chosen], image, background, filtering, threshold, settings.isolation, most
         )
         chosen = chosen[~_counted(rejected, "clutter", cluttered)]
-    if len(chosen) > most:
-        rejected["fainter than the brightest"] = rejected.get("fainter than the brightest", 0) + len(chosen) - most
+    _note(rejected, "fainter than the brightest", len(chosen) - most)
     chosen = chosen[:most]
     return Spots(
         x[chosen],
@@ -149,8 +130,11 @@ def is_saturated(table: FloatArray, saturation_known: bool) -> Flags:
 
 
 def _count(rejected: dict[str, int], reason: str, flags: Flags) -> None:
-    number = int(np.count_nonzero(flags))
-    if number:
+    _note(rejected, reason, int(np.count_nonzero(flags)))
+
+
+def _note(rejected: dict[str, int], reason: str, number: int) -> None:
+    if number > 0:
         rejected[reason] = rejected.get(reason, 0) + number
 
 
@@ -203,75 +187,10 @@ def select_smeared(
     )
 
 
-def common_width(variance: FloatArray) -> float:
-    """The variance that most values share, to a factor 1.3 either way; NaN for none.
-
-    Hits scatter over all widths, stars agree: so the stars are found among more hits than stars, where a median is
-    not. Of equal numbers the wider counts.
-    """
-    values = np.sort(variance[np.isfinite(variance) & (variance > 0.0)])
-    if not len(values):
-        return float("nan")
-    near = np.searchsorted(values, values * _WIDTH_RATIO, "right") - np.searchsorted(values, values / _WIDTH_RATIO)
-    centre = values[len(values) - 1 - int(np.argmax(near[::-1]))]
-    return float(np.median(values[(values >= centre / _WIDTH_RATIO) & (values <= centre * _WIDTH_RATIO)]))
-
-
-def is_hit(
-    table: FloatArray,
-    saturated: Flags,
-    image: FloatImage,
-    background: Background,
-    half: FloatImage | None = None,
-) -> tuple[Flags, Flags]:
-    """Objects sharper than the star images of their frame, and which of them are single pixels.
-
-    The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
-    along the minor axis: a track is long at most in one direction, and smear widens no star in that one. The sharpest
-    star allowed has 0.45 of the variance that the frame's stars share, and at most 0.4 px² (the PSF of a poor lens
-    varies more than twice over its field, but a track is never wider). Out goes what is below that by twice its
-    standard error; and, where the matched filter was used, what has a brightest pixel that exceeds by three times
-    its noise the one which such a star has with the object's filtered signal: this tells a hot pixel of 9σ, whose
-    moments do not. Saturated objects, those cut off by the border, and frames whose stars are as sharp as tracks, are
-    not judged.
-    """
-    x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
-    brightest = np.flatnonzero(~saturated & (table[:, EDGE] == 0) & (table[:, PIXELS] >= 3))[: 2 * _WIDTH_STARS]
-    weight = _WEIGHT_PX
-    shapes = measure_shapes(image, background.level_plane, background.noise_plane, x, y, weight)
-    for _ in range(2):
-        clean = shapes[brightest]
-        width = common_width(clean[clean[:, 4] > _WIDTH_SNR][:_WIDTH_STARS, 0])
-        if not width > weight**2:
-            break
-        weight = 1.2 * math.sqrt(width)
-        shapes = measure_shapes(image, background.level_plane, background.noise_plane, x, y, weight)
-    if not width > _SHARPEST_STAR_PX2:
-        return np.zeros(len(table), np.bool_), np.zeros(len(table), np.bool_)
-    limit = min(_SHARP_SHARE * width, _TRACK_PX2)
-    with np.errstate(invalid="ignore"):
-        sharp = shapes[:, 0] + _SHARP_ERRORS * shapes[:, 2] < limit
-    if half is not None:
-        level, noise = background.level_plane[y, x], background.noise_plane[y, x]
-        share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), half)
-        filtered = filtered_at(image, background.level_plane, half, x, y)
-        sharp |= image[y, x] - level > share * filtered + _PEAK_ERRORS * noise
-    return sharp & ~saturated & (table[:, EDGE] == 0), shapes[:, 3] > _ONE_PIXEL
-
-
-def peak_share(star_sigma_px: float, half: FloatImage) -> float:
-    """Brightest pixel of a star on a pixel's centre, as a share of its signal after the filter `half`."""
-    edges = [math.erf((k + 0.5) / (math.sqrt(2.0) * star_sigma_px)) for k in range(len(half))]
-    along = edges[0] * float(half[0])
-    for k in range(1, len(half)):
-        along += (edges[k] - edges[k - 1]) * float(half[k])
-    return (edges[0] / along) ** 2
-
-
 def is_clutter(
     table: FloatArray,
     saturated: Flags,
-    image: FloatImage,
+    image: Image,
     background: Background,
     half: FloatImage,
     threshold: float,

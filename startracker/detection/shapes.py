@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from startracker.detection.plane import Plane
 from startracker.detection.scan import filter_stamp
 from startracker.detection.tiles import select_kth
+from startracker.detection.values import Image, is_value
 
 __all__ = ["SHAPE_COLUMNS", "find_clutter", "measure_shapes", "ring_pixels"]
 
@@ -42,7 +43,7 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
 
 @njit(cache=True, error_model="numpy")
 def measure_shapes(
-    image: FloatImage,
+    image: Image,
     level: FloatImage,
     noise: FloatImage,
     xs: IntArray,
@@ -71,7 +72,7 @@ def measure_shapes(
         for j in range(-half, half + 1):
             for i in range(-half, half + 1):
                 y, x = y0 + j, x0 + i
-                usable = 0 <= y < height and 0 <= x < width and abs(image[y, x]) < np.inf
+                usable = 0 <= y < height and 0 <= x < width and is_value(image[y, x])
                 signal = np.float64(image[y, x]) - np.float64(level[y, x]) if usable else 0.0
                 window[j + half, i + half] = signal
                 use[j + half, i + half] = 1.0 if usable else 0.0
@@ -148,7 +149,7 @@ def ring_pixels() -> tuple[IntArray, IntArray]:
 
 @njit(cache=True, error_model="numpy")
 def find_clutter(
-    image: FloatImage,
+    image: Image,
     level: Plane,
     half: FloatImage,
     xs: IntArray,

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
+from startracker.detection.values import Image, is_value, is_whole
 
 __all__ = ["interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
 
@@ -111,24 +112,33 @@ def _sample_statistics(sample: NDArray[np.float32], count: int, step: float) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def _counted_statistics(
-    tile: NDArray[np.float32], stride: int, phase: int, step: float, around: float, bins: NDArray[np.int32]
-) -> tuple[float, float, float]:
-    """The same numbers of a tile's sample by counting the values of a lattice of width `step` about `around`.
+def _count(
+    tile: Image, stride: int, phase: int, step: float, origin: float, bins: NDArray[np.int32]
+) -> tuple[int, int, bool]:
+    """Count a tile's sample into bins; returns how many are below them and in all, and whether all are on the lattice.
 
-    Not a number where that fails: a value is off the lattice, or what is beyond the bins counts. `bins` is, and stays,
-    zero.
+    The columns of a row are those of `tile_statistics`, (phase + shift × row) % stride, without a division.
     """
-    size, inverse = len(bins), 1.0 / step
-    origin = around - step * (size // 2)
-    below, count, on_lattice = 0, 0, True
-    for y in range(tile.shape[0]):
-        # the same columns as (phase + shift y) % stride, without a division
+    size, inverse, first_bin = len(bins), 1.0 / step, int(origin)
+    height, width = tile.shape
+    below, count, outside, on_lattice = 0, 0, 0, True
+    for y in range(height):
         first = phase
         phase += _SHIFT % stride
         phase -= stride if phase >= stride else 0
-        for x in range(first, tile.shape[1], stride):
-            place = (np.float64(tile[y, x]) - origin) * inverse
+        row = tile[y]
+        if is_whole(tile) and step == 1.0:
+            # one comparison tells what is below or above the bins
+            for x in range(first, width, stride):
+                k = np.uint64(np.int64(row[x]) - first_bin)
+                if k < np.uint64(size):
+                    bins[k] += np.int32(1)
+                else:
+                    outside += 1
+                    below += int(np.int64(k) < 0)
+            continue
+        for x in range(first, width, stride):
+            place = (np.float64(row[x]) - origin) * inverse
             if 0.0 <= place < size:
                 k = int(place)
                 on_lattice &= place == k
@@ -137,8 +147,26 @@ def _counted_statistics(
             elif abs(place) < np.inf:
                 below += int(place < 0.0)
                 count += 1
-    k, wanted = size // 2 - 1, count // 2
-    inside = below + int(bins[: size // 2].sum())
+    if is_whole(tile) and step == 1.0:
+        count = outside + int(bins.sum())
+    return below, count, on_lattice
+
+
+@njit(cache=True, error_model="numpy")
+def _counted_statistics(
+    tile: Image, stride: int, phase: int, step: float, around: float, bins: NDArray[np.int32]
+) -> tuple[float, float, float]:
+    """The same numbers of a tile's sample by counting the values of a lattice of width `step` about `around`.
+
+    Not a number where that fails: a value is off the lattice, or what is beyond the bins counts. `bins` is, and stays,
+    zero.
+    """
+    size, inverse = len(bins), 1.0 / step
+    half = size // 2
+    origin = around - step * half
+    below, count, on_lattice = _count(tile, stride, phase, step, origin, bins)
+    k, wanted = half - 1, count // 2
+    inside = below + int(bins[:half].sum())
     while inside - bins[k] > wanted and k > 0:
         inside -= int(bins[k])
         k -= 1
@@ -172,7 +200,7 @@ def _counted_statistics(
 
 @njit(cache=True, error_model="numpy")
 def tile_statistics(
-    image: NDArray[np.float32], rows: int, columns: int, step: float
+    image: Image, rows: int, columns: int, step: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Clipped mean and standard deviation of each of rows × columns tiles; NaN for one without finite pixels.
 
@@ -200,12 +228,17 @@ def tile_statistics(
                 for y in range(y0, y1):
                     for x in range(x0 + (y * _SHIFT) % stride, x1, stride):
                         sample[count] = image[y, x]
-                        count += abs(image[y, x]) < np.inf
+                        count += is_value(image[y, x])
                 if count == 0:
                     continue
                 median, mean, std = _sample_statistics(sample, count, step)
             level[tile_row, tile_column], noise[tile_row, tile_column] = mean, std
     return level, noise
+
+
+@njit(cache=True, error_model="numpy")
+def _middle(a: float, b: float, c: float) -> float:
+    return max(min(a, b), min(max(a, b), c))
 
 
 @njit(cache=True, error_model="numpy")
@@ -218,17 +251,20 @@ def smooth_tiles(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
     padded[-1, 1:-1] = 2.0 * tiles[-1] - tiles[max(-2, -rows)]
     padded[:, 0] = 2.0 * padded[:, 1] - padded[:, min(2, columns)]
     padded[:, -1] = 2.0 * padded[:, -2] - padded[:, max(-3, -columns - 1)]
+    # the median of nine is that of the largest least, the middle middle and the least largest of its rows sorted
+    low, middle, high = np.empty((rows + 2, columns)), np.empty((rows + 2, columns)), np.empty((rows + 2, columns))
+    for r in range(rows + 2):
+        for c in range(columns):
+            a, b, d = padded[r, c], padded[r, c + 1], padded[r, c + 2]
+            low[r, c], middle[r, c], high[r, c] = min(a, b, d), _middle(a, b, d), max(a, b, d)
     out = np.empty_like(tiles)
-    nine = np.empty(9)
     for r in range(rows):
         for c in range(columns):
-            for k in range(9):
-                value, place = padded[r + k // 3, c + k % 3], k
-                while place > 0 and nine[place - 1] > value:
-                    nine[place] = nine[place - 1]
-                    place -= 1
-                nine[place] = value
-            out[r, c] = nine[4]
+            out[r, c] = _middle(
+                max(low[r, c], low[r + 1, c], low[r + 2, c]),
+                _middle(middle[r, c], middle[r + 1, c], middle[r + 2, c]),
+                min(high[r, c], high[r + 1, c], high[r + 2, c]),
+            )
     return out
 
 

@@ -84,6 +84,10 @@ _TURNS = (
     _FOCAL._replace(triangles=20, work=10e6),
     _SEVEN._replace(triangles=10, work=30e6),
 )
+_THOROUGH_FROM, _BEYOND_RIVALS, _AS_STATED = 6, 5.0, 2.2
+"""From this turn on a field that is accepted with so much (in ln of the chance) to spare, and fits within so many
+stated errors, is looked at no longer: a rival would have to explain that much beyond chance, and has not shown in 60
+triangles of the brightest stars nor under the other assumptions."""
 _MOST_TRIPLES = 20000
 _CROWDED, _FEWER_TRIPLES = 40, 1500
 _MOST_STARS = 120
@@ -140,7 +144,9 @@ def adaptive(
     finds = _no_finds(len(observed))
     count, kept = 0, 0
     done: dict[str, int] = {}
-    for turn in _turns(settings, observed):
+    for number, turn in enumerate(_turns(settings, observed)):
+        if number >= _THOROUGH_FROM and _fits_as_stated(bench):
+            break
         start, stop = done.get(turn.assumption, 0), min(turn.triangles, len(triangles), _enough(turn, len(observed)))
         if start >= stop:
             continue
@@ -159,6 +165,14 @@ def adaptive(
         if everything and bench.standing and bench.log_chance < bench.limit:
             break
     return bench.judge(observed)
+
+
+def _fits_as_stated(bench: Bench) -> bool:
+    """Whether what was found is accepted with something to spare, and needs neither larger errors nor another focus."""
+    if not bench.log_chance < bench.limit - _BEYOND_RIVALS:
+        return False
+    best = bench.standing[0]
+    return best.focal == 1.0 and best.scale <= _AS_STATED
 
 
 def _turns(settings: IdentificationSettings, observed: Observed) -> tuple[_Turn, ...]:

@@ -41,6 +41,7 @@ SCATTERS_MAG = np.array([0.12, 0.35])
 """Scatters of the magnitudes averaged over: a calibrated instrument, and any."""
 _WIDE_MAG, _WIDE_SHARE, _FLOOR = 1.5, 0.2, 1e-3
 _SAMPLE = 24
+_USUAL_STARS = 250
 _LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)
 _ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
 
@@ -117,28 +118,36 @@ class CountTable(NamedTuple):
     log_total: FloatArray
 
 
-@lru_cache(maxsize=256)
 def count_table(n: int, depths: int) -> CountTable:
-    """Table for `n` observed stars and up to `depths` guide stars of the field.
+    """Table for `n` observed stars and up to `depths` guide stars of the field; the last few are kept.
 
     Each guide star within the depth D is seen with probability p, Poisson-many distractors (mean λ) besides; p and λ
     are averaged over `SEEN` and `DISTRACTORS`: an ordered list of n stars with M given matches has the weight
-    e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!.
+    e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!, whose averages over p and over λ are each other's factors.
     """
-    m = np.arange(n + 1)[:, None]
-    d = np.arange(depths + 1)[None, :]
-    ways = gammaln(n + 1) - gammaln(n - m + 1)  # ordered choices of M of the n observed stars
-    with np.errstate(divide="ignore", invalid="ignore"):
-        choose = np.where(m <= d, gammaln(d + 1) - gammaln(m + 1) - gammaln(np.maximum(d - m, 0) + 1), -np.inf)
-        total = np.full((n + 1, depths + 1), -np.inf)
-        for p, p_weight in SEEN:
-            for distractors, weight in DISTRACTORS:
-                term = math.log(p_weight * weight) - distractors + (n - m) * math.log(distractors) + m * math.log(p)
-                total = np.logaddexp(total, np.where(m <= d, term + (d - m) * math.log1p(-p), -np.inf))
-        log_weight = total - gammaln(n + 1)
-        each = np.logaddexp.reduce(log_weight + choose + ways, axis=0)
+    return (_usual_table if n <= _USUAL_STARS else _large_table)(n, depths)
+
+
+def _count_table(n: int, depths: int) -> CountTable:
+    m, d = np.arange(n + 1)[:, None], np.arange(depths + 1)[None, :]
+    log_factorial = gammaln(np.arange(max(n, depths) + 1) + 1.0)
+    among, unseen = m <= d, np.maximum(d - m, 0)
+    distracting, seeing = np.full((n + 1, 1), -np.inf), np.full((n + 1, depths + 1), -np.inf)
+    for distractors, weight in DISTRACTORS:
+        term = math.log(weight) - distractors + (n - m) * math.log(distractors)
+        distracting = np.logaddexp(distracting, term)
+    for p, weight in SEEN:
+        seeing = np.logaddexp(seeing, math.log(weight) + m * math.log(p) + unseen * math.log1p(-p))
+    log_weight = np.where(among, distracting + seeing - log_factorial[n], -np.inf)
+    ways = log_factorial[n] - log_factorial[n - m]  # ordered choices of M of the n observed stars
+    choose = np.where(among, log_factorial[d] - log_factorial[m] - log_factorial[unseen], -np.inf)
+    each = np.logaddexp.reduce(log_weight + choose + ways, axis=0)
     log_total = np.logaddexp.accumulate(np.where(d[0] > 0, each, -np.inf))
     return CountTable(log_weight, log_total)
+
+
+_usual_table = lru_cache(maxsize=128)(_count_table)
+_large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 
 @njit(cache=True, error_model="numpy")

@@ -264,4 +264,4 @@ def candidates(
 
 def attitude_of(camera: Camera, xy: FloatArray, directions: FloatArray) -> FloatArray:
     """Rotation (3, 3) of a handful of stars."""
-    return fit_rotation(camera.unproject(xy), directions, np.ones(len(xy)))
+    return np.asarray(fit_rotation(camera.unproject(xy), directions, np.ones(len(xy))))

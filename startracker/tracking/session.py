@@ -286,7 +286,7 @@ class TrackingSession:
     def _uncertainty(self) -> float:
         """Largest standard deviation of the predicted attitude about any axis, rad."""
         assert self._filter is not None
-        return math.sqrt(float(np.trace(self._filter.attitude_covariance)))
+        return math.sqrt(sum(self._filter.attitude_covariance.diagonal().tolist()))
 
     def _prior(self) -> tuple[Attitude | None, float]:
         """Prediction as the identification takes it: an attitude and its largest error, degrees."""

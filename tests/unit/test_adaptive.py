@@ -10,10 +10,10 @@ from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification import Observed, Prior, adaptive
-from startracker.identification.adaptive import _kernel_pairs, _no_finds, _Triangles
+from startracker.identification.adaptive import _no_finds, _Triangles
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.pairs import separation
-from startracker.identification.search_state import Limits, Stars
+from startracker.identification.search_state import Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, least_hits, search_triangles
 from startracker.identification.verification import focal_slopes
 from startracker.settings import IdentificationSettings
@@ -68,9 +68,8 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     sigma = np.full(3, 0.005)
     stars = Stars(vectors, focal_slopes(vectors), sigma, np.full(3, np.nan), count_table(3, 20))
     limits = Limits(1.0, focal_range, 99.0, 0.5, 1e9, 1e12, np.eye(3), -2.0)
-    _, looked, found = search_triangles(
-        np.array([[0, 1, 2]]), stars, sky.view, _kernel_pairs(near, sky), limits, _no_finds(3), 0
-    )
+    pairs = Pairs(near.first, near.second, near.separation_rad)
+    _, looked, found = search_triangles(np.array([[0, 1, 2]]), stars, sky.view, pairs, limits, _no_finds(3), 0)
     tolerance = PAIR_SIGMAS * math.hypot(0.005, 0.005)
     expected = brute_force(vectors, sky.directions[sky.pattern], tolerance, focal_range)
     assert looked == 1

@@ -6,7 +6,7 @@ from scipy import ndimage
 from scipy.special import erf
 
 from startracker.detection import METHODS, estimate, find_components
-from startracker.detection.selection import common_width
+from startracker.detection.hits import common_width
 from startracker.detection.smear import agrees, common_motion, elongations, motion_at
 from startracker.settings import DetectionSettings
 

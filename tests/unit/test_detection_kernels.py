@@ -6,11 +6,11 @@ from scipy import ndimage
 
 from startracker.detection.background import Background, estimate
 from startracker.detection.forms import is_halo, measure_forms
+from startracker.detection.hits import peak_share
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
 from startracker.detection.scan import UNFILTERED, filter_stamp
-from startracker.detection.selection import peak_share
 from startracker.detection.shapes import find_clutter, measure_shapes, ring_pixels
 from startracker.detection.spots import (
     COLUMNS,

@@ -1,0 +1,72 @@
+"""What kernels ask of a pixel's value, whatever its type: images of a converter stay 16-bit integers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.errors import InputError
+
+__all__ = ["Image", "as_image", "as_pixels", "is_value", "is_whole", "whole_range"]
+
+Image = NDArray[np.float32] | NDArray[np.uint16]
+"""What kernels read: float32 of which some may not be finite, or uint16."""
+
+
+def as_image(image: ArrayLike) -> NDArray[np.float32]:
+    """Image as a C-contiguous float32 array (H, W); `InputError` when it is not two-dimensional and numeric."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(_checked(image), dtype=np.float32)
+
+
+def as_pixels(image: ArrayLike) -> Image:
+    """The same, with uint16 left as it is: half the memory to read, and nothing to look for that is not finite."""
+    array = _checked(image)
+    return np.ascontiguousarray(array) if array.dtype == np.uint16 else as_image(array)
+
+
+def _checked(image: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(image)
+    if array.ndim != 2:
+        raise InputError(f"an image must have two dimensions (rows, columns); got the shape {array.shape}")
+    if array.dtype.kind not in "buif":
+        raise InputError(f"an image must hold real numbers; got the type {array.dtype}")
+    return array
+
+
+def is_value(pixel: float) -> bool:
+    """Whether a pixel's value is a finite number."""
+    return bool(abs(pixel) < np.inf)
+
+
+@overload(is_value)
+def _is_value(pixel):  # type: ignore[no-untyped-def]
+    if isinstance(pixel, types.Integer):
+        return lambda pixel: True
+    return lambda pixel: abs(pixel) < np.inf
+
+
+def is_whole(image: Image) -> bool:
+    """Whether an image holds integers; kernels know it when they are compiled."""
+    return image.dtype.kind in "ui"
+
+
+@overload(is_whole)
+def _is_whole(image):  # type: ignore[no-untyped-def]
+    whole = isinstance(image.dtype, types.Integer)
+    return lambda image: whole
+
+
+@njit(cache=True, error_model="numpy")
+def whole_range(image: NDArray[np.uint16]) -> tuple[int, int]:
+    """Lowest and highest value of an image of integers, in one pass."""
+    lowest, highest = image[0, 0], image[0, 0]
+    for y in range(image.shape[0]):
+        row = image[y]
+        for x in range(len(row)):
+            lowest, highest = min(lowest, row[x]), max(highest, row[x])
+    return lowest, highest
