@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from startracker.centroid import maximum_likelihood
-from startracker.centroid.moments import SYSTEMATIC_PX
+from startracker.centroid.psf_fit import SYSTEMATIC_PX
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
