@@ -25,7 +25,7 @@ from simulator.study.statistics import CAMERA_AXES
 from startracker.errors import BoresightError, InputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 FloatArray = NDArray[np.float64]
 Changes = dict[str, Any]
@@ -236,12 +236,6 @@ class Budget:
             "remainder": None if self.remainder is None else _entry(self.remainder),
             "interrupted": self.interrupted,
         }
-
-    def figure(self) -> Figure:
-        """Bars of what each effect and class adds across and about the boresight, with intervals."""
-        from simulator.study.budget_plot import budget_figure
-
-        return budget_figure(self)
 
 
 def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress | None = None) -> Budget:
