@@ -77,7 +77,8 @@ def coverage_study(
     from simulator.checks import load_scenario
     from simulator.paths import make_folder
     from simulator.study.boresights import Exclusion
-    from simulator.study.coverage import RESULT_FILES, baffle_exclusion, coverage, write_coverage
+    from simulator.study.coverage import baffle_exclusion, coverage
+    from simulator.study.coverage_files import RESULT_FILES, write_coverage
 
     loaded = load_scenario(scenario, set_values)
     baffle = baffle_exclusion(loaded)
@@ -131,7 +132,8 @@ def design_study(
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.paths import make_folder
-    from simulator.study.design import design, verify, write_design
+    from simulator.study.design import design, verify
+    from simulator.study.design_files import write_design
     from startracker.errors import InputError
 
     if verify_trials < 0:
@@ -180,6 +182,7 @@ def budget_study(
     from simulator.checks import load_scenario
     from simulator.paths import make_folder, write_atomically
     from simulator.study.budget import budget
+    from simulator.study.budget_plot import budget_figure
     from simulator.study.plots import save_bytes
 
     loaded = load_scenario(scenario, set_values)
@@ -190,7 +193,7 @@ def budget_study(
             loaded, trials, workers, progress=lambda done, total: bar.update(task, completed=done, total=total)
         )
     write_atomically(folder / "budget.json", json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
-    write_atomically(folder / "budget.png", save_bytes(result.figure()))
+    write_atomically(folder / "budget.png", save_bytes(budget_figure(result)))
     print(result.table())
     print(f"{folder}: budget.json, budget.png")
     return 130 if result.interrupted else 0

@@ -48,7 +48,7 @@ def run_sweep_command(
         raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
     plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
     folder = make_folder(out or Path("out") / f"{plan.scenario.name}-sweep")
-    processes = workers or _usable_cores(plan.scenario.study.trials)
+    processes = workers or _usable_cores(plan.scenario.study.trials * len(plan.points))
     with SweepProgress(plan) as bar:
         sweep = run_sweep(plan, folder, workers=processes, dask=dask, resume=resume, progress=bar.tell)
     _print(sweep, Console(highlight=False, width=None if sys.stdout.isatty() else 130))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,6 @@ from simulator.study.engine import Progress, run_trials
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
 from startracker.errors import BoresightError, InputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
 Changes = dict[str, Any]
@@ -236,12 +233,6 @@ class Budget:
             "remainder": None if self.remainder is None else _entry(self.remainder),
             "interrupted": self.interrupted,
         }
-
-    def figure(self) -> Figure:
-        """Bars of what each effect and class adds across and about the boresight, with intervals."""
-        from simulator.study.budget_plot import budget_figure
-
-        return budget_figure(self)
 
 
 def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress | None = None) -> Budget:

@@ -6,20 +6,16 @@ availability, the share of the sky or of the time with at least k stars.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from simulator.focal_plane import camera_of
 from simulator.mission.clock import Clock
-from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
 from simulator.study.boresights import Boresights, Exclusion, along_path, whole_sky
 from simulator.study.field_counts import circle, count_by_level, outline, solid_angle_sr
@@ -33,12 +29,11 @@ from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import voxel_grid
 from startracker.errors import InputError
 
-__all__ = ["RESULT_FILES", "Coverage", "baffle_exclusion", "count_stars", "coverage", "write_coverage"]
+__all__ = ["Coverage", "baffle_exclusion", "count_stars", "coverage"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-RESULT_FILES = ("coverage.json", "coverage.parquet", "map.png", "counts.png", "magnitudes.png")
 
 PERCENTILES = (0.1, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 MOST_STARS_ASKED = 12
@@ -261,20 +256,6 @@ def coverage(
         curve=counts,
         sky_stars=len(stars.brighter_than(limit)),
     )
-
-
-def write_coverage(result: Coverage, scenario: Scenario, folder: Path) -> None:
-    """Write ``coverage.json``, ``coverage.parquet`` and the pictures, each moved into place whole."""
-    from simulator.study.plots import save_bytes
-    from simulator.study.sky_maps import count_plot, coverage_map, magnitude_plot
-
-    make_folder(folder)
-    sink = pa.BufferOutputStream()
-    pq.write_table(result.to_table(scenario), sink, compression="zstd")
-    write_atomically(folder / "coverage.parquet", sink.getvalue().to_pybytes())
-    write_atomically(folder / "coverage.json", json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
-    for name, draw in (("map.png", coverage_map), ("counts.png", count_plot), ("magnitudes.png", magnitude_plot)):
-        write_atomically(folder / name, save_bytes(draw(result)))
 
 
 def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[float, str]:

@@ -7,11 +7,9 @@ Monte Carlo run of the value found can stand beside it.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ from pydantic import ValidationError
 
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import mounting_of
-from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
 from simulator.sky.colours import spectral_coordinates
@@ -36,7 +33,7 @@ from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.voxels import voxel_grid
 from startracker.errors import InputError
 
-__all__ = ["PARAMETERS", "Design", "Point", "Verification", "design", "predict", "verify", "write_design"]
+__all__ = ["PARAMETERS", "Design", "Point", "Verification", "design", "predict", "verify"]
 
 FloatArray = NDArray[np.float64]
 
@@ -316,17 +313,6 @@ def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) ->
         three_sigma_deg={axis: summary["errors_deg"][axis]["three_sigma"] for axis in BODY_AXES},
         predicted_deg=dict(result.best.three_sigma_deg),
     )
-
-
-def write_design(result: Design, verification: Verification | None, folder: Path) -> None:
-    """Write ``design.json`` and ``design.png``, each moved into place whole."""
-    from simulator.study.design_plot import design_plot
-    from simulator.study.plots import save_bytes
-
-    make_folder(folder)
-    values = result.to_dict() | {"verification": asdict(verification) if verification else None}
-    write_atomically(folder / "design.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
-    write_atomically(folder / "design.png", save_bytes(design_plot(result)))
 
 
 def _point(

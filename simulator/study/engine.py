@@ -19,7 +19,7 @@ import pyarrow as pa
 from simulator.scenario import Scenario
 from simulator.study.blocks import Blocks, Result, run_block
 from simulator.study.parts import PartStore, discard_parts
-from simulator.study.process_pool import run_in_pool
+from simulator.study.process_pool import WorkerPool, run_in_pool
 from simulator.study.stopping import stop_on_signal
 from simulator.study.trial import TrialRunner
 from startracker.errors import InputError
@@ -69,6 +69,7 @@ def run_trials(
     *,
     workers: int = 1,
     dask: str | None = None,
+    pool: WorkerPool | None = None,
     folder: Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
@@ -85,6 +86,8 @@ def run_trials(
         Processes; 1 runs in this one.
     dask : str, optional
         Address of a dask.distributed scheduler; the trials run on its workers instead.
+    pool : WorkerPool, optional
+        Processes that are there already, in place of new ones.
     folder : Path, optional
         Where finished blocks are kept until the results are written; none: in memory.
     resume : bool
@@ -104,12 +107,12 @@ def run_trials(
     if workers < 1:
         raise InputError(f"workers: must be at least 1, not {workers}")
     store = PartStore(scenario, folder, resume)
-    blocks = Blocks(store.missing(trials), workers)
+    blocks = Blocks(store.missing(trials), pool.workers if pool else workers)
     done = taken_over = trials - blocks.left
     if progress:
         progress(done, trials)
     with stop_on_signal() as stop:
-        with contextlib.closing(_results(scenario, blocks, workers, dask, stop)) as results:
+        with contextlib.closing(_results(scenario, blocks, dask, pool, stop)) as results:
             for result in results:
                 store.put(result.block, result.table)
                 done += len(result.block)
@@ -120,15 +123,20 @@ def run_trials(
 
 
 def _results(
-    scenario: Scenario, blocks: Blocks, workers: int, dask: str | None, stop: threading.Event
+    scenario: Scenario, blocks: Blocks, dask: str | None, pool: WorkerPool | None, stop: threading.Event
 ) -> Generator[Result, None, None]:
     if dask is not None:
         from simulator.study.dask_pool import run_on_cluster
 
         return run_on_cluster(scenario, blocks, dask, stop)
-    if workers == 1:
+    if blocks.workers == 1:
         return _run_here(scenario, blocks, stop)
-    return run_in_pool(scenario, blocks, workers, stop)
+    return run_in_pool(scenario, blocks, pool, stop) if pool else _run_in_own_pool(scenario, blocks, stop)
+
+
+def _run_in_own_pool(scenario: Scenario, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:
+    with WorkerPool(blocks.workers) as pool:
+        yield from run_in_pool(scenario, blocks, pool, stop)
 
 
 def _run_here(scenario: Scenario, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:

@@ -29,7 +29,7 @@ MERGE_EVERY = 50
 """Parts that may come before those that touch are merged."""
 MERGED_TRIALS = 50_000
 """Trials of a merged part at most: as many are in memory while it is made."""
-ROW_GROUP_TRIALS = 50_000
+ROW_GROUP_TRIALS = 10_000
 """Trials of a row group of ``trials.parquet``: the same whatever the parts."""
 KEY = b"boresight.scenario.sha256"
 """Where ``trials.parquet`` says whose trials it holds."""
@@ -175,6 +175,7 @@ class PartStore:
         with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, compression="zstd") as writer:
             for table in self.row_groups(trials):
                 writer.write_table(table.cast(schema), row_group_size=ROW_GROUP_TRIALS)
+        pa.default_memory_pool().release_unused()
 
     def table(self, trials: int) -> pa.Table:
         """The trials below `trials`, in memory."""
@@ -185,7 +186,7 @@ class PartStore:
         if not isinstance(part, Path):
             yield part.slice(0, left)
             return
-        with pq.ParquetFile(part) as file:
+        with pq.ParquetFile(part, pre_buffer=False) as file:
             for batch in file.iter_batches(ROW_GROUP_TRIALS):
                 if left > 0:
                     yield pa.Table.from_batches([batch]).slice(0, left)
@@ -217,7 +218,9 @@ class PartStore:
         tables = [table for key in keys for table in self._read(key, merged[1])]
         path = self._path(merged)
         with nothing_lost(), open_atomically(path) as stream:
-            pq.write_table(pa.concat_tables(tables, promote_options="permissive"), stream)
+            pq.write_table(
+                pa.concat_tables(tables, promote_options="permissive"), stream, row_group_size=ROW_GROUP_TRIALS
+            )
         members = [self._parts.pop(key) for key in keys]
         self._parts[merged] = path
         for member in members:

@@ -20,35 +20,69 @@ from startracker.errors import BoresightError
 STOP_CHECK_S = 0.2
 """Seconds between looks at whether the run is to stop."""
 
-_runner: TrialRunner | None = None
+_local = threading.local()
+
+
+class WorkerPool:
+    """Processes of this machine that run blocks of trials, of one scenario after the other; started when first needed.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._executor: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def submit(self, scenario: Scenario, key: str, block: range) -> Future[Result]:
+        """Have a block run by the next process that is free; `key` tells scenarios apart."""
+        if self._executor is None:
+            self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=_start_worker)
+        return self._executor.submit(_run_block, scenario, key, block)
+
+    def close(self) -> None:
+        """End the processes, once they have finished what they are at; the next block starts new ones."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, cancel_futures=True)
+            self._executor = None
 
 
 def run_in_pool(
-    scenario: Scenario, blocks: Blocks, workers: int, stop: threading.Event
+    scenario: Scenario, blocks: Blocks, pool: WorkerPool, stop: threading.Event
 ) -> Generator[Result, None, None]:
     """Finished blocks in the order in which they come, only a few under way at a time, so that memory stays flat.
 
     A stop drops the blocks that no worker has begun and waits, a moment, for the others. When a worker dies its blocks
-    are run again by a new pool.
+    are run again by new processes.
 
     Raises
     ------
+    InputError
+        What a worker says of a scenario that cannot be.
     BoresightError
         When the workers die with the same block again and again.
     """
+    key = scenario.fingerprint()
     while blocks and not stop.is_set():
         pending: dict[Future[Result], range] = {}
-        pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(scenario,))
         try:
             while blocks or pending:
                 if stop.is_set():
                     blocks.drop()
                     pending = {future: block for future, block in pending.items() if not future.cancel()}
                 with _no_interrupt_for_children():
-                    while blocks and len(pending) < 2 * workers:
+                    while blocks and len(pending) < 2 * pool.workers:
                         block = blocks.take()
                         try:
-                            pending[pool.submit(_run_block, block)] = block
+                            pending[pool.submit(scenario, key, block)] = block
                         except BrokenProcessPool:
                             pending[Future()] = block
                             raise
@@ -59,21 +93,28 @@ def run_in_pool(
                     del pending[future]
                     yield result
         except BrokenProcessPool:
+            pool.close()
             if not blocks.give_back(sorted(pending.values(), key=lambda block: block.start)):
                 raise BoresightError(
                     f"the worker processes died {MAX_ATTEMPTS} times with the same trials (out of memory?); the "
                     "finished trials are kept: run again with --resume and fewer --workers"
                 ) from None
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            for future in pending:  # those of an earlier end: nobody waits for them
+                future.cancel()
 
 
-def _start_worker(scenario: Scenario) -> None:
-    global _runner  # noqa: PLW0603 - one runner a process is what a worker is
+def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _runner = TrialRunner(scenario)
+
+
+def _run_block(scenario: Scenario, key: str, block: range) -> Result:
+    """In a worker: what the trials of a scenario share is built once, and only the last one is kept."""
+    if getattr(_local, "key", None) != key:
+        _local.runner, _local.key = TrialRunner(scenario), key
+    return run_block(_local.runner.run, block)
 
 
 def _end_with_parent() -> None:
@@ -82,11 +123,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _run_block(block: range) -> Result:
-    assert _runner is not None
-    return run_block(_runner.run, block)
 
 
 @contextlib.contextmanager

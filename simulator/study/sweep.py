@@ -27,6 +27,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
 from simulator.study.engine import Trials, run_trials
+from simulator.study.process_pool import WorkerPool
 from simulator.study.sweep_files import cell, point_file, write_results
 from simulator.study.trial import TrialRunner
 from startracker._version import __version__
@@ -212,27 +213,28 @@ def run_sweep(
     if progress:
         progress(done, total, next((point for point in plan.runnable if point not in have), plan.runnable[-1]))
     started, run_here, interrupted = time.perf_counter(), 0, False
-    for point in plan.runnable:
-        file, scenario = point_file(kept, point.index), point.scenario
-        assert scenario is not None
-        if file.exists():
-            continue
-        asked = scenario.study.trials
-        try:
-            trials = _run_point(scenario, workers, dask, _shifted(progress, done, total, point))
-        except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
-            interrupted = True
-            break
-        if isinstance(trials, str):
-            refused[point.index] = trials
-            total -= asked
-            continue
-        if trials.interrupted:
-            interrupted = True
-            break
-        _write_point(plan, point, trials.table, file)
-        run_here += asked
-        done += asked
+    with WorkerPool(workers) as pool:
+        for point in plan.runnable:
+            file, scenario = point_file(kept, point.index), point.scenario
+            assert scenario is not None
+            if file.exists():
+                continue
+            asked = scenario.study.trials
+            try:
+                trials = _run_point(scenario, pool, dask, _shifted(progress, done, total, point))
+            except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
+                interrupted = True
+                break
+            if isinstance(trials, str):
+                refused[point.index] = trials
+                total -= asked
+                continue
+            if trials.interrupted:
+                interrupted = True
+                break
+            _write_point(plan, point, trials.table, file)
+            run_here += asked
+            done += asked
     if not any(point_file(kept, point.index).exists() for point in plan.points):
         if interrupted:
             raise BoresightError("interrupted before the first point was finished: nothing to report")
@@ -264,17 +266,17 @@ def run_sweep(
 
 
 def _run_point(
-    scenario: Scenario, workers: int, dask: str | None, progress: Callable[[int, int], None] | None
+    scenario: Scenario, pool: WorkerPool, dask: str | None, progress: Callable[[int, int], None] | None
 ) -> Trials | str:
     """Trials of a point, or why there can be none."""
     trials = scenario.study.trials
     try:
-        if workers == 1 and dask is None:
-            return run_trials(scenario, trials, progress=progress)
-        TrialRunner(scenario)  # what cannot be is told here, not by a worker that dies of it
+        if dask is None:
+            return run_trials(scenario, trials, pool=pool, progress=progress)
+        TrialRunner(scenario)  # what cannot be is told here; a cluster that is not there is another matter
     except InputError as error:
         return " ".join(str(error).split())
-    return run_trials(scenario, trials, workers=workers, dask=dask, progress=progress)
+    return run_trials(scenario, trials, dask=dask, progress=progress)
 
 
 def _shifted(progress: Progress | None, before: int, total: int, point: Point) -> Callable[[int, int], None] | None:

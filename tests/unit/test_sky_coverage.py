@@ -13,7 +13,8 @@ from simulator.randomness import stream
 from simulator.scene import SceneBuilder
 from simulator.sky.earth import occulted
 from simulator.study.boresights import Exclusion, along_path, sky_grid, whole_sky
-from simulator.study.coverage import RESULT_FILES, count_stars, coverage, write_coverage
+from simulator.study.coverage import count_stars, coverage
+from simulator.study.coverage_files import RESULT_FILES, write_coverage
 from simulator.study.field_counts import accumulate_information, circle, outline, solid_angle_sr
 from startracker.attitude import Attitude
 from startracker.camera import Camera

@@ -11,6 +11,7 @@ from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
 from simulator.study import budget as module
 from simulator.study.budget import CLASSES, EFFECTS, budget, effective
+from simulator.study.budget_plot import budget_figure
 from simulator.study.statistics import AXES
 from startracker.errors import BoresightError, InputError
 
@@ -70,7 +71,7 @@ def test_known_parts_are_found(monkeypatch):
     assert entry["effects"][0]["axes"]["cross_x"]["added_rms_deg"] == found.effects[0].added_rms_deg("cross_x")
     text = found.table()
     assert text.index("shot noise") < text.index("read noise") < text.index("response non-uniformity")
-    figure = found.figure()
+    figure = budget_figure(found)
     assert len(figure.axes) == 2
     assert next(label.get_text() for label in figure.axes[0].get_yticklabels()) == "shot noise"
 
