@@ -132,8 +132,8 @@ def solve_unknown_fov(
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            steps = (*found.steps, *hints(found.status, 0, known_camera=False))
-            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=steps)
+            told = (*found.steps, *hints(found.status, 0, known_camera=False))
+            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=told)
         height, width = np.shape(source)
         xy, signal, steps, saturated = found.xy, found.flux, found.steps, found.saturated
         variance: FloatArray | None = found.variance_px2

@@ -317,25 +317,23 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
         )
     if not given.size:
         return None, "no pixel of the image is a finite number"
+    level = saturation_dn
+    if level is None and given.dtype.kind == "u":
+        level = float(np.iinfo(given.dtype).max)
+    if level is not None and pixels.dtype == np.uint16:
+        least, most, full = whole_range(pixels, float(level))
+        return _Survey(pixels, float(least), float(most), full / pixels.size, level), ""
     # whole numbers need no search for what is not finite, and have their range in a quarter of the time
-    if pixels.dtype == np.uint16:
-        lowest, highest = (float(value) for value in whole_range(pixels))
-    else:
-        plane = given if given.dtype.kind in "ui" else pixels
-        lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
+    plane = given if given.dtype.kind in "ui" else pixels
+    lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
     if not (math.isfinite(lowest) and math.isfinite(highest)):  # NaN makes both NaN
         pixels = np.where(np.isfinite(pixels), pixels, np.float32(np.nan))
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
         if not math.isfinite(highest):
             return None, "no pixel of the image is a finite number"
-    level = saturation_dn
-    if level is None and given.dtype.kind == "u":
-        level = float(np.iinfo(given.dtype).max)
     if level is None:
         level = highest if highest > 0 else math.inf
-    # a Python float compares in the image's own type, for integers in float64
-    limit = math.ceil(level) if pixels.dtype.kind == "u" else level
-    full = np.count_nonzero(pixels >= limit) if highest >= level else 0
+    full = np.count_nonzero(pixels >= level) if highest >= level else 0
     return _Survey(pixels, lowest, highest, full / pixels.size, level), ""
 
 

@@ -156,8 +156,8 @@ class StarTracker:
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            steps = (*found.steps, *hints(found.status, 0, known_camera=True))
-            return replace(self._unsolved(found.status, found.reason, clock), steps=steps)
+            told = (*found.steps, *hints(found.status, 0, known_camera=True))
+            return replace(self._unsolved(found.status, found.reason, clock), steps=told)
         hint = _prior(prior, prior_deg)
         looks, steps = [found], found.steps
         if found.smeared:  # the streaks' own measurement is far better, and most often there
@@ -274,9 +274,7 @@ class StarTracker:
                 found = _beside_prior(elsewhere)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
-        told = partial(
-            identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera
-        )
+        told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
         tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
             return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)

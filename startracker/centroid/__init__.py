@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from startracker.centroid.moments import first_moment
 from startracker.centroid.psf_fit import least_squares, maximum_likelihood, weighted_moment
 from startracker.centroid.result import Centroids
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image
 from startracker.settings import CentroidSettings
 
 __all__ = [
@@ -25,8 +23,9 @@ __all__ = [
     "weighted_moment",
 ]
 
-Centroider: TypeAlias = Callable[[NDArray[np.float32], Background, Spots, CentroidSettings, float | None], Centroids]
-"""Signature of a centroider: image, background, spots, settings, gain in electrons a DN or None."""
+Centroider: TypeAlias = Callable[[Image, Background, Spots, CentroidSettings, float | None], Centroids]
+"""Signature of a centroider: image (float32 or uint16), background, spots, settings, gain in electrons a DN
+or None."""
 
 METHODS: dict[str, Centroider] = {
     "moment": first_moment,

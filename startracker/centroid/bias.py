@@ -18,6 +18,8 @@ _CONVERGED = 1e-13
 _UNGUARDED = 8
 _STEEP = 0.05
 """Slope from which Newton's method is tried without a bracket."""
+_NEAR = 1e-7
+"""From there its next step, the last one, ends within 1e-13."""
 _FLAT = 1e-6
 """Slope of the mean against the centre below which the window no longer tells the position."""
 _NO_LIGHT = 1e-280
@@ -82,11 +84,12 @@ def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[flo
     centre = moment
     for _ in range(_UNGUARDED):
         _light, mean, _variance, slope, _a, _b, _c = window_moments(centre, sigma, low, high)
-        if abs(mean - moment) < _CONVERGED and slope > _FLAT:
-            return centre, 1.0 / slope
-        centre -= (mean - moment) / slope if slope > _STEEP else np.inf
+        error = mean - moment
+        centre -= error / slope if slope > _STEEP else np.inf
         if not left < centre < right:
             break
+        if abs(error) < _NEAR:
+            return centre, 1.0 / slope
     if not window_moments(left, sigma, low, high)[1] < moment < window_moments(right, sigma, low, high)[1]:
         return moment, np.inf
     centre, slope, error = moment, 0.0, 1.0
@@ -120,14 +123,14 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
     for _ in range(_UNGUARDED):
         _light, here, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, width, low, high)
         off, over, determinant = here - mean, found - variance, mean_c * variance_s - mean_s * variance_c
-        if abs(off) < _CONVERGED and abs(over) < _CONVERGED and mean_c > _FLAT:
-            return centre, width
         if not (mean_c > _STEEP and variance_s > _STEEP and determinant > _STEEP * variance_s):
             break
         centre -= (off * variance_s - over * mean_s) / determinant
         width -= (over * mean_c - off * variance_c) / determinant
         if not (narrow <= width <= wide and abs(centre - middle) < 0.5 * wide):
             break
+        if abs(off) < _NEAR and abs(over) < _NEAR:
+            return centre, width
     for _ in range(50):
         centre, slope = invert_moment(mean, sigma, low, high)
         _light, _mean, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, sigma, low, high)

@@ -197,9 +197,7 @@ def collect(
     return Centroids(table[:, :2].copy(), table[:, 2].copy(), covariance, spots.saturated[order])
 
 
-def measure_psf_sigma(
-    image: Image, background: Background, spots: Spots, window_px: int = 5
-) -> tuple[float, float]:
+def measure_psf_sigma(image: Image, background: Background, spots: Spots, window_px: int = 5) -> tuple[float, float]:
     """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
 
     The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has

@@ -1,4 +1,4 @@
-"""Kernels of the centroiders that know the star image: its interpolation, the joint fit of neighbours."""
+"""Kernels of the centroiders that know the star image: the joint fit of neighbours, weighted moments."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from startracker.centroid.psf_sums import interpolate, interpolated, sums, sums_of_one
 from startracker.detection.values import Image
 
 __all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
@@ -22,7 +23,6 @@ MOST_TOGETHER = 8
 """Stars fitted jointly at most."""
 
 _ITERATIONS = 25
-_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 _LONGEST_STEP_PX = 0.5
 _CONVERGED_PX = 2e-4
 """Of the last step; the steps shrink tenfold and more, so that the next would be below 2e-5."""
@@ -32,51 +32,6 @@ them and 1e-4 px."""
 _ACCEPTED_PX = 1e-3
 _WEIGHINGS = 3
 _LARGEST_GROWTH = 2.0
-
-
-@njit(cache=True, error_model="numpy")
-def _interpolate(size: int, oversampling: int, distance: float, weights: FloatArray, row: int) -> int:
-    """Point of the table before a pixel at `distance` from the star; the weights of four points about it go to
-    a row of `weights`, and those of the derivative by the place in the table.
-
-    A pixel further on adds `oversampling` to the point, and leaves the weights as they are.
-    """
-    place = distance * oversampling + (size - 1) // 2
-    first = math.floor(place)
-    t = place - first
-    weights[row, 0], weights[row, 1] = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
-    weights[row, 2], weights[row, 3] = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
-    weights[row, 4], weights[row, 5] = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
-    weights[row, 6], weights[row, 7] = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
-    return first
-
-
-@njit(cache=True, error_model="numpy")
-def _interpolated(
-    table: FloatArray, oversampling: int, i: int, j: int, weights: FloatArray, row: int
-) -> tuple[float, float, float]:
-    """Light in the pixel at (dx, dy) from the star, and its derivatives by dx and dy: bicubic (Keys 1981, a = −½).
-
-    (i, j) is the point of the table before it; the weights of x stand in a row, those of y in the next. Zero outside
-    the table.
-    """
-    size = table.shape[0]
-    if i < 1 or j < 1 or i > size - 3 or j > size - 3:
-        return 0.0, 0.0, 0.0
-    w0, w1, w2, w3 = weights[row, 0], weights[row, 1], weights[row, 2], weights[row, 3]
-    s0, s1, s2, s3 = weights[row, 4], weights[row, 5], weights[row, 6], weights[row, 7]
-    value, by_x, by_y = 0.0, 0.0, 0.0
-    points = table.reshape(-1)
-    place = np.uint64((j - 1) * size + i - 1)  # unsigned, so that no index is looked at for being negative
-    for k in range(4):
-        p0, p1, p2, p3 = points[place], points[place + _ONE], points[place + _TWO], points[place + _THREE]
-        across = w0 * p0 + w1 * p1 + w2 * p2 + w3 * p3
-        slope = s0 * p0 + s1 * p1 + s2 * p2 + s3 * p3
-        value += weights[row + 1, k] * across
-        by_x += weights[row + 1, k] * slope
-        by_y += weights[row + 1, 4 + k] * across
-        place += np.uint64(size)
-    return value, by_x * oversampling, by_y * oversampling
 
 
 @njit(cache=True, error_model="numpy")
@@ -137,14 +92,14 @@ def _initial_flux(image, level, noise, table, oversampling, x, y, half, ceiling)
     above, below = 0.0, 0.0
     cx, cy = round(x), round(y)
     weights = np.empty((2, 8))
-    first_x = _interpolate(table.shape[0], oversampling, -x, weights, 0)
-    first_y = _interpolate(table.shape[0], oversampling, -y, weights, 1)
+    first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
+    first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)
     for j in range(max(cy - half, 0), min(cy + half + 1, image.shape[0])):
         for i in range(max(cx - half, 0), min(cx + half + 1, image.shape[1])):
             value = np.float64(image[j, i])
             if math.isfinite(value) and value < ceiling:
                 point_x, point_y = first_x + i * oversampling, first_y + j * oversampling
-                p = _interpolated(table, oversampling, point_x, point_y, weights, 0)[0]
+                p = interpolated(table, oversampling, point_x, point_y, weights, 0)[0]
                 above += p * (value - level[j, i])
                 below += p * p
     return above / below if below > 0.0 else np.nan
@@ -201,36 +156,20 @@ def _fit_group(
         return
     variances = np.empty(used)
     normal, right = np.zeros((size, size)), np.zeros(size)
-    gradient = np.empty(size)
     weights = np.empty((2 * m, 8))
-    first_x, first_y = np.empty(m, np.int64), np.empty(m, np.int64)
     chi2, step = 0.0, 1.0
     for iteration in range(_ITERATIONS):
-        normal[:], right[:] = 0.0, 0.0
-        chi2 = 0.0
-        for star in range(m):
-            first_x[star] = _interpolate(table.shape[0], oversampling, -x[star], weights, 2 * star)
-            first_y[star] = _interpolate(table.shape[0], oversampling, -y[star], weights, 2 * star + 1)
-        for n in range(used):
-            model = 0.0
-            for star in range(m):
-                i, j = first_x[star] + px[n], first_y[star] + py[n]
-                p, by_x, by_y = _interpolated(table, oversampling, i, j, weights, 2 * star)
-                model += flux[star] * p
-                gradient[3 * star] = -flux[star] * by_x
-                gradient[3 * star + 1] = -flux[star] * by_y
-                gradient[3 * star + 2] = flux[star] * p
-            if reweigh or iteration < _WEIGHINGS:
-                light = max(model, 0.0)
-                variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2
-            weight = 1.0 / variances[n]
-            residual = signal[n] - model
-            chi2 += weight * residual * residual
-            for a in range(size):
-                g = weight * gradient[a]
-                right[a] += g * residual
-                for b in range(a + 1):
-                    normal[a, b] += g * gradient[b]
+        weigh = reweigh or iteration < _WEIGHINGS
+        if m == 1:
+            chi2 = sums_of_one(
+                table, oversampling, x[0], y[0], flux[0], px, py, signal, dark, variances, inverse_gain, flat_error,
+                weigh, weights, normal, right,
+            )  # fmt: skip
+        else:
+            chi2 = sums(
+                table, oversampling, x, y, flux, px, py, signal, dark, variances, inverse_gain, flat_error,
+                weigh, weights, normal, right,
+            )  # fmt: skip
         if not _factorise(normal, size):
             return
         score = right.copy()
@@ -362,8 +301,8 @@ def weighted_moments(
         move = 1.0
         weights = np.empty((2, 8))
         for _ in range(4 * _ITERATIONS):
-            first_x = _interpolate(table.shape[0], oversampling, -x, weights, 0)
-            first_y = _interpolate(table.shape[0], oversampling, -y, weights, 1)
+            first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
+            first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)
             wd, wp, dx1, dy1, px1, py1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             jxx, jxy, jyx, jyy = 0.0, 0.0, 0.0, 0.0
             vxx, vyy, vxy = 0.0, 0.0, 0.0
@@ -375,7 +314,7 @@ def weighted_moments(
                     kx, ky = i - x, j - y
                     w = math.exp(-0.5 * (ixx * kx * kx + iyy * ky * ky + 2.0 * ixy * kx * ky))
                     point_x, point_y = first_x + i * oversampling, first_y + j * oversampling
-                    p, by_x, by_y = _interpolated(table, oversampling, point_x, point_y, weights, 0)
+                    p, by_x, by_y = interpolated(table, oversampling, point_x, point_y, weights, 0)
                     d = value - level[j, i]
                     v = np.float64(noise[j, i]) ** 2 + max(d, 0.0) * inverse_gain
                     wd, wp = wd + w * d, wp + w * p

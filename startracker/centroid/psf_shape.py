@@ -15,7 +15,7 @@ from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 
-__all__ = ["fit_gaussians", "frame_psf"]
+__all__ = ["fit_gaussians", "frame_psf", "is_alone"]
 
 FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -116,6 +116,18 @@ def fit_gaussians(
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def is_alone(positions: FloatArray, chosen: IntArray, reach: float) -> NDArray[np.bool_]:
+    """Which of the chosen positions have no other nearer than `reach` on both axes."""
+    out = np.ones(len(chosen), np.bool_)
+    for k in range(len(chosen)):
+        x, y = positions[chosen[k], 0], positions[chosen[k], 1]
+        for other in range(len(positions)):
+            near = abs(positions[other, 0] - x) < reach and abs(positions[other, 1] - y) < reach
+            out[k] &= not near or other == chosen[k]
+    return out
+
+
 def frame_psf(
     frame: Prepared, spots: Spots, positions: FloatArray, sigmas: tuple[float, float], reach_px: float
 ) -> PsfModel:
@@ -136,8 +148,7 @@ def frame_psf(
     """
     start = np.maximum(np.square(sigmas), SMALLEST_SIGMA_PX**2)
     clean = np.flatnonzero(~spots.saturated & ~spots.edge & np.isfinite(positions).all(axis=1))[: 2 * _SHAPE_STARS]
-    near = np.abs(positions[clean, None] - positions[None, :]).max(axis=2) < 2 * _LARGEST_HALF_PX
-    alone = clean[near.sum(axis=1) == 1]
+    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
     clean = (alone if len(alone) >= 3 else clean)[:_SHAPE_STARS]
     half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
     x, y = positions[clean].T.copy()

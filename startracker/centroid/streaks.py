@@ -35,6 +35,7 @@ from startracker.detection.streak_lines import (
     find_peaks,
     smooth_bins,
 )
+from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
 
 __all__ = ["Streaks", "find_streaks"]
@@ -86,7 +87,7 @@ class Streaks:
 
 
 def find_streaks(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     settings: DetectionSettings | None = None,
     saturation_dn: float | None = None,

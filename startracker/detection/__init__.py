@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from startracker.detection.background import Background, as_image, estimate
 from startracker.detection.bad_pixels import find_bad_pixels, mask_pixels
 from startracker.detection.clustering import find_clusters
 from startracker.detection.components import find_components
 from startracker.detection.region_growing import grow_regions
 from startracker.detection.spots import Spots
+from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
 
 __all__ = [
@@ -30,8 +28,9 @@ __all__ = [
     "mask_pixels",
 ]
 
-Detector: TypeAlias = Callable[[NDArray[np.float32], Background, DetectionSettings, float | None], Spots]
-"""Signature of a detector: image, background, settings, saturation in DN or None."""
+Detector: TypeAlias = Callable[[Image, Background, DetectionSettings, float | None], Spots]
+"""Signature of a detector: image (float32 or uint16), background, settings, saturation in DN or
+None."""
 
 METHODS: dict[str, Detector] = {
     "components": find_components,

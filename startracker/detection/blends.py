@@ -96,6 +96,16 @@ def part_blends(
             peak_x[peaks], peak_y[peaks], peak_object[peaks] = x, y, number[index]
             signal[peaks] = np.float64(image[y, x]) - np.float64(level[y, x])
             peaks += 1
+    # a peak that is its object's only one parts nothing
+    of_object = np.zeros(count, np.int64)
+    for peak in range(peaks):
+        of_object[peak_object[peak]] += 1
+    found, peaks = peaks, 0
+    for peak in range(found):
+        if of_object[peak_object[peak]] > 1:
+            peak_x[peaks], peak_y[peaks] = peak_x[peak], peak_y[peak]
+            peak_object[peaks], signal[peaks] = peak_object[peak], signal[peak]
+            peaks += 1
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(count, -1), np.full(peaks, -1)
     several = np.zeros(count, np.bool_)

@@ -28,6 +28,7 @@ from startracker.detection.spots import (
     Y_PEAK,
     Spots,
 )
+from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -46,7 +47,7 @@ IntArray = NDArray[np.int64]
 
 
 def find_clusters(
-    image: FloatImage,
+    image: Image,
     background: Background,
     settings: DetectionSettings,
     saturation_dn: float | None = None,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.blends import part_blends
-from startracker.detection.forms import count_long
+from startracker.detection.forms import are_long
 from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, scan_rows
@@ -91,7 +91,7 @@ def find_components(
 
 def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:
     """Whether there are three long objects among the thirty brightest: then it is worth looking for a motion."""
-    return bool(count_long(table, settings.min_pixels, _LOOKED_AT, settings.max_axis_ratio) >= _FEWEST_LONG)
+    return bool(are_long(table, _FEWEST_LONG, settings.min_pixels, _LOOKED_AT, settings.max_axis_ratio))
 
 
 def measure_found(

@@ -23,7 +23,7 @@ from startracker.detection.spots import (
     Y_PEAK,
 )
 
-__all__ = ["Forms", "brightest_first", "count_long", "is_halo", "measure_forms"]
+__all__ = ["Forms", "are_long", "brightest_first", "is_halo", "measure_forms"]
 
 FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -115,14 +115,16 @@ def _comes_before(row: FloatArray, other: FloatArray) -> bool:
     """Of two objects of the same flux, the first in reading order."""
     if row[FLUX] != other[FLUX]:
         return False
-    return row[Y_PEAK] < other[Y_PEAK] or (row[Y_PEAK] == other[Y_PEAK] and row[X_PEAK] < other[X_PEAK])
+    return bool(row[Y_PEAK] < other[Y_PEAK] or (row[Y_PEAK] == other[Y_PEAK] and row[X_PEAK] < other[X_PEAK]))
 
 
 @njit(cache=True, error_model="numpy")
-def count_long(table: FloatArray, fewest: int, most: int, max_axis_ratio: float) -> int:
-    """How many of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`."""
+def are_long(table: FloatArray, needed: int, fewest: int, most: int, max_axis_ratio: float) -> bool:
+    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`."""
+    if int(np.sum(_measure_forms(table, max_axis_ratio)[2])) < needed:
+        return False
     index = brightest_first(table, fewest, np.iinfo(np.int64).max)[0][:most]
-    return int(_measure_forms(table[index], max_axis_ratio)[2].sum())
+    return int(np.sum(_measure_forms(table[index], max_axis_ratio)[2])) >= needed
 
 
 @njit(cache=True, error_model="numpy")

@@ -69,9 +69,7 @@ def add_pixel(row: NDArray[np.float64], x: int, y: int, value: float, level: flo
 
 
 @njit(cache=True, error_model="numpy")
-def find_runs(
-    image: Image, level: NDArray[np.float32], noise: NDArray[np.float32], threshold: np.float32
-) -> IntArray:
+def find_runs(image: Image, level: NDArray[np.float32], noise: NDArray[np.float32], threshold: np.float32) -> IntArray:
     """Runs (row, first column, last column + 1), shape (R, 3), of pixels above level + threshold × noise.
 
     In reading order. Pixels that are not finite are not above.

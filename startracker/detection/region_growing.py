@@ -10,6 +10,7 @@ from startracker.detection.background import Background, as_image
 from startracker.detection.objects import add_pixel
 from startracker.detection.selection import select_spots
 from startracker.detection.spots import COLUMNS, EDGE, Spots
+from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -17,7 +18,7 @@ __all__ = ["grow_objects", "grow_regions"]
 
 
 def grow_regions(
-    image: NDArray[np.float32],
+    image: Image,
     background: Background,
     settings: DetectionSettings,
     saturation_dn: float | None = None,

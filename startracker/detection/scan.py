@@ -66,7 +66,7 @@ def _filter_row(padded: FloatImage, half: FloatImage, line: FloatImage) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _least_limits(noise: Plane, y: int, threshold: float, out: FloatImage) -> None:
-    """At most threshold × noise of each column, in all rows between the two lines about a row (or in this row alone)."""
+    """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
     share, cell = noise.share[y], noise.cell[y]
     upper, lower = noise.lines[cell], noise.lines[min(cell + 1, len(noise.lines) - 1)]
     less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
@@ -125,7 +125,7 @@ def scan_rows(
             continue
         _filter_column(ring, pitch, half, centre, total)
         row = image[centre]
-        # first what is above the lower of the two lines' limits, which is quickly told, then what of that is above its own
+        # first what is above the lower of the two lines' limits, which is quickly told, then what is above its own
         if noise.cell[centre] != cell or noise.share[centre] > 1.0 or noise.share[centre] < 0.0:
             _least_limits(noise, centre, threshold, least)
             cell = noise.cell[centre] if 0.0 <= noise.share[centre] <= 1.0 else -1

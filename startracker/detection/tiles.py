@@ -121,21 +121,23 @@ def _count(
     """
     size, inverse, first_bin = len(bins), 1.0 / step, int(origin)
     height, width = tile.shape
-    below, count, outside, on_lattice = 0, 0, 0, True
+    below, count, on_lattice = 0, 0, True
     for y in range(height):
         first = phase
         phase += _SHIFT % stride
         phase -= stride if phase >= stride else 0
         row = tile[y]
         if is_whole(tile) and step == 1.0:
-            # one comparison tells what is below or above the bins
-            for x in range(first, width, stride):
-                k = np.uint64(np.int64(row[x]) - first_bin)
-                if k < np.uint64(size):
-                    bins[k] += np.int32(1)
+            # one comparison tells what is below or above the bins; a range would divide to know its length
+            x = first
+            while x < width:
+                shifted = np.int64(row[x]) - first_bin
+                if np.uint64(shifted) < np.uint64(size):
+                    bins[np.uint64(shifted)] += np.int32(1)
                 else:
-                    outside += 1
-                    below += int(np.int64(k) < 0)
+                    below += int(shifted < 0)
+                count += 1
+                x += stride
             continue
         for x in range(first, width, stride):
             place = (np.float64(row[x]) - origin) * inverse
@@ -147,8 +149,6 @@ def _count(
             elif abs(place) < np.inf:
                 below += int(place < 0.0)
                 count += 1
-    if is_whole(tile) and step == 1.0:
-        count = outside + int(bins.sum())
     return below, count, on_lattice
 
 

@@ -62,11 +62,16 @@ def _is_whole(image):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def whole_range(image: NDArray[np.uint16]) -> tuple[int, int]:
-    """Lowest and highest value of an image of integers, in one pass."""
-    lowest, highest = image[0, 0], image[0, 0]
+def whole_range(image: NDArray[np.uint16], level: float) -> tuple[int, int, int]:
+    """Lowest and highest value of an image of integers, and how many are at or above a level, in one pass."""
+    lowest, highest, full = image[0, 0], image[0, 0], 0
     for y in range(image.shape[0]):
         row = image[y]
+        top = row[0]
         for x in range(len(row)):
-            lowest, highest = min(lowest, row[x]), max(highest, row[x])
-    return lowest, highest
+            lowest, top = min(lowest, row[x]), max(top, row[x])
+        highest = max(highest, top)
+        if top >= level:
+            for x in range(len(row)):
+                full += row[x] >= level
+    return lowest, highest, full

@@ -1,6 +1,7 @@
 """Triangles against brute force, and what the default identifier answers."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -169,3 +170,29 @@ def test_the_same_stars_give_the_same_answer(guide):
     first, second = adaptive(stars, guide), adaptive(stars, guide)
     assert np.array_equal(first.pairs, second.pairs)
     assert first.log_false_alarm == second.log_false_alarm
+
+
+def test_a_field_that_fits_as_stated_is_not_searched_to_the_end(monkeypatch):
+    """Few true stars among many false ones: the long search for a rival changes nothing but the time."""
+    guide = GuideDatabase.build(load_catalog("hipparcos"), Camera.from_fov(10.0, 512, 512), 6.0)
+    rng = np.random.default_rng(5)
+    module = sys.modules[_no_finds.__module__]
+    patient = 0
+    for _ in range(200):
+        matrix = Attitude(rng.normal(size=4)).as_matrix()
+        index, vectors, _ = guide.in_field(matrix, -2.0)
+        if len(index) != 5:
+            continue
+        camera = guide.camera
+        xy = np.concatenate([camera.project(vectors), rng.uniform(0.0, 511.0, (40, 2))])
+        seen = Observed(camera.unproject(xy), None, np.full(len(xy), 0.15 * camera.pixel_rad))
+        quick = adaptive(seen, guide)
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "_AS_STATED", -1.0)
+            long = adaptive(seen, guide)
+        assert quick.status is long.status
+        assert quick.pairs.tolist() == long.pairs.tolist()
+        patient += len(quick.steps) < len(long.steps)
+        if patient == 2:
+            break
+    assert patient == 2

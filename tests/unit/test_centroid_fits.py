@@ -7,6 +7,8 @@ from scipy.special import erf
 from startracker.centroid import METHODS, maximum_likelihood
 from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
 from startracker.centroid.psf_model import gaussian_psf
+from startracker.centroid.psf_shape import is_alone
+from startracker.centroid.psf_sums import interpolate, interpolated, sums, sums_of_one
 from startracker.detection import Background, Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -212,3 +214,50 @@ def test_bad_input(method):
         METHODS[method](image, flat(image), spots, CentroidSettings(flat_field_error=-0.1), 1.0)
     with pytest.raises(InputError, match="cannot be read"):
         METHODS[method](image, flat(image), spots, CentroidSettings(psf="no such file"), 1.0)
+
+
+@pytest.mark.parametrize("weigh", [True, False])
+def test_sums_over_pixels_against_matrix_products(weigh):
+    psf, random = gaussian_psf(0.8, 1.1, 0.2, radius_px=9.0), np.random.default_rng(5)
+    x, y, flux = np.array([0.3, 2.6]), np.array([-0.4, 1.2]), np.array([900.0, 500.0])
+    j, i = (axis.ravel() for axis in np.mgrid[-3:4, -3:5])
+    signal, dark = random.normal(20, 5, len(i)), random.uniform(4, 9, len(i))
+    kept = random.uniform(5, 50, len(i))
+    weights = np.empty((4, 8))
+
+    def model(star):
+        first = [
+            interpolate(len(psf.table), psf.oversampling, -place[star], weights, n) for n, place in enumerate((x, y))
+        ]
+        places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
+        return flux[star] * np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places])
+
+    for stars in ([0], [0, 1]):
+        p, by_x, by_y = np.stack([model(star) for star in stars], axis=2).transpose(1, 2, 0)
+        gradient = np.stack([-by_x, -by_y, p], axis=1).reshape(-1, len(i))
+        total = p.sum(axis=0)
+        variance = dark + 0.5 * total + (0.01 * total) ** 2 if weigh else kept
+        size, variances = 3 * len(stars), kept.copy()
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        k = psf.oversampling
+        pixels = (i * k, j * k, signal, dark, variances, 0.5, 0.01, weigh, weights, normal, right)
+        chi2 = sums(psf.table, k, x[stars], y[stars], flux[stars], *pixels)
+        np.testing.assert_allclose(variances, variance, rtol=1e-12)
+        assert chi2 == pytest.approx(((signal - total) ** 2 / variance).sum(), rel=1e-12)
+        np.testing.assert_allclose(right, gradient @ ((signal - total) / variance), rtol=1e-9)
+        np.testing.assert_allclose(normal, np.tril((gradient / variance) @ gradient.T), rtol=1e-9, atol=1e-12)
+        if len(stars) == 1:
+            joint = normal.copy(), right.copy()
+            assert sums_of_one(psf.table, k, x[0], y[0], flux[0], *pixels) == chi2
+            assert np.array_equal(joint[0], normal)
+            assert np.array_equal(joint[1], right)
+
+
+def test_stars_alone():
+    positions = np.random.default_rng(6).uniform(0, 100, (40, 2))
+    positions[[7, 21]] = np.nan
+    chosen = np.array([1, 4, 5, 9, 12, 30, 39])
+    near = np.abs(positions[chosen, None] - positions).max(axis=2) < 9.0
+    alone = is_alone(positions, chosen, 9.0)
+    assert np.array_equal(alone, near.sum(axis=1) == 1)
+    assert 0 < alone.sum() < len(chosen)

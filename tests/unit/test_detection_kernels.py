@@ -5,12 +5,12 @@ import pytest
 from scipy import ndimage
 
 from startracker.detection.background import Background, estimate
-from startracker.detection.forms import is_halo, measure_forms
+from startracker.detection.forms import are_long, brightest_first, is_halo, measure_forms
 from startracker.detection.hits import peak_share
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
-from startracker.detection.scan import UNFILTERED, filter_stamp
+from startracker.detection.scan import UNFILTERED, filter_stamp, scan_rows
 from startracker.detection.shapes import find_clutter, measure_shapes, ring_pixels
 from startracker.detection.spots import (
     COLUMNS,
@@ -26,6 +26,7 @@ from startracker.detection.spots import (
     Y_PEAK,
 )
 from startracker.detection.tiles import smooth_tiles, tile_statistics, whole_step
+from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
 
 def rng(*key):
@@ -212,3 +213,86 @@ def test_peak_share_is_that_of_a_filtered_star(sigma):
     along = 0.5 * np.diff(erf(edges))
     signal = ndimage.correlate1d(along, matched_kernel(0.8), mode="constant")
     assert peak_share(sigma, filter_half(None)) == pytest.approx((along[15] / signal[15]) ** 2, rel=1e-6)
+
+
+def whole_frame():
+    image = rng(21).poisson(300, (150, 210)).astype(np.uint16)
+    for n in range(40):
+        y, x = rng(22, n).integers(3, 140, 2)
+        image[y : y + 3, x : x + 3] += rng(23, n).integers(0, 900, (3, 3)).astype(np.uint16)
+    return image
+
+
+def test_images_of_integers_stay_integers():
+    image = whole_frame()
+    assert as_pixels(image) is image
+    assert as_pixels(image.astype(np.int32)).dtype == as_image(image).dtype == np.float32
+    assert as_pixels(image[:, ::2]).flags.c_contiguous
+    assert is_value(3.0)
+    assert not is_value(np.nan)
+
+
+@pytest.mark.parametrize("level", [0.0, 300.0, 330.5, 1e9])
+def test_range_of_integers(level):
+    image = whole_frame()
+    assert whole_range(image, level) == (image.min(), image.max(), np.count_nonzero(image >= level))
+
+
+def test_integers_give_what_floats_give():
+    image = whole_frame()
+    whole, floats = estimate(image, 32), estimate(image.astype(np.float32), 32)
+    for one, other in ((whole.level, floats.level), (whole.noise, floats.noise)):
+        assert np.array_equal(one, other)
+    planes = whole.level_plane, whole.noise_plane
+    found = [scan_rows(pixels, *planes, filter_half(None), np.float32(5), 7) for pixels in (image, as_image(image))]
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0, -0.4, 1.7])
+def test_scan_finds_what_is_above_a_noise_that_varies(share):
+    image = rng(24).normal(0, 1, (12, 90)).astype(np.float32)
+    image[rng(25).random(image.shape) < 0.02] = np.nan
+    lines = rng(26).uniform(0.2, 2.0, (3, 90)).astype(np.float32)
+    shares = np.array([share, 0.5] * 6, np.float32)
+    noise = Plane(lines, np.repeat([0, 1], 6), shares)
+    level = as_plane(np.zeros_like(image))
+    runs, signal, sample = scan_rows(image, level, noise, UNFILTERED, np.float32(1.2), 1)
+    y, x = np.indices(image.shape)
+    limit = np.float32(1.2) * noise[y, x]
+    above = image > limit
+    marked = np.zeros(image.shape, bool)
+    for row, first, last in runs:
+        assert not marked[row, first : last + 1].any()
+        marked[row, first:last] = True
+    assert np.array_equal(marked, above)
+    assert np.array_equal(signal, image[above])
+    np.testing.assert_allclose(sample, (image / noise[y, x])[np.isfinite(image)], rtol=1e-6)
+
+
+def test_brightest_first_is_a_sort_by_flux_then_place():
+    table = a_table()
+    table[:, FLUX] = np.round(table[:, FLUX] / 3000) * 1000 - 1000
+    table[:, Y_PEAK] %= 3
+    fits = (table[:, PIXELS] >= 5) & (table[:, PIXELS] <= 30)
+    good = np.flatnonzero(fits & (table[:, FLUX] > 0))
+    order = good[np.lexsort((table[good, X_PEAK], table[good, Y_PEAK], -table[good, FLUX]))]
+    index, small, large, dark = brightest_first(table, 5, 30)
+    assert index.tolist() == order.tolist()
+    assert len(np.unique(table[order, FLUX])) < len(order)
+    counts = (table[:, PIXELS] < 5).sum(), (table[:, PIXELS] > 30).sum(), (fits & (table[:, FLUX] <= 0)).sum()
+    assert (small, large, dark) == counts
+    assert min(counts) > 0
+
+
+@pytest.mark.parametrize("needed", [1, 3, 9])
+def test_long_objects_among_the_brightest(needed):
+    random, table = rng(27), a_table()
+    width = random.choice([0.5, 3.0], (2, len(table)))
+    for n, (column, square) in enumerate(((SUM_X, SUM_XX), (SUM_Y, SUM_YY))):
+        table[:, square] = table[:, FLUX] * width[n] ** 2
+        table[:, column] = 0.0
+    long = measure_forms(table, 5.0).long
+    brightest = [n for n in np.argsort(-table[:, FLUX]) if table[n, PIXELS] >= 10][:20]
+    assert are_long(table, needed, 10, 20, 5.0) == (long[brightest].sum() >= needed)
+    assert 3 <= long[brightest].sum() < long.sum()

@@ -5,7 +5,7 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker, Status, solve_unknown_fov
 from startracker.detection import METHODS, estimate
-from startracker.explain import as_text, background_step, detection_steps, hints, image_step, listed_step
+from startracker.explain import as_text, background_step, detection_steps, hints, image_sample, image_step, listed_step
 from startracker.settings import DetectionSettings
 from startracker.trace import Step
 
@@ -22,7 +22,7 @@ def image():
 
 
 def test_the_numbers_told_are_those_of_the_image(image):
-    text = image_step(image, 0.25, 4095.0).text
+    text = image_step(image.shape, image_sample(image), 0.25, 4095.0).text
     assert text.startswith("320×256 pixels, float32")
     assert "25 % at saturation (4095)" in text
     background = estimate(image)
