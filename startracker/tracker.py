@@ -52,6 +52,9 @@ WORST_PX = 5.0
 """A centroid with a larger error says nothing worth knowing."""
 MISFIT_PX = 3.0
 """Centroids of an image that are off by more than this are not those of stars."""
+BRIGHTEST, LEAST_SEEN, BORDER_PX = 8, 0.6, 12.0
+"""Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
+seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
 _AXES = math.sqrt(3.0)
 
 
@@ -159,22 +162,7 @@ class StarTracker:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=told)
         hint = _prior(prior, prior_deg)
-        looks, steps = [found], found.steps
-        if found.smeared:  # the streaks' own measurement is far better, and most often there
-            looks[:0] = self._look_again(found, clock, saturation_dn, gain_e_per_dn)
-            steps = looks[0].steps
-        first = looks[0]
-        solution = self._solve(first.xy, first.flux, first.variance_px2, hint, observer, clock)
-        if not _sound(solution, first is found):
-            others = looks[1:] if found.smeared else self._look_again(found, clock, saturation_dn, gain_e_per_dn)
-            for other in others:
-                steps = (*steps, *solution.steps, *other.steps)
-                first = other
-                solution = self._solve(other.xy, other.flux, other.variance_px2, hint, observer, clock)
-        if solution.solved and not _sound(solution, first is found):
-            within = f"they fit only within {_misfit_px(solution):.1f} px, as pieces of streaks do"
-            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, first.xy)
-            solution = replace(refused, steps=solution.steps)
+        solution, first, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
         found = replace(first, steps=steps)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
@@ -223,6 +211,64 @@ class StarTracker:
             *hints(solution.status, len(points), known_camera=True),
         )
         return replace(solution, steps=steps)
+
+    # ------------------------------------------------------------------ spots or streaks
+    def _solve_looks(
+        self,
+        spots: FoundStars,
+        prior: Prior | None,
+        observer: Observer | None,
+        clock: Clock,
+        saturation_dn: float | None,
+        gain_e_per_dn: float | None,
+    ) -> tuple[Solution, FoundStars, Sequence[Step]]:
+        """Solution, the stars that it is of, and the steps that led to these: from spots, or from streaks.
+
+        Pieces of streaks lie near their stars and all off alike: the field is found, and the attitude off by half a
+        streak. Streaks are looked for where the frame seems smeared, or spots do not solve it as a whole field; where
+        there are some, spots count only if they do.
+        """
+
+        def solve(look: FoundStars) -> Solution:
+            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, clock)
+
+        def streaks() -> list[FoundStars]:
+            return self._look_again(spots, clock, saturation_dn, gain_e_per_dn)
+
+        drawn = streaks() if spots.smeared else []
+        steps: Sequence[Step] = spots.steps
+        if drawn:  # their own measurement is far better, and most often there
+            solution, steps = solve(drawn[0]), drawn[0].steps
+            if solution.solved:
+                return solution, drawn[0], steps
+            steps = (*steps, *solution.steps, *spots.steps)
+        solution = solve(spots)
+        whole = solution.solved and self._is_whole(solution, observer)
+        if whole:
+            return solution, spots, steps
+        if not spots.smeared:
+            drawn = streaks()
+            if drawn:
+                again = solve(drawn[0])
+                if again.solved or not solution.solved:
+                    return again, drawn[0], (*steps, *solution.steps, *drawn[0].steps)
+        if solution.solved and (drawn or _misfit_px(solution) > MISFIT_PX):
+            within = f"they fit within {_misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
+            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
+            solution = replace(refused, steps=solution.steps)
+        return solution, spots, steps
+
+    def _is_whole(self, solution: Solution, observer: Observer | None) -> bool:
+        """Whether spots are where the solution puts its stars, and most of the brightest of the field are among them."""
+        assert solution.attitude is not None
+        if _misfit_px(solution) > MISFIT_PX:
+            return False
+        guide = self.guide.seen_by(observer)
+        matrix = solution.attitude.as_matrix()
+        index, _, _ = guide.in_field(matrix, -BORDER_PX, solution.camera)
+        brightest = guide.catalog.id[index[:BRIGHTEST]]
+        seen = np.isin(brightest, solution.stars.catalog_id)
+        return len(seen) == 0 or float(seen.mean()) >= LEAST_SEEN
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
@@ -334,14 +380,6 @@ class StarTracker:
 def _misfit_px(solution: Solution) -> float:
     """Root mean square distance of the stars from where the solution puts them."""
     return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
-
-
-def _sound(solution: Solution, of_spots: bool) -> bool:
-    """Whether a field is solved, and its stars, where they were taken for spots, are where they should be.
-
-    Pieces of streaks are near their stars, so that the field is found, but all off alike.
-    """
-    return solution.solved and not (of_spots and _misfit_px(solution) > MISFIT_PX)
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:

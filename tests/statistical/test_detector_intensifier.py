@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from simulator.detector.chain import detect
-from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.excess_noise import bunch_e, excess_noise_factor
+from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.intensifier import multiply
 from simulator.detector.video import video_signal
 from simulator.randomness import stream
