@@ -259,7 +259,7 @@ class StarTracker:
         return solution, spots, steps
 
     def _is_whole(self, solution: Solution, observer: Observer | None) -> bool:
-        """Whether spots are where the solution puts its stars, and most of the brightest of the field are among them."""
+        """Whether spots are where the solution puts its stars, and most of the brightest of the field among them."""
         assert solution.attitude is not None
         if _misfit_px(solution) > MISFIT_PX:
             return False
