@@ -1,10 +1,20 @@
 """The speed benchmarks: their skies, and what their page makes of timings."""
 
 import numpy as np
+import pytest
 
 from benchmarks.report import OK, SHORT
 from benchmarks.speed.page import tables
 from benchmarks.speed.workload import even_scenario, even_sky, field_sr, renderer, scene
+from startracker.catalog import CATALOGS
+
+
+@pytest.fixture(autouse=True)
+def _no_sky_is_left_behind():
+    before = dict(CATALOGS)
+    yield
+    CATALOGS.clear()
+    CATALOGS.update(before)
 
 
 def timing(name, seconds, group=None, **extra):
