@@ -48,7 +48,7 @@ def test_a_turn_of_oedipus_is_followed_where_her_program_failed():
 def _place(solution, number):
     catalog = load_catalog("bsc5")
     row = int(np.flatnonzero(catalog.id == number)[0])
-    return solution.pixel_of([[np.degrees(catalog.ra_rad[row]), np.degrees(catalog.dec_rad[row])]])[0]
+    return solution.pixel_of(np.degrees(catalog.ra_rad[row]), np.degrees(catalog.dec_rad[row]))[0]
 
 
 def test_a_free_spin_explains_the_printed_track():
