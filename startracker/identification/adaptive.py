@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.bayes_factor import count_table
-from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan
+from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.search_state import Finds, Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, search_triangles, triangle_costs
 from startracker.identification.verification import MOST_EXTRA, focal_slopes
 from startracker.settings import IdentificationSettings
-from startracker.solution import Status
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -124,8 +123,7 @@ def adaptive(
     settings = settings or IdentificationSettings()
     least = max(settings.min_stars, 3)
     if len(observed) < least:
-        reason = f"{len(observed)} stars seen, {least} are needed"
-        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+        return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
     stars = Stars(
         observed.vectors,

@@ -160,6 +160,12 @@ def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) 
     return Hypothesis(matrix, np.stack([seen, guide_of[seen]], axis=1), log_b, scale, in_field, math.exp(focal))
 
 
+def too_few(observed: Observed, least: int) -> Identification:
+    """Answer where fewer stars were seen than a method needs."""
+    reason = f"{len(observed)} stars seen, {least} are needed"
+    return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+
+
 @dataclass
 class Bench:
     """Collects the hypotheses of one identification and judges them.

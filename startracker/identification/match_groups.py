@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification import match_kernels as kernels
-from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
+from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, too_few, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings
@@ -65,8 +65,7 @@ def match_groups(
     least = max(settings.min_stars, 3)
     n = min(settings.max_stars, _MOST_STARS)
     if min(len(observed), n) < least:
-        reason = f"{len(observed)} stars seen, {least} are needed"
-        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+        return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
     scales = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
     for skip in (0, n // 2):

@@ -19,12 +19,11 @@ import math
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.hypothesis import SCALES, Bench, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
 from startracker.identification.pattern_table import pattern_table
 from startracker.settings import IdentificationSettings
-from startracker.solution import Status
 
 __all__ = ["pattern_hash"]
 
@@ -65,8 +64,7 @@ def pattern_hash(
     settings = settings or IdentificationSettings()
     least = max(settings.min_stars, 4)
     if len(observed) < least:
-        reason = f"{len(observed)} stars seen, {least} are needed for a pattern"
-        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+        return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
     table, sky = pattern_table(guide), guide.view
     vectors, sigma = np.ascontiguousarray(observed.vectors), observed.sigma_rad

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.identification.hypothesis import SCALES, Bench, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
 from startracker.identification.kvector import KVector, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
@@ -65,8 +65,7 @@ def pyramid(
     settings = settings or IdentificationSettings()
     least = max(settings.min_stars, 3)
     if len(observed) < least:
-        reason = f"{len(observed)} stars seen, {least} are needed"
-        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+        return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
     index = _INDEXES.get(pairs)

@@ -24,7 +24,7 @@ from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
-from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, verify
+from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, too_few, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
@@ -103,8 +103,7 @@ def _identify(
 ) -> Identification:
     least = max(settings.min_stars, 3)
     if len(observed) < least:
-        reason = f"{len(observed)} stars seen, {least} are needed"
-        return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+        return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
     before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[: max(_MOST_STARS, settings.max_stars)]
     vectors = observed.vectors[before]
