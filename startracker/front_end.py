@@ -172,7 +172,7 @@ def find_stars(
 def _looks_smeared(spots: Spots) -> bool:
     """Whether the detector took streaks for stars, or left out so many that they may be the stars."""
     taken = spots.streak is not None and bool(np.any(spots.streak))
-    return taken or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 2)
+    return taken or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
 
 
 def look_again(

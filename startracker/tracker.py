@@ -55,6 +55,8 @@ MISFIT_PX = 3.0
 BRIGHTEST, LEAST_SEEN, BORDER_PX = 8, 0.6, 12.0
 """Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
 seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
+LEAST_MATCHED = 0.3
+"""Share of the spots that the stars of a field make where nothing else is the matter with the frame."""
 _AXES = math.sqrt(3.0)
 
 
@@ -243,7 +245,7 @@ class StarTracker:
                 return solution, drawn[0], steps
             steps = (*steps, *solution.steps, *spots.steps)
         solution = solve(spots)
-        whole = solution.solved and self._is_whole(solution, observer)
+        whole = solution.solved and self._is_whole(solution, len(spots.xy), observer)
         if whole:
             return solution, spots, steps
         if not spots.smeared:
@@ -258,10 +260,11 @@ class StarTracker:
             solution = replace(refused, steps=solution.steps)
         return solution, spots, steps
 
-    def _is_whole(self, solution: Solution, observer: Observer | None) -> bool:
-        """Whether spots are where the solution puts its stars, and most of the brightest of the field among them."""
+    def _is_whole(self, solution: Solution, spots: int, observer: Observer | None) -> bool:
+        """Whether spots are where the solution puts its stars, many of them are stars, and most of the brightest stars
+        of the field are among them."""
         assert solution.attitude is not None
-        if _misfit_px(solution) > MISFIT_PX:
+        if _misfit_px(solution) > MISFIT_PX or solution.matched < LEAST_MATCHED * spots:
             return False
         guide = self.guide.seen_by(observer)
         matrix = solution.attitude.as_matrix()

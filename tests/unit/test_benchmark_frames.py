@@ -72,3 +72,9 @@ def test_a_wrong_frame_fails_the_row():
     few = [*rows[:190], *(FrameRow(k, "no_match", 20, np.nan, np.nan, 10.0) for k in range(10))]
     assert table_row(case, few)[-1] == "FALLS SHORT"
     assert "10 no_match" in table_row(case, few)
+
+
+@pytest.mark.parametrize(("case", "index"), [("10 deg/s", 84), ("10 deg/s, 0.05 s", 2)])
+def test_pieces_of_streaks_make_no_wrong_attitude(case, index):
+    """Frames whose streaks were found in pieces, all off by half a streak, and gave the right field 1° aside."""
+    assert Bench(CASES[case], "adaptive").row(index).outcome != "wrong"
