@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
-from startracker.identification.hypothesis import fit_rotation, nearest_unique
+from startracker.estimation.wahba import fit_rotation
+from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.verification import fit_step, focal_slopes, turned
 
 FloatArray = NDArray[np.float64]

@@ -234,27 +234,27 @@ class StarTracker:
         def solve(look: FoundStars) -> Solution:
             return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, clock)
 
-        def streaks() -> list[FoundStars]:
-            return self._look_again(spots, clock, saturation_dn, gain_e_per_dn)
+        def streaks() -> FoundStars | None:
+            known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
+            return look_again(spots, self.detection, self.camera, clock, **known)
 
-        drawn = streaks() if spots.smeared else []
+        drawn = streaks() if spots.smeared else None
         steps: Sequence[Step] = spots.steps
-        if drawn:  # their own measurement is far better, and most often there
-            solution, steps = solve(drawn[0]), drawn[0].steps
+        if drawn is not None:  # their own measurement is far better, and most often there
+            solution, steps = solve(drawn), drawn.steps
             if solution.solved:
-                return solution, drawn[0], steps
+                return solution, drawn, steps
             steps = (*steps, *solution.steps, *spots.steps)
         solution = solve(spots)
-        whole = solution.solved and self._is_whole(solution, len(spots.xy), observer)
-        if whole:
+        if solution.solved and self._is_whole(solution, len(spots.xy), observer):
             return solution, spots, steps
         if not spots.smeared:
             drawn = streaks()
-            if drawn:
-                again = solve(drawn[0])
+            if drawn is not None:
+                again = solve(drawn)
                 if again.solved or not solution.solved:
-                    return again, drawn[0], (*steps, *solution.steps, *drawn[0].steps)
-        if solution.solved and (drawn or _misfit_px(solution) > MISFIT_PX):
+                    return again, drawn, (*steps, *solution.steps, *drawn.steps)
+        if solution.solved and (drawn is not None or _misfit_px(solution) > MISFIT_PX):
             within = f"they fit within {_misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
             solution = replace(refused, steps=solution.steps)
@@ -358,14 +358,6 @@ class StarTracker:
             refined.camera,
         )
         return replace(solution, steps=Steps(tried, partial(attitude_steps, solution)))
-
-    def _look_again(
-        self, found: FoundStars, clock: Clock, saturation_dn: float | None, gain_e_per_dn: float | None
-    ) -> list[FoundStars]:
-        again = look_again(
-            found, self.detection, self.camera, clock, saturation_dn=saturation_dn, gain_e_per_dn=gain_e_per_dn
-        )
-        return [] if again is None else [again]
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy

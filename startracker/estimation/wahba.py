@@ -144,12 +144,18 @@ def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray,
 
 
 @njit(cache=True, error_model="numpy")
-def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
-    weight = weights_of(sigma)
+def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
+    """Proper rotation (3, 3) with least weighted squares of b − R · r (Markley 1988)."""
     u, _, vt = np.linalg.svd(profile_of(b, r, weight))
     if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
         u[:, 2] *= -1.0
-    return _finish(u @ vt, b, r, sigma, weight)  # type: ignore[no-any-return]
+    return u @ vt  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
+    weight = weights_of(sigma)
+    return _finish(fit_rotation(b, r, weight), b, r, sigma, weight)  # type: ignore[no-any-return]
 
 
 @njit(cache=True, error_model="numpy")

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.wahba import fit_rotation
 from startracker.identification.evidence import log_evidence, magnitude_ratio
-from startracker.identification.hypothesis import fit_rotation, nearest_unique
+from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
 from startracker.lens import by_turn, change_lens, is_one_to_one, sensitivity
 

@@ -14,7 +14,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.estimation.wahba import profile_of
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.verification import MOST_EXTRA, focal_slopes, verify_attitude
@@ -62,15 +61,6 @@ class Hypothesis:
         mine = {(int(o), int(g)) for o, g in self.pairs}
         theirs = {(int(o), int(g)) for o, g in other.pairs}
         return len(mine & theirs) >= 0.5 * max(1, min(len(mine), len(theirs)))
-
-
-@njit(cache=True, error_model="numpy")
-def fit_rotation(observed: FloatArray, reference: FloatArray, weight: FloatArray) -> FloatArray:
-    """Proper rotation (3, 3) with least weighted squares of observed − R · reference (Markley 1988, SVD)."""
-    u, _, vt = np.linalg.svd(profile_of(observed, reference, weight))
-    if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
-        u[:, 2] *= -1.0
-    return u @ vt  # type: ignore[no-any-return]
 
 
 @njit(cache=True, error_model="numpy")

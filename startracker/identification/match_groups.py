@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.wahba import fit_rotation
 from startracker.identification import match_kernels as kernels
-from startracker.identification.hypothesis import SCALES, Bench, fit_rotation, too_few, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings

@@ -10,8 +10,9 @@ from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.estimation.wahba import fit_rotation
 from startracker.identification import METHODS, Observed, Prior, match_groups
-from startracker.identification.hypothesis import fit_rotation, nearest_unique
+from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.match_kernels import collect, group_sizes, mark, popcount, validate
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
 from startracker.settings import IdentificationSettings
