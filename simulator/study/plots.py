@@ -130,10 +130,11 @@ def _show_sky(ax: Axes, image: NDArray[Any], preview_px: int | None = None) -> N
     spread = float(np.nanmedian(np.abs(image - low))) * 1.4826 or float(np.nanstd(image)) or 1.0
     soft = 4.0 * spread  # the noise stays pale, stars grow dark at once
     top = max(float(np.nanpercentile(image, 99.97)), low + 5 * soft)
-    stretched = np.arcsinh(np.clip(image - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
     extent = (-0.5, image.shape[1] - 0.5, image.shape[0] - 0.5, -0.5)
+    samples = image if preview_px is None else _brightest_of_blocks(image, -(-max(image.shape) // preview_px))
+    stretched = np.arcsinh(np.clip(samples - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
     if preview_px is not None:
-        stretched = np.round(_brightest_of_blocks(stretched, -(-max(image.shape) // preview_px)) * 24) / 24
+        stretched = np.round(stretched * 24) / 24
     ax.imshow(stretched, cmap="Greys", vmin=0, vmax=1.1, origin="upper", interpolation="nearest", extent=extent)
     ax.grid(visible=False)
     for side in ("top", "right"):
