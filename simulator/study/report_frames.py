@@ -63,9 +63,7 @@ def frame_panels(
         made[index] = Panel(
             f"Trial {index}, the {what}",
             f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
-            functools.partial(
-                draw_solution, image=frame.image, solution=solution, names=8, preview_px=512
-            ),
+            functools.partial(draw_solution, image=frame.image, solution=solution, names=8, preview_px=512),
             height_in=4.2 * min(1.3, height / width) + 0.35,
         )
     return [(panel, index) for index, panel in made.items()]
