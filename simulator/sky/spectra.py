@@ -179,7 +179,8 @@ def _planck_photons(wavelength_nm: FloatArray, temperature: FloatArray) -> Float
 def _planck_law() -> Callable[..., FloatArray]:
     from colour.colorimetry import planck_law  # a second to import: only who makes such spectra waits for it
 
-    return planck_law  # type: ignore[no-any-return]
+    law: Callable[..., FloatArray] = planck_law
+    return law
 
 
 SPECTRA: dict[str, Spectrum] = {"colour_sequence": colour_sequence, "blackbody": blackbody}
