@@ -57,7 +57,7 @@ def frame_panels(
     for what, index in chosen_trials(columns, specification_deg):
         if index in made:  # few trials: one frame may be two things
             continue
-        frame, _ = runner.renderer.frame(index)
+        frame = runner.renderer.frame(index)[0]  # its truth, an image of real numbers, is let go at once
         solution = solve_frame(runner.tracker, frame)
         height, width = frame.image.shape
         made[index] = Panel(
