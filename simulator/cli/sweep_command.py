@@ -41,7 +41,7 @@ def run_sweep_command(
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
     from simulator.study.sweep import plan_sweep, run_sweep
 
-    at_least(1, trials=trials, workers=workers, lhs=lhs)
+    at_least(1, trials=trials, lhs=lhs)
     at_least(0, seed=seed)
     plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
     workers = processes(workers, dask, plan.scenario.study.trials * len(plan.points))
