@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import math
-import os
-import tempfile
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +12,6 @@ from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.catalog import cache, load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.distortion import Distortion
@@ -28,7 +21,7 @@ from startracker.front_end import Clock, FoundStars, clean_centroids, find_stars
 from startracker.identification import free_scale
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
 from startracker.identification.last_fit import last_fit
-from startracker.identification.quads import QuadIndex, build_quads, pack_quads, unpack_quads
+from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
@@ -40,9 +33,6 @@ __all__ = ["solve_unknown_fov"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_MAGNITUDE_LIMIT = 9.0
-_REFERENCE = Camera.from_fov(4.0, 1024, 1024)  # the finest: doubles closer than 28″ are one
-_CACHE_KEY = "quads-2"
 _POOR = 20
 _BARREL = -0.06
 """k1 r² at the corner that stands for a strong barrel, -0.03 to -0.1; beyond -0.148 the image folds."""
@@ -297,7 +287,7 @@ class FreeSearch:
         """The brightest stars; of a sky that is the same for all frames they are kept."""
         if self.observer is not None:
             return sky.brightest(depth)
-        return _brightest(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
+        return brightest_stars(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
 
     def _log_chance(self, fit: FreeFit) -> float:
         return math.log(max(self.trials, 1)) - fit.log_evidence
@@ -377,43 +367,3 @@ def _depth(stars: int, width: int, height: int, fov_deg: float) -> int:
     side = math.radians(fov_deg)
     field = side * side * min(height / width, 1.0)
     return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))
-
-
-@functools.lru_cache(maxsize=16)
-def _brightest(catalog: str | StarCatalog, depth: int) -> GuideDatabase:
-    return all_stars(catalog).brightest(depth)
-
-
-@functools.cache
-def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
-    """Guide stars to V = 9 for every field, brightest first."""
-    return GuideDatabase.build(
-        load_catalog(catalog) if isinstance(catalog, str) else catalog, _REFERENCE, _MAGNITUDE_LIMIT
-    )
-
-
-@functools.cache
-def quad_index(catalog: str | StarCatalog) -> QuadIndex:
-    """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (24 MB)."""
-    stars = all_stars(catalog)
-    # the stars' number and places are part of the name: another edition of the catalogue is another index
-    mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
-    file = cache.folder() / f"{_CACHE_KEY}-{mark:08x}.npz"
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            return unpack_quads(stored, stars.directions)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass
-    codes, quads, _ = build_quads(stars.directions)
-    packed = pack_quads(codes, quads)
-    temporary = ""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".tmp", delete=False) as stream:
-            temporary = stream.name
-            np.savez(stream, allow_pickle=False, **packed)
-        os.replace(temporary, file)
-    except OSError:  # the cache only saves time
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-    return unpack_quads(packed, stars.directions)

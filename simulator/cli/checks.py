@@ -1,4 +1,4 @@
-"""What several commands check before they begin: the scenario, and the places to write to."""
+"""What several commands check before they begin: the numbers they were given, and the places to write to."""
 
 from __future__ import annotations
 
@@ -6,6 +6,31 @@ import os
 from pathlib import Path
 
 from startracker.errors import InputError
+
+
+def at_least(least: int, **options: int | None) -> None:
+    """Raise `InputError` for the first option, by its name, whose number is below `least`; None was not given."""
+    for name, value in options.items():
+        if value is not None and value < least:
+            limit = "0 or more" if least == 0 else f"at least {least}"
+            raise InputError(f"--{name}: must be {limit}, not {value}")
+
+
+def processes(workers: int | None, dask: str | None, trials: int) -> int:
+    """Processes to run so many trials: `workers`, or as many of this machine's cores as are worth one of their own.
+
+    Starting a process costs as much as 100 trials.
+
+    Raises
+    ------
+    InputError
+        For fewer than one, or for workers beside a cluster.
+    """
+    at_least(1, workers=workers)
+    if workers is not None and dask is not None:
+        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return workers or max(1, min(cores, trials // 100))
 
 
 def writable(path: Path | None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from simulator.checks import load_scenario
-from simulator.cli.checks import writable
+from simulator.cli.checks import at_least, writable
 from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically
@@ -33,8 +33,7 @@ def render_frames(
     """Render one frame of each scenario, write what is asked for, and say where the cameras looked."""
     if index is not None and at is not None:
         raise InputError("--index and --at: give one of the two")
-    if index is not None and index < 0:
-        raise InputError(f"--index: must be 0 or more, not {index}")
+    at_least(0, index=index)
     attitude = _parse_pointing(pointing) if pointing else None
     when = _parse_time(at) if at else None
     scenarios = [load_scenario(path, set_values, seed=seed) for path in paths]

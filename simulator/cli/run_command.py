@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from simulator.checks import load_scenario
+from simulator.cli.checks import at_least, processes
+from simulator.cli.terminal import open_console, progress_bar
 from simulator.paths import make_folder
 from simulator.study.run import RESULT_FILES, Study, run
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
-from startracker.errors import InputError
 
 if TYPE_CHECKING:
-    from simulator.scenario import Scenario
+    from rich.console import Console
 
 
 def run_study(
@@ -32,49 +29,15 @@ def run_study(
     dask: str | None = None,
 ) -> int:
     """Run the study; exit status 0, or 130 where it was interrupted."""
-    if trials is not None and trials < 1:
-        raise InputError(f"--trials: must be at least 1, not {trials}")
-    if seed is not None and seed < 0:
-        raise InputError(f"--seed: must be 0 or more, not {seed}")
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers: must be at least 1, not {workers}")
-    if workers is not None and dask is not None:
-        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
+    at_least(1, trials=trials)
+    at_least(0, seed=seed)
     scenario = load_scenario(path, set_values, trials=trials, seed=seed)
+    workers = processes(workers, dask, scenario.study.trials)
     folder = make_folder(out or Path("out") / scenario.name)
-    processes = workers or _usable_cores(scenario.study.trials)
-    study = _run_with_progress(scenario, processes, folder, resume, dask)
-    _print(study, Console(highlight=False, width=None if sys.stdout.isatty() else 110))
+    with progress_bar(scenario.name, "trials", scenario.study.trials) as tell:
+        study = run(scenario, workers=workers, dask=dask, out=folder, resume=resume, progress=tell)
+    _print(study, open_console())
     return 130 if study.summary["interrupted"] else 0
-
-
-def _usable_cores(trials: int) -> int:
-    """Cores of this machine that are worth a process of their own: starting one costs as much as 100 trials."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(cores, trials // 100))
-
-
-def _run_with_progress(scenario: Scenario, workers: int, folder: Path, resume: bool, dask: str | None) -> Study:
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("trials"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(scenario.name, total=scenario.study.trials)
-        return run(
-            scenario,
-            workers=workers,
-            dask=dask,
-            out=folder,
-            resume=resume,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
 
 
 def _print(study: Study, console: Console) -> None:

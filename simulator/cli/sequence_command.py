@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from simulator.checks import load_scenario
+from simulator.cli.checks import at_least
+from simulator.cli.terminal import open_console, progress_bar
 from simulator.paths import make_folder
 from simulator.study.animation import find_ffmpeg
 from simulator.study.sequence import Sequence, run_sequence
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from startracker.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -68,37 +70,18 @@ def refuse_unused(unused: dict[str, Any], *, sequence: bool) -> None:
 
 def run_sequence_command(request: SequenceRequest) -> int:
     """Run the sequence; exit status 0, or 130 where it was interrupted."""
-    if request.frames is not None and request.frames < 1:
-        raise InputError(f"--frames: must be at least 1, not {request.frames}")
+    at_least(1, frames=request.frames)
     if request.step_s is not None and not request.step_s > 0.0:
         raise InputError(f"--step-s: must be above 0, not {request.step_s:g}")
-    if request.seed is not None and request.seed < 0:
-        raise InputError(f"--seed: must be 0 or more, not {request.seed}")
+    at_least(0, seed=request.seed)
     values = list(request.set_values)
     values += [f"sequence.frames={request.frames}"] if request.frames is not None else []
     values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
     scenario = load_scenario(request.scenario, values, seed=request.seed)
     folder = make_folder(request.out or Path("out") / f"{scenario.name}-sequence")
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(scenario.name, total=scenario.sequence.frames)
-        sequence = run_sequence(
-            scenario,
-            out=folder,
-            single=request.single,
-            animate=request.animate,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    _print(sequence, Console(highlight=False, width=None if sys.stdout.isatty() else 110))
+    with progress_bar(scenario.name, "frames", scenario.sequence.frames) as tell:
+        sequence = run_sequence(scenario, out=folder, single=request.single, animate=request.animate, progress=tell)
+    _print(sequence, open_console())
     if request.animate and find_ffmpeg() is None:
         print("ffmpeg is not installed: the animation is a GIF only")
     return 130 if sequence.summary["interrupted"] else 0

@@ -5,7 +5,6 @@ A study is a function whose parameters are its arguments and options on the comm
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from simulator.cli.checks import at_least
+from simulator.cli.terminal import open_console, progress_bar
 from simulator.cli.thesis_command import greyling1995_study, yee1999_study
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
     from simulator.study.coverage import Coverage
     from simulator.study.design import Design, Verification
@@ -99,7 +99,7 @@ def coverage_study(
         exclusion=exclusion,
     )
     write_coverage(result, loaded, folder)
-    _print_coverage(result, _console())
+    _print_coverage(result, open_console())
     print(f"{folder}: {', '.join(RESULT_FILES)}")
     return 0
 
@@ -134,15 +134,12 @@ def design_study(
     from simulator.paths import make_folder
     from simulator.study.design import design, verify
     from simulator.study.design_files import write_design
-    from startracker.errors import InputError
 
-    if verify_trials < 0:
-        raise InputError(f"--verify: must be 0 or more, not {verify_trials}")
-    if workers < 1:
-        raise InputError(f"--workers: must be at least 1, not {workers}")
+    at_least(0, verify=verify_trials)
+    at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
     folder = make_folder(out or Path("out") / f"{loaded.name}-design")
-    console = _console(error=True)
+    console = open_console(error=True)
     with console.status("reckoning") as status:
         result = design(
             loaded,
@@ -157,12 +154,12 @@ def design_study(
             progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
         )
     write_design(result, None, folder)
-    _print_design(result, _console())
+    _print_design(result, open_console())
     if verify_trials and result.best is not None:
         with console.status(f"verifying: {verify_trials} trials"):
             checked = verify(loaded, result, verify_trials, workers)
         write_design(result, checked, folder)
-        _print_verification(checked, _console())
+        _print_verification(checked, open_console())
     print(f"{folder}: design.json, design.png")
     return 0 if result.best is not None else 1
 
@@ -187,11 +184,8 @@ def budget_study(
 
     loaded = load_scenario(scenario, set_values)
     folder = make_folder(out or Path("out") / f"{loaded.name}-budget")
-    with _progress() as bar:
-        task = bar.add_task(f"{loaded.name}: error budget", total=None)
-        result = budget(
-            loaded, trials, workers, progress=lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with progress_bar(f"{loaded.name}: error budget", "trials") as tell:
+        result = budget(loaded, trials, workers, progress=tell)
     write_atomically(folder / "budget.json", json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
     write_atomically(folder / "budget.png", save_bytes(budget_figure(result)))
     print(result.table())
@@ -227,20 +221,6 @@ study_app = typer.Typer(
 )
 for _name, _function in STUDIES.items():
     study_app.command(_name)(_function)
-
-
-def _console(error: bool = False) -> Console:
-    from rich.console import Console
-
-    return Console(stderr=error, highlight=False, width=None if sys.stdout.isatty() or error else 110)
-
-
-def _progress() -> Progress:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = _console(error=True)
-    columns = (TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("trials, left"))
-    return Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal)
 
 
 def _table(console: Console, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

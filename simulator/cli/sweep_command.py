@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from datetime import timedelta
@@ -13,15 +12,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from simulator.cli.run_command import _usable_cores
+from simulator.cli.checks import at_least, processes
+from simulator.cli.terminal import open_console
 from simulator.paths import make_folder, write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep_files import RESULT_FILES
-from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.study.sweep import Plan, Point, Sweep
 
+_WIDTH = 130  # columns of the tables where the output is no terminal
 MOST_ROWS = 60
 """Points that the terminal's table shows; all are in the files."""
 
@@ -41,17 +41,14 @@ def run_sweep_command(
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
     from simulator.study.sweep import plan_sweep, run_sweep
 
-    for name, value, least in (("trials", trials, 1), ("seed", seed, 0), ("workers", workers, 1), ("lhs", lhs, 1)):
-        if value is not None and value < least:
-            raise InputError(f"--{name}: must be at least {least}, not {value}")
-    if workers is not None and dask is not None:
-        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
+    at_least(1, trials=trials, lhs=lhs)
+    at_least(0, seed=seed)
     plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
+    workers = processes(workers, dask, plan.scenario.study.trials * len(plan.points))
     folder = make_folder(out or Path("out") / f"{plan.scenario.name}-sweep")
-    processes = workers or _usable_cores(plan.scenario.study.trials * len(plan.points))
     with SweepProgress(plan) as bar:
-        sweep = run_sweep(plan, folder, workers=processes, dask=dask, resume=resume, progress=bar.tell)
-    _print(sweep, Console(highlight=False, width=None if sys.stdout.isatty() else 130))
+        sweep = run_sweep(plan, folder, workers=workers, dask=dask, resume=resume, progress=bar.tell)
+    _print(sweep, open_console(_WIDTH))
     return 130 if sweep.table["interrupted"] else 0
 
 
@@ -152,7 +149,7 @@ def compare_runs(folders: list[str], out: Path) -> int:
 
     comparison = compare(folders)
     write_atomically(out, comparison_page(comparison))
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    console = open_console(_WIDTH)
     table = Table(title="rms errors (95 % interval)", title_justify="left")
     for heading in ("run", "identified", *BODY_AXES):
         table.add_column(heading, justify="left" if heading == "run" else "right")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from simulator.cli.terminal import open_console
 
+if TYPE_CHECKING:
     from simulator.study.printed import PrintedStudy
 
 __all__ = ["greyling1995_study", "yee1999_study"]
@@ -120,7 +119,7 @@ def yee1999_study(
         json_file=json_file,
     )
     analysis = run_picture(request)
-    report(analysis, request, console_of())
+    report(analysis, request, open_console(_WIDTH))
     if centroids is None:
         finish(lambda progress: yee1999.run(section, progress, analysis), out or Path("out") / "yee1999")
     return 0 if analysis.plate is not None else 1
@@ -144,18 +143,10 @@ def finish(run: Callable[[Callable[[str], None]], PrintedStudy], folder: Path) -
     from simulator.paths import make_folder
 
     make_folder(folder)
-    console = console_of(error=True)
-    with console.status("computing") as status:
+    with open_console(error=True).status("computing") as status:
         study = run(lambda name: status.update(f"computing: {name}"))
         status.update("drawing the figures")
         files = study.write(folder)
-    study.print(console_of())
+    study.print(open_console(_WIDTH))
     print(f"{folder}: {', '.join(files)}")
     return 0
-
-
-def console_of(error: bool = False) -> Console:
-    """Console for the table, or for the progress on the error output."""
-    from rich.console import Console
-
-    return Console(stderr=error, highlight=False, width=None if sys.stdout.isatty() or error else _WIDTH)

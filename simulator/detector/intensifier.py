@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from simulator.detector.pixels import SHOT_NOISE, Step, walk
 from simulator.scenario.schema import DetectorSection, IntensifierSection
@@ -45,7 +44,11 @@ def intensify(mean_photo_e: FloatArray, section: DetectorSection, rng: np.random
     else:
         electrons = mean_photo_e * intensifier.gain
     sigma_px = intensifier.phosphor_sigma_px
-    return gaussian_filter(electrons, sigma_px, mode="reflect", truncate=_KERNEL_SIGMAS) if sigma_px else electrons
+    if sigma_px == 0.0:
+        return electrons
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(electrons, sigma_px, mode="reflect", truncate=_KERNEL_SIGMAS))
 
 
 def multiply(counts: FloatArray, section: IntensifierSection, rng: np.random.Generator) -> FloatArray:

@@ -42,25 +42,26 @@ _ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-
 
 
 @numba.njit(inline="always")
-def _log(y):  # type: ignore[no-untyped-def]
+def _log(y: np.float32) -> np.float32:
     """Natural logarithm in single precision that the compiler computes for many numbers at once."""
     bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
     exponent = np.float32(np.int32(bits >> _BITS))
     z = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32) - _ONE
     poly = fma(fma(fma(fma(_L0, z, _L1), z, _L2), z, _L3), z, _L4)
     poly = fma(fma(fma(fma(poly, z, _L5), z, _L6), z, _L7), z, _L8)
-    return fma(exponent, _LN2, fma(z * z, fma(z, poly, -_HALF), z))
+    logarithm: np.float32 = fma(exponent, _LN2, fma(z * z, fma(z, poly, -_HALF), z))
+    return logarithm
 
 
 @numba.njit(inline="always")
-def _words_to_middle(word):  # type: ignore[no-untyped-def]
+def _words_to_middle(word: np.uint32) -> np.int32:
     """How many words lie between this one and the middle, 0 to 2³¹ − 1, int32."""
     centred = np.int32(word ^ _MIDDLE)
     return np.int32(centred ^ np.int32(centred >> _SIGN))
 
 
 @numba.njit(inline="always")
-def tail_words(word):  # type: ignore[no-untyped-def]
+def tail_words(word: np.uint32) -> np.int32:
     """How many words lie beyond this one, on its own side of the middle: 0 to 2³¹ − 1, int32."""
     return np.int32(_LARGEST - _words_to_middle(word))
 

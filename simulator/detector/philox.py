@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Words = NDArray[np.uint32]
 Key = NDArray[np.uint64]
+Block = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
@@ -27,13 +28,13 @@ def draw_key(rng: np.random.Generator) -> Key:
 
 
 @numba.njit(inline="always")
-def _round(x0, x1, x2, x3, k0, k1):  # type: ignore[no-untyped-def]
+def _round(x0: np.uint64, x1: np.uint64, x2: np.uint64, x3: np.uint64, k0: np.uint64, k1: np.uint64) -> Block:
     p0, p1 = _MULTIPLY_0 * x0, _MULTIPLY_1 * x2
     return (p1 >> _HALF) ^ x1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ x3 ^ k1, p0 & _LOW
 
 
 @numba.njit(inline="always")
-def block(k0, k1, counter, lane):  # type: ignore[no-untyped-def]
+def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> Block:
     """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
 
     The ten rounds are written out: a loop would keep the compiler from computing many counters at once.
@@ -57,7 +58,8 @@ def block(k0, k1, counter, lane):  # type: ignore[no-untyped-def]
     k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
     x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
     k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    return _round(x0, x1, x2, x3, k0, k1)
+    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
+    return x0, x1, x2, x3
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -71,7 +73,7 @@ def fill_words(key: Key, first: np.uint64, lane: np.uint64, words: Words) -> Non
 
 
 @numba.njit(inline="always")
-def further_bits(key, pixel):  # type: ignore[no-untyped-def]
+def further_bits(key: Key, pixel: int) -> float:
     """Uniform number in (0, 1) of 53 bits, exact in a double, that belongs to a pixel beside its word: lane 1."""
     x0, x1, _, _ = block(key[0], key[1], np.uint64(pixel), np.uint64(1))
     return (np.float64((x0 | (x1 << _HALF)) >> _FRACTION_SHIFT) + 0.5) * _UNIT

@@ -154,16 +154,25 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
 
 
 @numba.njit(inline="always")
-def _exp_minus(rate):  # type: ignore[no-untyped-def]
+def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, for many numbers at once."""
     m = np.float32(np.rint(rate * _LOG2_E))
     r = fma(-m, _LN2, rate)
     poly = fma(fma(fma(fma(fma(fma(_E7, r, _E6), r, _E5), r, _E4), r, _E3), r, _E2), r, -_ONE)
-    return fma(poly, r, _ONE) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
+    power: np.float32 = fma(poly, r, _ONE) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
+    return power
 
 
 @numba.njit(inline="always")
-def _next(rate, u, k, probability, cumulative, number, near):  # type: ignore[no-untyped-def]
+def _next(
+    rate: np.float32,
+    u: np.float32,
+    k: int,
+    probability: np.float32,
+    cumulative: np.float32,
+    number: np.float32,
+    near: np.float32,
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """One more number, k, of the comparison."""
     probability = probability * (rate * np.float32(1.0 / k))
     cumulative = cumulative + probability

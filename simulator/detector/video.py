@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from simulator.detector.pixels import NORMAL_NOISE, Step, walk
 from simulator.scenario.schema import VideoSection
@@ -49,4 +48,6 @@ def _band_limit(lines: FloatArray, sigma_px: float) -> FloatArray:
     """Lines (…, W) convolved with a Gaussian of sum 1; what is beyond their ends mirrors what is within."""
     if sigma_px == 0.0:
         return lines
+    from scipy.ndimage import gaussian_filter1d
+
     return np.asarray(gaussian_filter1d(lines, sigma_px, axis=-1, mode="reflect", truncate=_KERNEL_SIGMAS))

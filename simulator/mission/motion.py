@@ -100,14 +100,6 @@ class RateProfile:
                 turned = Attitude.from_rotation_vector(vector, "body", "body") @ turned
         return turned
 
-    @property
-    def largest_acceleration_rad_s2(self) -> float:
-        """Largest angular acceleration against the reference."""
-        if len(self.t_s) < 2:
-            return 0.0
-        slopes = np.diff(self.rate_rad_s, axis=0) / np.diff(self.t_s)[:, None]
-        return float(np.linalg.norm(slopes, axis=1).max())
-
 
 def rate_profile(pointing: PointingSection, sequence: SequenceSection) -> RateProfile:
     """Rate of the body against its reference over a sequence: steady rate, profile and slew in one."""

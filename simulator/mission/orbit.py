@@ -129,7 +129,7 @@ class J2Orbit:
     def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
         single = np.ndim(t_s) == 0
-        t = float(t_s) if single else np.asarray(t_s, dtype=float)  # type: ignore[arg-type]
+        t = float(t_s) if single else np.asarray(t_s, dtype=float)  # type: ignore[arg-type]  # as just seen
         cos_i, sin_i = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
         node = self.elements.raan_rad + self.nodal_rate_rad_s * t
         u = self.elements.argument_of_latitude_rad + self._latitude_rate * t

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import j0, j1
 
 FloatArray = NDArray[np.float64]
@@ -24,8 +23,13 @@ def first_ring(obscuration: float = 0.0) -> float:
     """
     if obscuration == 0.0:
         return FIRST_RING
-    zero = brentq(lambda v: j1(v) - obscuration * j1(obscuration * v), 2.2, 3.9, xtol=1e-14)
-    return float(zero) / math.pi
+    low, high = 2.2, 3.9  # positive to the left of the zero, negative to its right
+    while low < (middle := 0.5 * (low + high)) < high:
+        if j1(middle) > obscuration * j1(obscuration * middle):
+            low = middle
+        else:
+            high = middle
+    return middle / math.pi
 
 
 def intensity(x: ArrayLike, obscuration: float = 0.0) -> FloatArray:

@@ -20,11 +20,10 @@ C. Geyer & S. Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 200
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from simulator.optics.jitter import JitterPath
 from simulator.optics.smear import (
@@ -38,6 +37,9 @@ from simulator.optics.smear import (
 )
 from startracker.camera import Camera
 from startracker.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
 
@@ -184,5 +186,7 @@ def frame_transfer_smear(
 
 def _spline(jitter: JitterPath, reach_s: float) -> CubicSpline:
     """The path from −reach to +reach as a spline, cheaper than its cosines where each star has its own moments."""
+    from scipy.interpolate import CubicSpline
+
     t = np.linspace(-reach_s, reach_s, 8 + int(np.ceil(2.0 * reach_s * jitter.max_hz * _TABLE_PER_CYCLE)))
     return CubicSpline(t, jitter.at(t))

@@ -77,19 +77,20 @@ def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tu
     """
     colour = np.array(b_v, dtype=float)
     share = np.full(len(colour), math.nan)
-    texts, index = np.unique(np.asarray(spectral_type, dtype=str), return_inverse=True)
+    typed = np.flatnonzero(spectral_type != "")
+    texts, index = np.unique(np.asarray(spectral_type[typed], dtype=str), return_inverse=True)
     for i, text in enumerate(texts):
         letter, subtype, luminosity = parse_type(str(text))
         if not letter:
             continue
-        rows = index == i
+        rows = typed[index == i]
         giant = luminosity in _GIANTS or (not luminosity and letter in "MCSNR")  # a bright M star is a giant
         if giant or luminosity in _DWARFS:
             share[rows] = float(giant)
         if giant and letter == "M" and not math.isnan(subtype):
             share[rows] = min(LATE_GIANT[0] + subtype, LATE_GIANT[1])
-        empty = rows & np.isnan(colour)
-        if empty.any():
+        empty = rows[np.isnan(colour[rows])]
+        if len(empty):
             colour[empty] = _colour_of_type(letter, subtype, giant)
     return colour, np.where(np.isnan(share), population_giant_share(colour), share)
 

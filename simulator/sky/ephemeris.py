@@ -7,8 +7,8 @@ the ICRF to 1 mas; it covers 1899-07-29 to 2053-10-09.
 from __future__ import annotations
 
 import functools
-import io
 import math
+import mmap
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -187,14 +187,15 @@ def _record(segment: FloatArray, jd1: float, jd2: float) -> tuple[int, int, floa
 
 @functools.cache
 def _de421() -> Ephemeris:
-    """The file, read once a process: held in memory, so that forks share no file and none is left open."""
+    """The file, mapped into memory: of its 17 MB only the pages are read that a mission's dates need."""
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
     path = files("skyfield_data") / "data" / "de421.bsp"
     try:
-        content = path.read_bytes()
-        kernel = SPK(DAF(io.BytesIO(content)))
+        with path.open("rb") as file:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        kernel = SPK(DAF(content))
         words = np.frombuffer(content, dtype=kernel.daf.endian + "f8").astype(np.float64, copy=False)
         rows: list[list[float]] = []
         routes: dict[int, IntArray] = {}

@@ -17,10 +17,10 @@ from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from simulator.constants import PLANCK_J_S
 from simulator.optics.curves import load_curve
+from simulator.sky.monotone import MonotoneCubic
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 
 FloatArray = NDArray[np.float64]
@@ -136,7 +136,7 @@ def with_colours(wavelength_nm: FloatArray, f_lambda: FloatArray, colours: dict[
     step = np.zeros(4)  # −2.5 log₁₀ c of U, B, R, I
     for _ in range(60):
         shift = np.array([step[0], step[1], 0.0, step[2], step[3]])
-        curve = 10.0 ** (-0.4 * PchipInterpolator(nodes[used], shift[used])(x))
+        curve = 10.0 ** (-0.4 * MonotoneCubic.through(nodes[used], shift[used])(x))
         miss = np.where(wanted, target - synthetic_colours(wavelength_nm, f_lambda * curve), 0.0)
         if np.abs(miss).max() < 1e-7:
             break

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 
 from simulator.constants import BOLTZMANN_J_K
 from simulator.optics.curves import load_curve
 from simulator.sky.extinction import relative_extinction
 from simulator.sky.library import HC_J_NM, Sequence, sequence
+from simulator.sky.monotone import MonotoneCubic
 
 FloatArray = NDArray[np.float64]
 Spectrum = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -98,8 +98,8 @@ def _along(line: Sequence, key: FloatArray, wavelength_nm: FloatArray) -> FloatA
 
 
 @functools.cache
-def _interpolator(line: Sequence) -> PchipInterpolator:
-    return PchipInterpolator(line.key, np.log(np.maximum(line.photons, 1e-30)), axis=0)
+def _interpolator(line: Sequence) -> MonotoneCubic:
+    return MonotoneCubic.through(line.key, np.log(np.maximum(line.photons, 1e-30)))
 
 
 def _mean_v(wavelength_nm: FloatArray, photons: FloatArray) -> FloatArray:
@@ -179,7 +179,8 @@ def _planck_photons(wavelength_nm: FloatArray, temperature: FloatArray) -> Float
 def _planck_law() -> Callable[..., FloatArray]:
     from colour.colorimetry import planck_law  # a second to import: only who makes such spectra waits for it
 
-    return planck_law  # type: ignore[no-any-return]
+    law: Callable[..., FloatArray] = planck_law
+    return law
 
 
 SPECTRA: dict[str, Spectrum] = {"colour_sequence": colour_sequence, "blackbody": blackbody}

@@ -217,7 +217,7 @@ def _plot(columns: Columns, width: int) -> tuple[Image.Image, tuple[float, float
 
     from simulator.study.report_style import BLUE, GREEN, VERMILION
 
-    style: Any = STYLE | {"figure.facecolor": "white", "savefig.facecolor": "white", "font.size": 8}
+    style = STYLE | {"figure.facecolor": "white", "savefig.facecolor": "white", "font.size": 8}
     with rc_context(style):
         figure = Figure(figsize=(width / _DPI, PLOT_HEIGHT_PX / _DPI), dpi=_DPI)
         canvas: Any = FigureCanvasAgg(figure)

@@ -56,7 +56,7 @@ def budget_figure(budget: Budget) -> Figure:
     panels[0].set_yticks(places, [row.name for row in rows])
     panels[0].invert_yaxis()
     if rows:
-        from simulator.study.budget import CLASSES
+        from simulator.study.budget_effects import CLASSES
 
         kinds = [kind for kind in CLASSES if any(row.kind == kind for row in rows)]
         handles = [Patch(color=_COLOURS[kind], label=CLASSES[kind]) for kind in kinds]

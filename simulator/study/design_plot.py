@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simulator.study.design import PARAMETERS, Design
-from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
-from simulator.study.sky_maps import new_figure
+from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +20,7 @@ _LINES = {"roll": (BLUE, "o", "-"), "pitch": (ORANGE, "s", "--"), "yaw": (GREEN,
 
 def design_plot(result: Design) -> Figure:
     """Predicted 3σ with the specification, stars in the field, and share of the attitudes with too few of them."""
-    figure, grid = new_figure(1, 3, (12, 4.6))
+    figure, grid = picture(1, 3, (12, 4.6))
     possible = [point for point in result.points if not point.impossible]
     value = np.array([point.value for point in possible])
     for ax in grid[0]:

@@ -109,7 +109,7 @@ class _Paper:
     def end(self) -> None:
         """Send off the sheet under way."""
         if self.sheet is not None:
-            self.pages.savefig(self.sheet)  # type: ignore[no-untyped-call]
+            self.pages.savefig(self.sheet)  # type: ignore[no-untyped-call]  # matplotlib's has no types
             self.sheet = None
 
     def _put(self, x_in: float, y_in: float, text: str, size: float, **look: Any) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.report_style import PICTURE_STYLE, new_figure
 from simulator.study.statistics import AXES, BODY_AXES
 
 if TYPE_CHECKING:
@@ -30,28 +31,10 @@ TITLES = {
 }
 Columns = dict[str, NDArray[Any]]
 
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.constrained_layout.use": True,
-    "svg.hashsalt": "boresight",  # the same figure is the same file
-}
 
-
-def _figure(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> tuple[Figure, Any]:
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
-        return figure, figure.subplots(rows, columns, squeeze=False, **axes)
+def picture(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> tuple[Figure, NDArray[Any]]:
+    """Empty picture of `size` inches, and its axes (rows, columns); `axes` go to matplotlib's ``subplots``."""
+    return new_figure(PICTURE_STYLE, rows, columns, size, squeeze=False, **axes)
 
 
 def _arcsec(values_deg: NDArray[Any]) -> NDArray[np.float64]:
@@ -61,7 +44,7 @@ def _arcsec(values_deg: NDArray[Any]) -> NDArray[np.float64]:
 def error_histograms(columns: Columns, specification_deg: dict[str, float]) -> Figure:
     """Histograms of the errors about the body and the camera axes, with mean ± 3σ and the specification."""
     solved = columns["status"] == "solved"
-    figure, grid = _figure(2, 3, (10, 5.4))
+    figure, grid = picture(2, 3, (10, 5.4))
     for ax, axis in zip(grid.ravel(), AXES, strict=True):
         errors = _arcsec(columns[f"error_{axis}_deg"][solved])
         ax.set_title(TITLES[axis], fontsize=9)
@@ -98,7 +81,7 @@ def error_histograms(columns: Columns, specification_deg: dict[str, float]) -> F
 def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
     """An image as the camera sees it, with its detections and its identified stars."""
     height, width = image.shape
-    figure, grid = _figure(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
+    figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
     draw_solution(grid[0, 0], np.asarray(image, dtype=float), solution)
     return figure
 
@@ -106,7 +89,7 @@ def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
 def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     """A frame with its brightest true sources by name."""
     height, width = frame.image.shape
-    figure, grid = _figure(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
+    figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
     ax = grid[0, 0]
     _show_sky(ax, np.asarray(frame.image, dtype=float))
     inside = np.flatnonzero(frame.camera.contains(truth.sources.xy))
@@ -130,10 +113,11 @@ def _show_sky(ax: Axes, image: NDArray[Any], preview_px: int | None = None) -> N
     spread = float(np.nanmedian(np.abs(image - low))) * 1.4826 or float(np.nanstd(image)) or 1.0
     soft = 4.0 * spread  # the noise stays pale, stars grow dark at once
     top = max(float(np.nanpercentile(image, 99.97)), low + 5 * soft)
-    stretched = np.arcsinh(np.clip(image - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
     extent = (-0.5, image.shape[1] - 0.5, image.shape[0] - 0.5, -0.5)
+    samples = image if preview_px is None else _brightest_of_blocks(image, -(-max(image.shape) // preview_px))
+    stretched = np.arcsinh(np.clip(samples - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
     if preview_px is not None:
-        stretched = np.round(_brightest_of_blocks(stretched, -(-max(image.shape) // preview_px)) * 24) / 24
+        stretched = np.round(stretched * 24) / 24
     ax.imshow(stretched, cmap="Greys", vmin=0, vmax=1.1, origin="upper", interpolation="nearest", extent=extent)
     ax.grid(visible=False)
     for side in ("top", "right"):

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from simulator.paths import make_folder, write_atomically
-from simulator.study.report_style import STYLE
+from simulator.study import report_style
+from simulator.study.report_style import STUDY_STYLE
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ __all__ = [
     "new_figure",
     "run_sections",
     "verdict_of",
+    "with_unit",
 ]
 
 Verdict = Literal["exact", "close", "differs"]
@@ -42,14 +44,6 @@ MARKS: dict[Verdict, str] = {"exact": "green", "close": "yellow", "differs": "re
 
 COLUMNS = ("where", "quantity", "printed", "computed", "verdict", "why")
 """Columns of the table: the fields of a `Row`."""
-
-STUDY_STYLE: dict[str, Any] = STYLE | {
-    "axes.facecolor": "white",
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "lines.linewidth": 1.3,
-}
-"""The report's style on white, as for print."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +94,7 @@ class Section:
         """One figure, drawn in the study's style."""
         from matplotlib import rc_context
 
-        with rc_context(STUDY_STYLE):  # type: ignore[arg-type]  # STYLE has names as text, theirs are literals
+        with rc_context(STUDY_STYLE):
             return self.figures[name]()
 
     def _repr_html_(self) -> str:
@@ -155,6 +149,11 @@ def _number(printed: str) -> Decimal:
         raise ValueError(f"{printed!r} is no number; give a Row of its own with a verdict") from None
 
 
+def with_unit(text: str, unit: str) -> str:
+    """Numbers with their unit behind them; signs of an angle stand without a space."""
+    return f"{text} {unit}" if unit and unit not in "°″′" else text + unit
+
+
 def compare(
     where: str,
     quantity: str,
@@ -191,9 +190,8 @@ def compare(
         else:
             whole = decimals == 0 and float(computed).is_integer()
             form = f"{',' if ',' in printed else ''}.{decimals if whole else decimals + 2}f"
-    tail = f" {unit}" if unit and unit not in "°″′" else unit
     verdict = verdict_of(printed, computed, close)
-    return Row(where, quantity, f"{printed}{tail}", f"{computed:{form}}{tail}", verdict, why)
+    return Row(where, quantity, with_unit(printed, unit), with_unit(f"{computed:{form}}", unit), verdict, why)
 
 
 @dataclass(frozen=True)
@@ -281,7 +279,7 @@ class PrintedStudy:
         write_atomically(folder / files[0], text + "\n")
         for section in self.sections.values():
             for name in section.figures:
-                with rc_context(STUDY_STYLE):  # type: ignore[arg-type]  # STYLE has names as text, theirs are literals
+                with rc_context(STUDY_STYLE):
                     data = save_bytes(section.figure(name))
                 write_atomically(folder / f"{name}.png", data)
                 files.append(f"{name}.png")
@@ -332,11 +330,4 @@ def new_figure(
     Use the colours of `simulator.study.report_style` (BLUE, ORANGE, GREEN, VERMILION, INK, SOFT), and a marker or line
     style of its own for every curve.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(STUDY_STYLE):  # type: ignore[arg-type]  # STYLE has names as text, theirs are literals
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
-        return figure, figure.subplots(rows, columns, **axes)
+    return report_style.new_figure(STUDY_STYLE, rows, columns, size, **axes)

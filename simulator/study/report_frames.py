@@ -57,15 +57,13 @@ def frame_panels(
     for what, index in chosen_trials(columns, specification_deg):
         if index in made:  # few trials: one frame may be two things
             continue
-        frame, _ = runner.renderer.frame(index)
+        frame = runner.renderer.frame(index)[0]  # its truth, an image of real numbers, is let go at once
         solution = solve_frame(runner.tracker, frame)
         height, width = frame.image.shape
         made[index] = Panel(
             f"Trial {index}, the {what}",
             f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
-            functools.partial(
-                draw_solution, image=np.asarray(frame.image, dtype=float), solution=solution, names=8, preview_px=512
-            ),
+            functools.partial(draw_solution, image=frame.image, solution=solution, names=8, preview_px=512),
             height_in=4.2 * min(1.3, height / width) + 0.35,
         )
     return [(panel, index) for index, panel in made.items()]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
 
 INK, SOFT, LINE, BACK = "#1b1f24", "#57606a", "#d0d7de", "#fffffe"
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#b87400", "#00785a", "#c24a00"
@@ -34,7 +35,7 @@ COLOURS = {
 """Variable of the style sheet: its colour on a light and on a dark page. Each is at least 4.5 : 1 against its page
 (WCAG 2.1, 1.4.3), but for ``line``, which carries no meaning."""
 
-STYLE: dict[str, Any] = {
+STYLE: dict[RcKeyType, Any] = {
     "font.size": 9,
     "font.sans-serif": ["DejaVu Sans"],
     "text.color": INK,
@@ -63,6 +64,27 @@ STYLE: dict[str, Any] = {
     "pdf.fonttype": 42,
     "path.simplify": True,
 }
+
+STUDY_STYLE: dict[RcKeyType, Any] = STYLE | {
+    "axes.facecolor": "white",
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "lines.linewidth": 1.3,
+}
+"""The report's style on white, as for print."""
+
+PICTURE_STYLE: dict[RcKeyType, Any] = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.constrained_layout.use": True,
+    "svg.hashsalt": "boresight",
+}
+"""Of pictures that stand alone, as PNG."""
 
 NARROW_IN, WIDE_IN = 4.2, 7.6
 """Widths in inches. A narrow panel still reads at 9 points when a phone shows it 360 px wide."""
@@ -105,7 +127,21 @@ def style() -> Any:
     """Context in which the report's figures are both drawn and written."""
     from matplotlib import rc_context
 
-    return rc_context(STYLE)  # type: ignore[arg-type]  # STYLE has names as text, theirs are literals
+    return rc_context(STYLE)
+
+
+def new_figure(
+    look: dict[RcKeyType, Any], rows: int, columns: int, size: tuple[float, float], **axes: Any
+) -> tuple[Figure, Any]:
+    """Figure of `size` inches that belongs to no window, and its axes as matplotlib's ``subplots`` gives them."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(look):
+        figure = Figure(figsize=size)
+        FigureCanvasAgg(figure)
+        return figure, figure.subplots(rows, columns, **axes)
 
 
 def inline_svg(panel: Panel, key: str, narrow: bool = False) -> str:

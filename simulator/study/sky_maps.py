@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simulator.sky.background import ECLIPTIC, GALACTIC
-from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
+from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 from startracker.attitude import direction_to_radec, radec_to_direction
 
 if TYPE_CHECKING:
@@ -22,18 +22,9 @@ if TYPE_CHECKING:
 
     from simulator.study.coverage import Coverage
 
-__all__ = ["count_plot", "coverage_map", "magnitude_plot", "new_figure"]
+__all__ = ["count_plot", "coverage_map", "magnitude_plot"]
 
 FloatArray = NDArray[np.float64]
-
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "figure.constrained_layout.use": True,
-}
 
 _MAP_COLUMNS, _MAP_ROWS = 720, 360
 _MOST_MINIMA_DRAWN = 60
@@ -84,7 +75,7 @@ def count_plot(result: Coverage) -> Figure:
     """Histogram of the counts, the share with fewer than so many stars, and along a path the counts against time."""
     counts = result.allowed_counts
     path = result.boresights.kind == "path"
-    figure, grid = new_figure(2 if path else 1, 2, (10, 7.0 if path else 3.8))
+    figure, grid = picture(2 if path else 1, 2, (10, 7.0 if path else 3.8))
     left, right = grid[0]
     what = "time" if path else "sky"
     if path:
@@ -126,7 +117,7 @@ def count_plot(result: Coverage) -> Figure:
 
 def magnitude_plot(result: Coverage) -> Figure:
     """Mean, extremes and low percentiles of the counts against the magnitude limit."""
-    figure, grid = new_figure(1, 1, (7.4, 4.4))
+    figure, grid = picture(1, 1, (7.4, 4.4))
     ax = grid[0, 0]
     curve = result.curve[result.boresights.allowed]
     ax.set_xlabel("magnitude limit, V")
@@ -178,18 +169,6 @@ def _against_time(ax: Axes, result: Coverage) -> None:
         ax.legend(fontsize=8)
 
 
-def new_figure(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> tuple[Figure, Any]:
-    """Figure that belongs to no window, and its axes (rows, columns)."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
-        return figure, figure.subplots(rows, columns, squeeze=False, **axes)
-
-
 # ---------------------------------------------------------------------- the sky
 def _plane(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Longitude and latitude as Mollweide's axes take them, right ascension growing to the left, 180° in the middle."""
@@ -200,7 +179,7 @@ def _plane(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _sky_axes() -> tuple[Figure, Axes]:
     from matplotlib.patheffects import withStroke
 
-    figure, grid = new_figure(1, 1, (10, 6.2), subplot_kw={"projection": "mollweide"})
+    figure, grid = picture(1, 1, (10, 6.2), subplot_kw={"projection": "mollweide"})
     ax = grid[0, 0]
     ax.grid(visible=True, color="#999999", lw=0.4)
     hours = np.arange(-150, 151, 30)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, TITLES, VERMILION, save_bytes
+from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, TITLES, VERMILION, picture, save_bytes
 from simulator.study.statistics import AXES
 
 if TYPE_CHECKING:
@@ -25,17 +25,6 @@ MAX_CURVES = 6
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, "#CC79A7", "#444444")
 _MARKERS = "osD^vP"
 _ARCSEC = 3600.0
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.constrained_layout.use": True,
-}
-
 Point = dict[str, Any]
 
 
@@ -171,14 +160,7 @@ def _column(name: str) -> str:
 
 def figure_of_panels(size: tuple[float, float] = (12.5, 6.2), **axes: Any) -> tuple[Figure, NDArray[Any]]:
     """Empty figure of two rows of four panels, sizes in inches; `axes` go to matplotlib's ``subplots``."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
-        return figure, figure.subplots(2, 4, squeeze=False, **axes)
+    return picture(2, 4, size, **axes)
 
 
 def _label(axis: dict[str, Any]) -> str:

@@ -41,8 +41,7 @@ def residual_figure(calibration: Calibration) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
-    with rc_context(style):  # type: ignore[arg-type]
+    with rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(15.0, 4.6), layout="constrained")
         FigureCanvasAgg(figure)
         arrows, radius, histogram = figure.subplots(1, 3, width_ratios=(1.25, 1.0, 1.0))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from startracker.catalog.stars import StarCatalog
+from startracker.catalog.stars import StarCatalog, read_only
 
 __all__ = ["folder", "load", "store"]
 
@@ -33,7 +33,7 @@ def load(key: str) -> StarCatalog | None:
     try:
         # opened here, as NumPy leaves the file open when it finds it broken
         with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            columns: dict[str, Any] = {column: stored[column] for column in StarCatalog.columns()}
+            columns: dict[str, Any] = {column: read_only(stored[column]) for column in StarCatalog.columns()}
             columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
             return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
     except _UNUSABLE:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import direction_to_radec, radec_to_direction
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
@@ -72,10 +72,9 @@ class StarCatalog:
         if cast("object", self.variable) is None:
             object.__setattr__(self, "variable", np.zeros(n, dtype=bool))
         for column in self.columns():
-            array = np.array(getattr(self, column))
+            array = _unchangeable(getattr(self, column))
             if array.shape != (n,):
                 raise InputError(f"catalogue {self.name}: column '{column}' has {array.shape} values, not ({n},)")
-            array.flags.writeable = False
             object.__setattr__(self, column, array)
 
     @classmethod
@@ -88,7 +87,8 @@ class StarCatalog:
 
     def select(self, index: NDArray[Any]) -> StarCatalog:
         """Part of the catalogue, by boolean mask or by index array (which also orders)."""
-        return replace(self, **{c: getattr(self, c)[index] for c in self.columns()})
+        columns: dict[str, Any] = {c: read_only(getattr(self, c)[index]) for c in self.columns()}
+        return replace(self, **columns)
 
     def brighter_than(self, magnitude: float) -> StarCatalog:
         """Stars with V ≤ `magnitude`, brightest first."""
@@ -148,6 +148,22 @@ class StarCatalog:
         }
         columns["radial_velocity_km_s"][near] = speed
         return replace(self, epoch_jyear=epoch_jyear, **columns)
+
+
+def _unchangeable(column: ArrayLike) -> NDArray[Any]:
+    """A column as nobody can change it: a copy, unless it and what it is a view of are read-only."""
+    array = np.asarray(column)
+    owner = array if array.base is None else array.base
+    shared = isinstance(owner, np.ndarray) and not owner.flags.writeable and not array.flags.writeable
+    return array if shared else read_only(np.array(array))
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, from now on read-only, and so is the one that it is a view of."""
+    array.flags.writeable = False
+    if isinstance(array.base, np.ndarray):
+        array.base.flags.writeable = False
+    return array
 
 
 def _east_north(ra_rad: FloatArray, dec_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

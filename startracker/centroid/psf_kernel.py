@@ -87,7 +87,9 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _initial_flux(image, level, noise, table, oversampling, x, y, half, ceiling):  # type: ignore[no-untyped-def]
+def _initial_flux(
+    image: Image, level: FloatImage, table: FloatArray, oversampling: int, x: float, y: float, half: int, ceiling: float
+) -> float:
     """Σ p d / Σ p² over the usable pixels of a star's window."""
     above, below = 0.0, 0.0
     cx, cy = round(x), round(y)
@@ -133,7 +135,7 @@ def _fit_group(
         s = members[k]
         x[k], y[k], half[k] = xs[s], ys[s], halves[s]
         cx[k], cy[k] = round(x[k]), round(y[k])
-        flux[k] = _initial_flux(image, level, noise, table, oversampling, x[k], y[k], half[k], ceilings[s])
+        flux[k] = _initial_flux(image, level, table, oversampling, x[k], y[k], half[k], ceilings[s])
         if not flux[k] > 0.0:
             return
         pixels += (2 * half[k] + 1) ** 2

@@ -8,9 +8,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-import scipy.fft
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from startracker.errors import InputError
@@ -68,6 +66,8 @@ class PsfModel:
 
     def shares(self, dx: ArrayLike, dy: ArrayLike) -> FloatArray:
         """p at distances (dx, dy) in pixels, by cubic splines; zero beyond the table."""
+        from scipy.ndimage import map_coordinates
+
         x, y = np.broadcast_arrays(np.asarray(dx, dtype=float), np.asarray(dy, dtype=float))
         middle = (self.table.shape[0] - 1) / 2
         places = [y * self.oversampling + middle, x * self.oversampling + middle]
@@ -79,14 +79,16 @@ class PsfModel:
 
         The mean along a line is a product with sin(πu)/πu, u = frequency · path, in the Fourier plane.
         """
+        from scipy import fft
+
         grow = math.ceil(0.5 * max(abs(along_x_px), abs(along_y_px))) * self.oversampling
         side = self.table.shape[0] + 2 * grow
         # room for the image to be cut off by, and not to come in again on the other side
-        padded = scipy.fft.next_fast_len(side + 2 * grow, real=True)
-        spectrum = scipy.fft.rfft2(self.table, (padded, padded))
+        padded = fft.next_fast_len(side + 2 * grow, real=True)
+        spectrum = fft.rfft2(self.table, (padded, padded))
         down, across = np.fft.fftfreq(padded)[:, None], np.fft.rfftfreq(padded)
         path = self.oversampling * (along_x_px * across + along_y_px * down)
-        drawn_out = scipy.fft.irfft2(spectrum * np.sinc(path), (padded, padded))
+        drawn_out = fft.irfft2(spectrum * np.sinc(path), (padded, padded))
         rows = np.arange(-grow, side - grow) % padded
         table = drawn_out[np.ix_(rows, rows)]
         xx, yy, xy = self.shape

@@ -56,10 +56,24 @@ def interpolated(
 
 
 @njit(cache=True, error_model="numpy")
-def sums(  # type: ignore[no-untyped-def]
-    table, oversampling, x, y, flux, px, py, signal, dark, variances, inverse_gain, flat_error, weigh, weights, normal,
-    right,
-):  # fmt: skip
+def sums(
+    table: FloatArray,
+    oversampling: int,
+    x: FloatArray,
+    y: FloatArray,
+    flux: FloatArray,
+    px: IntArray,
+    py: IntArray,
+    signal: FloatArray,
+    dark: FloatArray,
+    variances: FloatArray,
+    inverse_gain: float,
+    flat_error: float,
+    weigh: bool,
+    weights: FloatArray,
+    normal: FloatArray,
+    right: FloatArray,
+) -> float:
     """χ² of the model of stars (x, y, flux) in pixels; Fisher matrix and score go to `normal` and `right`.
 
     Pixels have places (px, py), steps of the table; signal; variance of the dark. Their variances are kept in
@@ -97,10 +111,24 @@ def sums(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def sums_of_one(  # type: ignore[no-untyped-def]
-    table, oversampling, x, y, flux, px, py, signal, dark, variances, inverse_gain, flat_error, weigh, weights, normal,
-    right,
-):  # fmt: skip
+def sums_of_one(
+    table: FloatArray,
+    oversampling: int,
+    x: float,
+    y: float,
+    flux: float,
+    px: IntArray,
+    py: IntArray,
+    signal: FloatArray,
+    dark: FloatArray,
+    variances: FloatArray,
+    inverse_gain: float,
+    flat_error: float,
+    weigh: bool,
+    weights: FloatArray,
+    normal: FloatArray,
+    right: FloatArray,
+) -> float:
     """The sums of `sums` for a star alone, without an array in the loop."""
     first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
     first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)

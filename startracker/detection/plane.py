@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,11 +47,11 @@ def as_plane(values: FloatImage) -> Plane:
 
 
 @overload(operator.getitem)
-def _plane_getitem(plane, place):  # type: ignore[no-untyped-def]
+def _plane_getitem(plane: Any, place: Any) -> Callable[..., Any] | None:
     """``plane[y, x]`` in kernels."""
     if isinstance(plane, types.BaseNamedTuple) and plane.instance_class is Plane and isinstance(place, types.UniTuple):
 
-        def value_at(plane, place):  # type: ignore[no-untyped-def]
+        def value_at(plane: Any, place: Any) -> Any:
             y, x = place
             cell = plane.cell[y]
             upper = plane.lines[cell, x]

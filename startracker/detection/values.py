@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,14 @@ def is_value(pixel: float) -> bool:
 
 
 @overload(is_value)
-def _is_value(pixel):  # type: ignore[no-untyped-def]
-    if isinstance(pixel, types.Integer):
-        return lambda pixel: True
-    return lambda pixel: abs(pixel) < np.inf
+def _is_value(pixel: Any) -> Callable[[Any], bool]:
+    def always(pixel: Any) -> bool:  # argument and annotation as above: numba compares them
+        return True
+
+    def finite(pixel: Any) -> bool:
+        return bool(abs(pixel) < np.inf)
+
+    return always if isinstance(pixel, types.Integer) else finite
 
 
 def is_whole(image: Image) -> bool:
@@ -56,9 +61,13 @@ def is_whole(image: Image) -> bool:
 
 
 @overload(is_whole)
-def _is_whole(image):  # type: ignore[no-untyped-def]
+def _is_whole(image: Any) -> Callable[[Any], bool]:
     whole = isinstance(image.dtype, types.Integer)
-    return lambda image: whole
+
+    def found(image: Any) -> bool:
+        return whole
+
+    return found
 
 
 @njit(cache=True, error_model="numpy")

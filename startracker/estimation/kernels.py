@@ -20,6 +20,7 @@ __all__ = [
     "pair_frame",
     "pair_rotation",
     "polish",
+    "triple_product",
     "unit_vectors",
 ]
 
@@ -50,6 +51,14 @@ def unit_vectors(vectors: FloatArray, out: FloatArray) -> float:
 def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     """Cross product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """a · (b × c)."""
+    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    product: float = a[0] * x + a[1] * y + a[2] * z
+    return product
 
 
 @njit(cache=True, error_model="numpy")
@@ -119,7 +128,8 @@ def covariance_of(b: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = (smallest / sigma) ** 2
     frame = common_frame(b, weight)
     inner = _inverse(_curvature(b, b, weight, frame)) * smallest**2
-    return frame.T @ inner @ frame  # type: ignore[no-any-return]
+    covariance: FloatArray = frame.T @ inner @ frame
+    return covariance
 
 
 @njit(cache=True, error_model="numpy")
@@ -216,4 +226,5 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
 @njit(cache=True, error_model="numpy")
 def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> FloatArray:
     """Rotation (3, 3) that lays reference star `first` on its image, and the great circle to `second` on its image."""
-    return pair_frame(b[first], b[second]) @ pair_frame(r[first], r[second]).T  # type: ignore[no-any-return]
+    rotation: FloatArray = pair_frame(b[first], b[second]) @ pair_frame(r[first], r[second]).T
+    return rotation

@@ -115,8 +115,9 @@ def _optimal(
 @njit(cache=True, error_model="numpy")
 def weights_of(sigma: FloatArray) -> FloatArray:
     """σ⁻² (M,), their sum one."""
-    weight = (sigma.min() / sigma) ** 2
-    return weight / weight.sum()  # type: ignore[no-any-return]
+    weight: FloatArray = (sigma.min() / sigma) ** 2
+    weight /= weight.sum()
+    return weight
 
 
 @njit(cache=True, error_model="numpy")
@@ -140,7 +141,8 @@ def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray,
     if spread < _LOST_RAD2:
         first, second = most_telling_pair(b, sigma)
         matrix = pair_rotation(b, r, first, second)
-    return polish(matrix, b, r, weight)  # type: ignore[no-any-return]
+    polished: FloatArray = polish(matrix, b, r, weight)
+    return polished
 
 
 @njit(cache=True, error_model="numpy")
@@ -149,13 +151,15 @@ def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray
     u, _, vt = np.linalg.svd(profile_of(b, r, weight))
     if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
         u[:, 2] *= -1.0
-    return u @ vt  # type: ignore[no-any-return]
+    rotation: FloatArray = u @ vt
+    return rotation
 
 
 @njit(cache=True, error_model="numpy")
 def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
-    return _finish(fit_rotation(b, r, weight), b, r, sigma, weight)  # type: ignore[no-any-return]
+    rotation: FloatArray = _finish(fit_rotation(b, r, weight), b, r, sigma, weight)
+    return rotation
 
 
 @njit(cache=True, error_model="numpy")
@@ -185,13 +189,16 @@ def eigenvector_rotation(profile: FloatArray) -> FloatArray:
     k[2, 3] = profile[0, 1] - profile[1, 0]
     k[3, :3] = k[:3, 3]
     k[3, 3] = trace
-    return matrix_of(np.linalg.eigh(k)[1][:, 3].copy())  # type: ignore[no-any-return]
+    rotation: FloatArray = matrix_of(np.linalg.eigh(k)[1][:, 3].copy())
+    return rotation
 
 
 @njit(cache=True, error_model="numpy")
 def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
-    return _finish(eigenvector_rotation(profile_of(b, r, weight)), b, r, sigma, weight)  # type: ignore[no-any-return]
+    first: FloatArray = eigenvector_rotation(profile_of(b, r, weight))
+    rotation: FloatArray = _finish(first, b, r, sigma, weight)
+    return rotation
 
 
 @njit(cache=True, error_model="numpy")
@@ -256,7 +263,8 @@ def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArr
     q[3] = (value + trace) * alpha - np.linalg.det(s)
     matrix = matrix_of(q) if settled and (q**2).sum() > _SMALLEST else eigenvector_rotation(profile)
     _turn_reference(matrix, axis)
-    return _finish(matrix, b, r, sigma, weight)  # type: ignore[no-any-return]
+    rotation: FloatArray = _finish(matrix, b, r, sigma, weight)
+    return rotation
 
 
 @njit(cache=True, error_model="numpy")
@@ -290,4 +298,5 @@ def _esoq2_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArr
     else:
         matrix = eigenvector_rotation(profile)
     _turn_reference(matrix, axis)
-    return _finish(matrix, b, r, sigma, weight)  # type: ignore[no-any-return]
+    rotation: FloatArray = _finish(matrix, b, r, sigma, weight)
+    return rotation

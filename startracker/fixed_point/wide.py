@@ -44,7 +44,10 @@ class WideSky:
 
 @dataclass(frozen=True)
 class WideArithmetic(FixedArithmetic):
-    """As `FloatArithmetic(exact=True)` of `startracker.identification.arithmetic`, in integers."""
+    """As `FloatArithmetic(exact=True)` of `startracker.identification.arithmetic`, in integers.
+
+    Its methods take the stars that its own `image` and `sky` make, not those of 16 bits: hence the "own stars" below.
+    """
 
     @property
     def separation_format(self) -> Format:
@@ -56,7 +59,7 @@ class WideArithmetic(FixedArithmetic):
         """10.22."""
         return DEGREES
 
-    def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> WideImage:  # type: ignore[override]
+    def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> WideImage:  # type: ignore[override]  # own stars
         """Centroids truncated to 22.22; pixels are those of a tangent plane.
 
         Raises
@@ -75,22 +78,22 @@ class WideArithmetic(FixedArithmetic):
         length = square_root((short * short).sum(axis=1))
         return WideImage(xy, divide(plane << (DIRECTION.fraction_bits - _LENGTH_SHIFT), length[:, None]))
 
-    def sky(self, ra_deg: ArrayLike, dec_deg: ArrayLike, max_separation_deg: float) -> WideSky:  # type: ignore[override]
+    def sky(self, ra_deg: ArrayLike, dec_deg: ArrayLike, max_separation_deg: float) -> WideSky:  # type: ignore[override]  # own stars
         """Directions rounded to 2.30."""
         a, d = np.radians(ra_deg), np.radians(dec_deg)
         directions = np.column_stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
         return WideSky(DIRECTION.encode(directions, rounded=True))
 
-    def image_separations(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]
+    def image_separations(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
         """Between the stars' directions (eq. D.1)."""
         return vector_separations(image.directions[integers(i)], image.directions[integers(j)], DEGREES)
 
-    def image_directions(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]
+    def image_directions(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
         """Arctangent of the step in pixels."""
         step = image.xy[integers(j)] - image.xy[integers(i)]
         return _angles(step[..., 1], step[..., 0])
 
-    def catalog_directions(self, sky: WideSky, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]
+    def catalog_directions(self, sky: WideSky, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
         """As great circles leave star i, by components along its parallel and its meridian."""
         a, b = sky.directions[integers(i)], sky.directions[integers(j)]
         step = b - a
@@ -99,7 +102,7 @@ class WideArithmetic(FixedArithmetic):
         north = step[..., 2] - ((a[..., 2] * along) >> 30)
         return _angles(north, -east)
 
-    def image_enclosed(  # type: ignore[override]
+    def image_enclosed(  # type: ignore[override]  # own stars
         self, image: WideImage, i: ArrayLike, j: ArrayLike, k: ArrayLike
     ) -> tuple[Integers, Integers, Integers]:
         """On the sphere."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.verification import MOST_EXTRA, focal_slopes, verify_attitude
+from startracker.identification.verification import MOST_EXTRA, focal_slopes, match_nearest, verify_attitude
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 
@@ -65,33 +65,12 @@ class Hypothesis:
 
 @njit(cache=True, error_model="numpy")
 def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each candidate used once.
+    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each used once, as `match_nearest` has it.
 
-    Where two points claim one candidate the one nearer in units of its gate keeps it. Returns the index or −1 and
-    the distance or inf, each (N,).
+    Returns the index or −1 and the distance or inf, each (N,).
     """
-    n, k = points.shape[0], candidates.shape[0]
-    index = np.full(n, -1, np.int64)
-    distance = np.full(n, np.inf)
-    owner = np.full(k, -1, np.int64)
-    for i in range(n):
-        best, at = gate[i] ** 2, -1
-        for j in range(k):
-            d2 = 0.0
-            for axis in range(points.shape[1]):
-                d2 += (points[i, axis] - candidates[j, axis]) ** 2
-                if d2 > best:
-                    break
-            if d2 <= best:
-                best, at = d2, j
-        if at < 0:
-            continue
-        rival = owner[at]
-        if rival >= 0 and distance[rival] / gate[rival] <= np.sqrt(best) / gate[i]:
-            continue
-        if rival >= 0:
-            index[rival], distance[rival] = -1, np.inf
-        owner[at], index[i], distance[i] = i, at, np.sqrt(best)
+    index, distance = np.empty(len(points), np.int64), np.empty(len(points))
+    match_nearest(points, candidates, gate, index, distance, np.empty(len(candidates), np.int64))
     return index, distance
 
 

@@ -1,4 +1,4 @@
-"""Kernels of the pattern search: image patterns in order of brightness, their bins, their correspondence, attitude."""
+"""Kernels of the pattern search: image patterns in order of brightness, their bins, and what they lead to."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
+from startracker.identification.pattern_geometry import correspondence, pattern_attitude
 from startracker.identification.pattern_table import (
     BINS,
     EMPTY,
@@ -20,9 +21,8 @@ from startracker.identification.pattern_table import (
     home_slot,
     sorted_edges,
 )
-from startracker.identification.verification import solve_symmetric, turned
 
-__all__ = ["PatternFinds", "Plan", "correspondence", "lookup_shape", "next_set", "pattern_attitude", "search_patterns"]
+__all__ = ["PatternFinds", "Plan", "lookup_shape", "next_set", "search_patterns"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,9 +38,6 @@ _GATE_SIGMAS = 5.0
 _SURE_SHAPE = 3.0
 _FOCAL_SIGMAS = 4.0
 _SET_COST, _PROBE_COST, _CHECK_COST, _HITS_COST = 40.0, 4.0, 60.0, 2500.0
-_PERMUTATIONS = np.array(
-    [[a, b, c, 6 - a - b - c] for a in range(4) for b in range(4) for c in range(4) if len({a, b, c}) == 3]
-)
 
 
 class Plan(NamedTuple):
@@ -144,113 +141,6 @@ def lookup_shape(
         if k < 0:
             return count, looked
         at[k] += 1
-
-
-@njit(cache=True, error_model="numpy")
-def correspondence(
-    observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
-) -> float:
-    """Which star of a catalogue pattern (4, 3) is which of an observed one (4, 3), scale free.
-
-    Of the 24 orders the one whose six edges agree best within the tolerance, all of them, is put into `order` (4,).
-    Mirror images are refused: the largest of the four triangles has to turn the same way in both, unless its area is
-    below what noise can turn over.
-
-    Parameters
-    ----------
-    tolerance : float
-        Of each edge.
-    sense : float
-        Least triple product (twice a triangle's area) whose sign is sure.
-
-    Returns
-    -------
-    Factor of the observed edges against the catalogue's; 0 where nothing agrees.
-    """
-    mine, theirs = np.empty((4, 4)), np.empty((4, 4))
-    total, other = 0.0, 0.0
-    for i in range(4):
-        for j in range(i):
-            mine[i, j] = mine[j, i] = chord(observed[i], observed[j])
-            theirs[i, j] = theirs[j, i] = chord(reference[i], reference[j])
-            total += mine[i, j]
-            other += theirs[i, j]
-    scale = total / other
-    best, best_order = np.inf, -1
-    for p in range(24):
-        rss = 0.0
-        fits = True
-        for i in range(4):
-            for j in range(i):
-                difference = abs(mine[i, j] - scale * theirs[_PERMUTATIONS[p, i], _PERMUTATIONS[p, j]])
-                if difference > tolerance:
-                    fits = False
-                    break
-                rss += difference * difference
-            if not fits:
-                break
-        if fits and rss < best:
-            best, best_order = rss, p
-    if best_order < 0:
-        return 0.0
-    order[:] = _PERMUTATIONS[best_order]
-    largest, mirrored = 0.0, False
-    for left_out in range(4):
-        a, b, c = (1 if left_out == 0 else 0), (2 if left_out <= 1 else 1), (3 if left_out <= 2 else 2)
-        seen = _triple(observed[a], observed[b], observed[c])
-        if abs(seen) > largest:
-            largest = abs(seen)
-            mirrored = seen * _triple(reference[order[a]], reference[order[b]], reference[order[c]]) < 0.0
-    return 0.0 if mirrored and largest > sense else scale
-
-
-@njit(cache=True, error_model="numpy")
-def _triple(u: FloatArray, v: FloatArray, w: FloatArray) -> float:
-    product: float = (
-        u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])
-    )
-    return product
-
-
-@njit(cache=True, error_model="numpy")
-def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
-
-    From the first two of greatest separation (TRIAD), then three Gauss–Newton steps.
-    """
-    n = len(observed)
-    longest, a, b = -1.0, 0, 1
-    for i in range(n):
-        for j in range(i):
-            d = chord(observed[i], observed[j])
-            if d > longest:
-                longest, a, b = d, j, i
-    matrix: FloatArray = _triad(observed[a], observed[b]).T @ _triad(reference[a], reference[b])
-    for _ in range(3):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        for i in range(n):
-            p = matrix @ reference[i]
-            e = observed[i] - p
-            for j in range(3):
-                normal[j, j] += 1.0
-                for k in range(3):
-                    normal[j, k] -= p[j] * p[k]
-            right[0] += p[1] * e[2] - p[2] * e[1]
-            right[1] += p[2] * e[0] - p[0] * e[2]
-            right[2] += p[0] * e[1] - p[1] * e[0]
-        change = solve_symmetric(normal, right)
-        matrix = turned(matrix, change[0], change[1], change[2])
-    return matrix
-
-
-@njit(cache=True, error_model="numpy")
-def _triad(u: FloatArray, v: FloatArray) -> FloatArray:
-    out = np.empty((3, 3))
-    out[0] = (u + v) / math.sqrt((u + v) @ (u + v))
-    across = np.cross(u, v)
-    out[1] = across / math.sqrt(across @ across)
-    out[2] = np.cross(out[0], out[1])
-    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.estimation.kernels import pair_rotation
+from startracker.estimation.kernels import pair_rotation, triple_product
 from startracker.identification.kvector import KVector, find_range
 
 __all__ = ["MOST_FINDS", "Seen", "search_pyramids", "smart_triples"]
@@ -66,11 +66,6 @@ def smart_triples(n: int) -> IntArray:
 def _chord(a: FloatArray, b: FloatArray) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return math.sqrt(x * x + y * y + z * z)
-
-
-@njit(cache=True, error_model="numpy")
-def _triple(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])  # type: ignore[no-any-return]
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,7 +163,7 @@ def search_pyramids(
         i, j, k = corners
         for m in range(3):
             observed[m] = seen.vectors[corners[m]]
-        sense = _triple(observed[0], observed[1], observed[2])
+        sense = triple_product(observed[0], observed[1], observed[2])
         longest = max(seen.separation[i, j], seen.separation[i, k], seen.separation[j, k])
         widest = max(seen.sigma[i], seen.sigma[j], seen.sigma[k])
         if abs(sense) < _SLENDEREST * widest * longest:
@@ -207,7 +202,7 @@ def search_pyramids(
                         chord += (sky.directions[b, axis] - sky.directions[c, axis]) ** 2
                     if b == c or chord < shortest_jk or chord > longest_jk:
                         continue
-                    if _triple(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
+                    if triple_product(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
                         continue
                     guides[0], guides[1], guides[2] = a, b, c
                     for m in range(3):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
+from startracker.estimation.kernels import triple_product
 from startracker.identification.search_state import Finds, Limits, Pairs, Stars
 from startracker.identification.verification import (
     GATE_SIGMAS,
@@ -53,13 +54,6 @@ def _chord_angle(a: FloatArray, b: FloatArray) -> float:
 @njit(cache=True, error_model="numpy", inline="always")
 def _window(separation: NDArray[np.float32], low: float, high: float) -> tuple[int, int]:
     return int(np.searchsorted(separation, np.float32(low))), int(np.searchsorted(separation, np.float32(high)))
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-    product: float = a[0] * x + a[1] * y + a[2] * z
-    return product
 
 
 @njit(cache=True, error_model="numpy")
@@ -297,7 +291,7 @@ def search_triangles(
         low_ij, high_ij = _window(pairs.separation, (ij - t_ij) / (1.0 + wide), (ij + t_ij) / (1.0 - wide))
         cos_low = math.cos(min((jk + t_jk) / (1.0 - wide), math.pi))
         cos_high = math.cos(max((jk - t_jk) / (1.0 + wide), 0.0))
-        seen = _triple_product(stars.vectors[i], stars.vectors[j], stars.vectors[k])
+        seen = triple_product(stars.vectors[i], stars.vectors[j], stars.vectors[k])
         # below this the sense of a thin triangle is noise
         thin = t_jk * math.sin(jk)
         m_ij = stars.magnitude[i] - stars.magnitude[j]
@@ -339,7 +333,7 @@ def search_triangles(
                     if not cos_low <= cosine <= cos_high or b == c:
                         continue
                     v = sky.directions[a]
-                    real = _triple_product(v, u, w)
+                    real = triple_product(v, u, w)
                     if seen * real <= 0.0 and abs(seen) > thin:
                         continue
                     focal = 0.0

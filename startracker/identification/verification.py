@@ -104,7 +104,7 @@ def guides_in_field(matrix: FloatArray, sky: SkyView, most: int) -> IntArray:
 def match_nearest(
     points: FloatArray, places: FloatArray, gate: FloatArray, index: IntArray, distance: FloatArray, owner: IntArray
 ) -> int:
-    """Nearest place (K, 3) of each point (N, 3) within its gate (N,), each place used once; how many have one.
+    """Nearest place (K, D) of each point (N, D) within its gate (N,), each place used once; how many have one.
 
     Where two points claim one place the one nearer in units of its gate keeps it. `index` (N,) gets the place or −1,
     `distance` (N,) the distance or inf; `owner` (K,) is scratch.
@@ -114,7 +114,7 @@ def match_nearest(
     for i in range(len(points)):
         index[i], distance[i] = -1, np.inf
         best, at = gate[i] ** 2, -1
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        x, y = points[i, 0], points[i, 1]
         for j in range(len(places)):
             d = places[j, 0] - x
             d2 = d * d
@@ -122,8 +122,9 @@ def match_nearest(
                 continue
             d = places[j, 1] - y
             d2 += d * d
-            d = places[j, 2] - z
-            d2 += d * d
+            for axis in range(2, points.shape[1]):
+                d = places[j, axis] - points[i, axis]
+                d2 += d * d
             if d2 <= best:
                 best, at = d2, j
         if at < 0:

@@ -21,24 +21,18 @@ from startracker.observer import Observer
 from startracker.settings import TrackingSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
+from startracker.tracking.following import Followed, follow
 from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look
-from startracker.tracking.matching import track
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.scatter import Scatter
 
 __all__ = ["TrackingSession", "TrackingState"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _PRIOR_SIGMAS = 5.0
 _LEAST_PRIOR_DEG = 0.1
-_LEAST_WORTH = math.log(100.0)
-"""Evidence of stars too few for an attitude, from which the filter takes them in all the same."""
-_REJECT_SIGMAS = 3.7
-_FEWEST_TO_REJECT = 4
 _FEW_STARS = 6
-_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 
 
 @dataclass(frozen=True)
@@ -77,20 +71,6 @@ class TrackingState:
     restarted: bool = False
     window_xy: FloatArray | None = field(default=None, compare=False)
     window_half_px: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class _Followed:
-    """A frame matched with the prediction: the filter after it, and the stars that it took in."""
-
-    filter: Mekf
-    innovation: Innovation
-    seen: Seen
-    expected: Expected
-    stars: IntArray
-    partner: IntArray
-    residual_px: FloatArray
-    log_chance: float
 
 
 class TrackingSession:
@@ -170,8 +150,7 @@ class TrackingSession:
             Camera's rate.
         """
         self._filter, self._solved, self.state = None, None, TrackingState()
-        self._started = False
-        self._scatter = Scatter()
+        self._started, self._scatter = False, Scatter()
         if attitude is not None:
             if not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
                 raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
@@ -303,33 +282,12 @@ class TrackingSession:
         return expected if len(expected.index) else None
 
     # ------------------------------------------------------------------ following
-    def _follow(self, seen: Seen | None, expected: Expected) -> _Followed | None:
-        """Match with the prediction and filter; None where too little agrees, or what agrees contradicts the filter."""
-        if seen is None or not len(seen.xy) or self._filter is None:
+    def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
+        if seen is None or self._filter is None:
             return None
-        pixel = self.tracker.camera.pixel_rad
-        partner, _, _, evidence = track(
-            seen.vectors, seen.gate_px * pixel, expected.places, self._filter.attitude_covariance, seen.area_sr
-        )
-        if not evidence >= _LEAST_WORTH:
-            return None
-        stars = np.flatnonzero(partner >= 0)
-        while True:
-            after = self._filter.copy()
-            reference = expected.directions[partner[stars]]
-            innovation = after.update_vectors(
-                seen.vectors[stars], reference, seen.sigma_px[stars] * pixel, self.settings.false_rejection
-            )
-            if not innovation.accepted:
-                return None
-            residual = seen.xy[stars] - self.tracker.camera.project(reference @ after.matrix.T)
-            good = _fitting(residual, seen.sigma_px[stars])
-            if good.all():
-                break
-            stars = stars[good]
-        return _Followed(after, innovation, seen, expected, stars, partner[stars], residual, -evidence)
+        return follow(self._filter, self.tracker.camera, seen, expected, self.settings.false_rejection)
 
-    def _follow_centroids(self, xy: ArrayLike, flux: ArrayLike | None, observer: Observer | None) -> _Followed | None:
+    def _follow_centroids(self, xy: ArrayLike, flux: ArrayLike | None, observer: Observer | None) -> Followed | None:
         expected = self._expect(observer)
         points = np.asarray(xy, dtype=float)
         fits = points.ndim == 2 and points.shape[1] == 2 and (flux is None or np.size(flux) == len(points))
@@ -338,10 +296,10 @@ class TrackingSession:
         signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
         return self._follow(centroids_seen(self.tracker, points, signal, self._scatter.factor), expected)
 
-    def _sure(self, followed: _Followed) -> bool:
+    def _sure(self, followed: Followed) -> bool:
         return followed.log_chance <= math.log(self.tracker.identification.false_alarm_rate)
 
-    def _tracked(self, followed: _Followed, clock: Clock) -> Solution:
+    def _tracked(self, followed: Followed, clock: Clock) -> Solution:
         """Answer of a frame that was followed."""
         camera, guide, seen, stars = self.tracker.camera, self.tracker.guide, followed.seen, followed.stars
         self._filter = followed.filter
@@ -387,7 +345,7 @@ class TrackingSession:
     def _whole_frame(
         self,
         found: Solution,
-        followed: _Followed | None,
+        followed: Followed | None,
         prior: Attitude | None,
         prior_deg: float,
         clock: Clock,
@@ -440,15 +398,3 @@ class TrackingSession:
             turn = before.angle_to(attitude) / max(self._now - t_s, 1e-3)
             second = max(self.noise.rate_sigma_rad_s, turn)
         self._filter.reset(attitude, covariance, np.zeros(3), second)
-
-
-def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """Stars (M,) whose residual is below 3.7 standard errors, stated ones or the frame's own where these are larger."""
-    length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
-    if len(length) < _FEWEST_TO_REJECT or float(length.max()) <= _REJECT_SIGMAS:
-        return np.ones(len(length), np.bool_)
-    limit = _REJECT_SIGMAS * max(float(np.median(length)) / _RAYLEIGH_MEDIAN, 1.0)
-    good = np.asarray(length <= limit)
-    if good.sum() < _FEWEST_TO_REJECT:
-        return np.ones(len(length), np.bool_)
-    return good

@@ -6,7 +6,7 @@ import pytest
 
 from simulator.cli import _run
 from simulator.cli.study_command import STUDIES
-from simulator.study.budget import EFFECTS
+from simulator.study.budget_effects import EFFECTS
 
 SMALL = ["--set", "detector.width=256", "--set", "detector.height=256"]
 

@@ -14,6 +14,8 @@ from scipy import stats
 
 from simulator.study.intervals import (
     LARGE,
+    _binomial_quantile,
+    _central_chi_square,
     mean_chi_square_bounds,
     moment_intervals,
     percentile_interval,
@@ -139,3 +141,15 @@ def test_a_summary_finds_what_was_drawn_and_is_json():
     # Σe²/n over 10,000: relative standard deviation √(2/n) / 2 = 0.007
     assert found["bound_ratio"]["cross_x"]["ratio"] == pytest.approx(1.0, abs=4 * 0.0071)
     assert found["nees"]["mean"] == pytest.approx(3.0, abs=4 * np.sqrt(6 / n))
+
+
+def test_quantiles_are_those_of_scipy_stats():
+    """SciPy 1.17's distributions, whose package is too heavy to load for two functions."""
+    for trials in (1, 2, 7, 100, 1227, 1228, 250_000):
+        for p in (0.003, 0.5, 0.95, 0.997):
+            for q in (1e-6, 0.025, 0.4, 0.975):  # a half is a tie of symmetric ones, which rounding decides
+                assert _binomial_quantile(q, trials, p) == max(0, stats.binom.ppf(q, trials, p))
+    for freedom in (0.4, 3.0, 1500.0, 3e6):
+        np.testing.assert_allclose(
+            _central_chi_square(freedom, 0.95), stats.chi2.ppf([0.025, 0.975], freedom), rtol=1e-12
+        )

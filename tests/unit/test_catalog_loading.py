@@ -1,4 +1,5 @@
 import os
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -230,3 +231,20 @@ def test_moving_to_an_epoch_and_back_changes_nothing():
     near = catalog.parallax_rad > 0
     np.testing.assert_allclose(there.directions(2010.0)[near], catalog.directions(2010.0)[near], atol=1e-14)
     np.testing.assert_allclose(there.directions(1991.25), catalog.directions(1991.25), atol=1e-15)
+
+
+def test_columns_are_copied_only_where_somebody_could_change_them():
+    catalog = load_catalog("bsc5")
+    same = replace(catalog, name="same")
+    assert same.v_mag is catalog.v_mag
+    writeable = catalog.v_mag.copy()
+    view = writeable[:]
+    view.flags.writeable = False
+    for given in (writeable, view):
+        taken = replace(catalog, v_mag=given)
+        writeable[0] = 99.0
+        assert taken.v_mag[0] == catalog.v_mag[0]
+        assert not taken.v_mag.flags.writeable
+        writeable[0] = catalog.v_mag[0]
+    chosen = catalog.select(np.arange(5))
+    assert not chosen.v_mag.flags.writeable

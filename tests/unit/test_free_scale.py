@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, InputError, Status, solve_unknown_fov
-from startracker.blind import all_stars, quad_index
 from startracker.distortion import Distortion
 from startracker.identification.free_scale import fit_camera
 from startracker.identification.quads import (
@@ -18,6 +17,7 @@ from startracker.identification.quads import (
     sky_codes,
     unpack_quads,
 )
+from startracker.identification.whole_sky import all_stars, quad_index
 
 
 def stars_of(camera, attitude, count=800):

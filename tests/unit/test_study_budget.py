@@ -10,7 +10,8 @@ import pytest
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
 from simulator.study import budget as module
-from simulator.study.budget import CLASSES, EFFECTS, budget, effective
+from simulator.study.budget import budget
+from simulator.study.budget_effects import CLASSES, EFFECTS, effective
 from simulator.study.budget_plot import budget_figure
 from simulator.study.statistics import AXES
 from startracker.errors import BoresightError, InputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,7 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
     errors = []
     for k, xy in enumerate(places):
         mean_e = render_stars((_SIDE_PX, _SIDE_PX), xy[None], np.ones(1), np.array([total_e]), psf)
-        readout = detect(mean_e, detector, pattern, lambda stage, k=k: stream(scenario.seed, stage, k))  # type: ignore[misc]
+        readout = detect(mean_e, detector, pattern, partial(stream, scenario.seed, trial=k))
         image = compare_levels(readout.image, levels) if geometric else readout.image
         found = find_stars(
             image,

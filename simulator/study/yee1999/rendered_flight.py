@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -159,11 +160,11 @@ def section(images: Sequence[int] | None = None) -> Section:
             "spin axis, cone, moments of inertia and tilt of the camera are fitted to them (oedipus.yaml)",
         ),
     ]
-    figures = {"fig_4_11_rendered": lambda: track_figure(frames)}
+    figures = {"fig_4_11_rendered": partial(track_figure, frames)}
     for f in frames:
         if f.image in (6, 7):
             name = {6: "fig_4_8_rendered", 7: "fig_4_9_rendered"}[f.image]
-            figures[name] = lambda f=f: image_figure(f)  # type: ignore[misc]
+            figures[name] = partial(image_figure, f)
     return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, figures)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from decimal import Decimal
 
-from simulator.study.printed import Row, Verdict, verdict_of
+from simulator.study.printed import Row, Verdict, verdict_of, with_unit
 
 __all__ = ["joined", "worst"]
 
@@ -47,5 +47,6 @@ def joined(
         f"{value:.{max(-int(Decimal(text).as_tuple().exponent), 0)}f}"
         for text, value in zip(printed, computed, strict=True)
     ]
-    tail = f" {unit}" if unit and unit not in "°″′" else unit
-    return Row(where, quantity, ", ".join(printed) + tail, ", ".join(shown) + tail, worst(verdicts), why)
+    return Row(
+        where, quantity, with_unit(", ".join(printed), unit), with_unit(", ".join(shown), unit), worst(verdicts), why
+    )

@@ -1,0 +1,45 @@
+"""What commands show on a terminal: tables as wide as it is, and a bar while they work."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def open_console(width: int = 110, *, error: bool = False) -> Console:
+    """Console for tables, `width` columns wide where the output is no terminal; with `error` that for progress."""
+    from rich.console import Console
+
+    return Console(stderr=error, highlight=False, width=None if sys.stdout.isatty() or error else width)
+
+
+@contextmanager
+def progress_bar(name: str, unit: str, total: int | None = None) -> Iterator[Callable[[int, int], None]]:
+    """A bar that is gone when the work is done, and none without a terminal; tell it (finished, all)."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    own = open_console(error=True)
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=own, transient=True, disable=not own.is_terminal) as bar:
+        task = bar.add_task(name, total=total)
+        yield lambda done, of: bar.update(task, completed=done, total=of)

@@ -1,0 +1,64 @@
+"""Cubic interpolation that makes no extremum of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MonotoneCubic:
+    """Cubic Hermite interpolant through points, monotone wherever they are.
+
+    The slope at a point is the weighted harmonic mean of those of its two sides, 0 at an extremum; at the ends it is
+    that of the parabola through three points, held back where it would overshoot (Fritsch & Butland 1984, SIAM J.
+    Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). The same as SciPy's
+    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to load.
+
+    Parameters
+    ----------
+    x : (N,) array
+        Rising, at least three.
+    y : (N,) or (N, M) array
+        Values, each column a curve of its own.
+    slope : array like y
+        From `through`.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    slope: FloatArray
+
+    @classmethod
+    def through(cls, x: FloatArray, y: FloatArray) -> MonotoneCubic:
+        """The interpolant of these points."""
+        h = np.diff(x).reshape(-1, *[1] * (y.ndim - 1))
+        m = np.diff(y, axis=0) / h
+        slope = np.zeros(y.shape)
+        left, right = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
+        same_way = m[:-1] * m[1:] > 0.0
+        mean = left / np.where(same_way, m[:-1], 1.0) + right / np.where(same_way, m[1:], 1.0)
+        slope[1:-1] = np.where(same_way, (left + right) / mean, 0.0)
+        slope[0], slope[-1] = _end(h[0], h[1], m[0], m[1]), _end(h[-1], h[-2], m[-1], m[-2])
+        return cls(x, y, slope)
+
+    def __call__(self, at: FloatArray) -> FloatArray:
+        """Values (K,) or (K, M) at places (K,) within those of the points."""
+        k = np.clip(np.searchsorted(self.x, at, side="right") - 1, 0, len(self.x) - 2)
+        h = (self.x[k + 1] - self.x[k]).reshape(-1, *[1] * (self.y.ndim - 1))
+        t = (at - self.x[k]).reshape(h.shape) / h
+        step = self.y[k + 1] - self.y[k]
+        first, last = self.slope[k] * h, self.slope[k + 1] * h
+        bend = 3.0 * step - 2.0 * first - last
+        return np.asarray(self.y[k] + t * (first + t * (bend + t * (first + last - 2.0 * step))))
+
+
+def _end(h0: FloatArray, h1: FloatArray, m0: FloatArray, m1: FloatArray) -> FloatArray:
+    """Slope at an end, from the intervals next to it and their slopes."""
+    slope = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    slope = np.where((m0 * m1 < 0.0) & (np.abs(slope) > 3.0 * np.abs(m0)), 3.0 * m0, slope)
+    return np.asarray(np.where(slope * m0 > 0.0, slope, 0.0))

@@ -1,0 +1,88 @@
+"""A frame matched with the prediction and taken into the filter, star by star."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.camera import Camera
+from startracker.tracking.looking import Expected, Seen
+from startracker.tracking.matching import track
+from startracker.tracking.mekf import Innovation, Mekf
+
+__all__ = ["Followed", "follow"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_LEAST_WORTH = math.log(100.0)
+"""Evidence of stars too few for an attitude, from which the filter takes them in all the same."""
+_REJECT_SIGMAS = 3.7
+_FEWEST_TO_REJECT = 4
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A frame matched with the prediction: the filter after it, and the stars that it took in."""
+
+    filter: Mekf
+    innovation: Innovation
+    seen: Seen
+    expected: Expected
+    stars: IntArray
+    partner: IntArray
+    residual_px: FloatArray
+    log_chance: float
+
+
+def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, false_rejection: float) -> Followed | None:
+    """Match with the prediction and filter; None where too little agrees, or what agrees contradicts the filter.
+
+    Parameters
+    ----------
+    prediction : Mekf
+        At the time of the frame; left as it is.
+    camera : Camera
+        The tracker's.
+    seen, expected : Seen, Expected
+        Star images, and guide stars where the prediction puts them.
+    false_rejection : float
+        Probability that the filter may refuse what is right (`TrackingSettings`).
+    """
+    if not len(seen.xy):
+        return None
+    pixel = camera.pixel_rad
+    partner, _, _, evidence = track(
+        seen.vectors, seen.gate_px * pixel, expected.places, prediction.attitude_covariance, seen.area_sr
+    )
+    if not evidence >= _LEAST_WORTH:
+        return None
+    stars = np.flatnonzero(partner >= 0)
+    while True:
+        after = prediction.copy()
+        reference = expected.directions[partner[stars]]
+        innovation = after.update_vectors(seen.vectors[stars], reference, seen.sigma_px[stars] * pixel, false_rejection)
+        if not innovation.accepted:
+            return None
+        residual = seen.xy[stars] - camera.project(reference @ after.matrix.T)
+        good = _fitting(residual, seen.sigma_px[stars])
+        if good.all():
+            break
+        stars = stars[good]
+    return Followed(after, innovation, seen, expected, stars, partner[stars], residual, -evidence)
+
+
+def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
+    """Stars (M,) whose residual is below 3.7 standard errors, stated ones or the frame's own where these are larger."""
+    length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
+    if len(length) < _FEWEST_TO_REJECT or float(length.max()) <= _REJECT_SIGMAS:
+        return np.ones(len(length), np.bool_)
+    limit = _REJECT_SIGMAS * max(float(np.median(length)) / _RAYLEIGH_MEDIAN, 1.0)
+    good = np.asarray(length <= limit)
+    if good.sum() < _FEWEST_TO_REJECT:
+        return np.ones(len(length), np.bool_)
+    return good
