@@ -135,6 +135,32 @@ def test_stars_of_a_smeared_frame_are_kept_and_odd_streaks_are_not(shift, turn):
         assert min(np.hypot(*(drawn - expected)), np.hypot(*(drawn + expected))) < 3.0
 
 
+@pytest.mark.parametrize("shift", [(5.0, 2.0), (0.0, 7.0), (-6.0, 7.0)])
+def test_sharp_stars_drawn_out_by_a_few_pixels_are_kept(shift):
+    image, places, _ = field(4, sigma=0.45, count=40, faintest=1000.0, line=lambda x, y: shift)
+    spots = find_components(image.astype(np.float32), estimate(image), ALL, None)
+    found, false = matched(spots, places)
+    assert found.mean() >= 0.95
+    assert not false.any()
+    assert np.allclose(np.abs(spots.streak), np.abs(shift), atol=0.7)
+
+
+def test_short_streaks_that_point_anywhere_are_no_motion():
+    """Straight leaves, needles: of 20 fields of them none may pass for a frame that its own motion has drawn."""
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        angles = iter(rng.uniform(0, np.pi, 1000))
+        lengths = iter(rng.uniform(4, 10, 1000))
+
+        def line(x, y, angles=angles, lengths=lengths):
+            angle, length = next(angles), next(lengths)
+            return length * np.cos(angle), length * np.sin(angle)
+
+        image, _, _ = field(seed, sigma=0.45, count=40, faintest=1500.0, line=line)
+        spots = find_components(image.astype(np.float32), estimate(image), ALL, None)
+        assert not len(spots) or not spots.streak.any()
+
+
 def test_a_streak_among_round_stars_is_left_out_and_counted():
     image, places, _ = field(5, count=20, faintest=2000.0)
     add_star(image, 250.0, 12.0, 3e4, 0.9, (60.0, 0.0))
