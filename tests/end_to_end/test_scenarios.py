@@ -67,5 +67,5 @@ def test_stars_drawn_out_by_a_few_pixels(psf_sigma_px):
     solved = columns["status"] == "solved"
     assert not columns["wrong"].any()
     assert solved.sum() >= 19
-    # mean 3, variance 6 if the stated errors hold: 3 + 4 √(6/20) = 5.2; stars whose streaks touch err by more (it was 90)
+    # mean 3, variance 6 if the stated errors hold: 3 + 4 √(6/20) = 5.2 (it was 90)
     assert columns["nees"][solved].mean() < 5.2
