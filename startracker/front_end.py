@@ -84,6 +84,8 @@ class FoundStars:
         For a second look.
     smeared : bool
         Whether the stars are streaks.
+    lines : (N, 4)
+        Middle x and y and half the length along x and y of the streaks that were taken for stars.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -98,6 +100,7 @@ class FoundStars:
     pixels: Image | None = None
     background: Background | None = None
     smeared: bool = False
+    lines: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
 
 def find_stars(
@@ -166,13 +169,20 @@ def find_stars(
         pixels=pixels,
         background=background,
         smeared=_looks_smeared(spots),
+        lines=_lines(spots),
     )
 
 
 def _looks_smeared(spots: Spots) -> bool:
     """Whether the detector took streaks for stars, or left out so many that they may be the stars."""
-    taken = spots.streak is not None and bool(np.any(spots.streak))
-    return taken or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
+    return bool(len(_lines(spots))) or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
+
+
+def _lines(spots: Spots) -> FloatArray:
+    """What the motion of the frame has drawn of its stars, see `FoundStars`."""
+    if spots.centre is None or spots.streak is None or not spots.streak.any():
+        return np.empty((0, 4))
+    return np.hstack([spots.centre, 0.5 * spots.streak])
 
 
 def look_again(
@@ -200,7 +210,7 @@ def look_again(
     """
     if first.pixels is None or first.background is None:
         return None
-    streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn)
+    streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, first.lines)
     clock.lap("streaks")
     if streaks is None:
         return None

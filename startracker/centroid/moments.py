@@ -150,7 +150,10 @@ def prepare(
 
 
 def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:
-    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths taken."""
+    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths taken.
+
+    NaN where nothing like a star image could be measured.
+    """
     given = frame.settings.psf_sigma_px
     background = Background(frame.level, frame.noise)
     sigmas = (given, given) if given else measure_psf_sigma(frame.image, background, spots, 2 * frame.half + 1)
@@ -168,6 +171,8 @@ def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[fl
         frame.inverse_gain,
         _FLAT_TOP_ERROR_PX,
     )
+    # known no better than a star image, or a pixel, is wide: what is there is no star image
+    table[(table[:, 3:5].max(axis=1) > max(*sigmas, 1.0) ** 2) & ~spots.saturated] = np.nan
     return table, sigmas
 
 

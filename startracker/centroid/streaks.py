@@ -92,6 +92,7 @@ def find_streaks(
     settings: DetectionSettings | None = None,
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
+    known: FloatArray | None = None,
 ) -> Streaks | None:
     """Find and measure the streaks that all stars of a frame have drawn alike.
 
@@ -111,6 +112,9 @@ def find_streaks(
         `threshold_sigma`, `max_stars`, `psf_sigma_px` (None: measured).
     saturation_dn, gain_e_per_dn : float, optional
         Saturated pixels are left out; the gain tells the photon noise.
+    known : array, shape (N, 4), optional
+        Middle x and y and half the length along x and y of streaks found before, brightest first: then none are looked
+        for. Where it is empty, they are.
 
     Returns
     -------
@@ -126,26 +130,28 @@ def find_streaks(
     """
     settings = settings or DetectionSettings()
     pixels = as_image(image)
+    given = settings.psf_sigma_px
+    sigma = math.hypot(DEFAULT_SIGMA_PX if given is None else given, math.sqrt(_PIXEL_VARIANCE))
+    residual = np.where(np.isfinite(pixels), pixels - background.level, np.float32(np.nan))
+    full = np.zeros(pixels.shape, np.bool_) if saturation_dn is None else pixels >= saturation_dn
+    frame = _Frame(residual, background.noise, full, 0.0 if gain_e_per_dn is None else 1.0 / gain_e_per_dn)
+    if known is not None and len(known):
+        found = _motion(frame, known[:_FITTED], sigma, given is None)
+        return None if found is None else _streaks(frame, known[:, :2], *found, settings)
     unit = max(1, math.ceil(max(pixels.shape) / _LARGEST_MAP_PX))
     bins = bin_residual(pixels, background.level, background.noise, 2 * unit)
     if min(bins.shape) < 2.0 * SHORTEST_PX:
         return None
     bins /= _excess(bins)
-    given = settings.psf_sigma_px
-    sigma = math.hypot(DEFAULT_SIGMA_PX if given is None else given, math.sqrt(_PIXEL_VARIANCE))
     lines = candidate_lines(bins, unit)
     if len(lines) < _FEWEST:
         return None
-    residual = np.where(np.isfinite(pixels), pixels - background.level, np.float32(np.nan))
-    full = np.zeros(pixels.shape, np.bool_) if saturation_dn is None else pixels >= saturation_dn
-    frame = _Frame(residual, background.noise, full, 0.0 if gain_e_per_dn is None else 1.0 / gain_e_per_dn)
     found = _motion(frame, lines[:_FITTED], sigma, given is None)
     if found is None:
         return None
     motion, sigma = found
     starts = _along_motion(bins, 2.0 * unit, motion, settings.threshold_sigma, sigma)
-    centroids = _measure(frame, starts, motion, sigma, settings)
-    return Streaks(centroids, motion) if len(centroids) else None
+    return _streaks(frame, starts, motion, sigma, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +201,7 @@ def _motion(frame: _Frame, lines: FloatArray, sigma: float, measure_sigma: bool)
     table, variance = np.array(fits)[order], np.array(errors)[order]
     xy = table[:, [X, Y]] - frame.middle
     drawn = 2.0 * table[:, HALF, None] * _direction(table)
-    motion = common_motion(xy, drawn, _SHORTEST_MOTION_PX)
+    motion = common_motion(xy, drawn, _SHORTEST_MOTION_PX, _SHORTEST_MOTION_PX)
     if motion is None:
         return None
     fitting = agrees(drawn, motion_at(xy, motion))
@@ -282,6 +288,13 @@ def _along_motion(bins: FloatImage, scale: float, motion: FloatArray, threshold:
     halves = 0.5 * motion_at((xy - [middle_x, middle_y]) * scale, motion) / scale
     kept = keep_apart(clipped, np.column_stack([xy, halves]), 2.0, limit, LOOKED_AT)
     return np.asarray((xy[kept] + 0.5) * scale - 0.5)
+
+
+def _streaks(
+    frame: _Frame, starts: FloatArray, motion: FloatArray, sigma: float, settings: DetectionSettings
+) -> Streaks | None:
+    centroids = _measure(frame, starts, motion, sigma, settings)
+    return Streaks(centroids, motion) if len(centroids) else None
 
 
 def _measure(

@@ -33,6 +33,7 @@ _TRACK_PX2 = 0.4
 _SHARP_ERRORS = 2.0
 _PEAK_ERRORS = 3.0
 _ONE_PIXEL = 0.6
+_ALONE, _ALONE_SHARE, _MANY_SHARP, _FEWEST_STARS = 0.75, 0.8, 5, 3
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,20 +80,11 @@ def is_hit(
     count = len(table)
     x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
     hit, one_pixel = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    judged = ~saturated & (table[:, EDGE] == 0.0)
     weight, width = _WEIGHT_PX, np.nan
     shapes = measure_shapes(image, level, noise, x, y, weight)
-    clean = np.empty(_WIDTH_STARS)
     for _ in range(2):
-        examined, used = 0, 0
-        for n in range(count):
-            if examined == 2 * _WIDTH_STARS or used == _WIDTH_STARS:
-                break
-            if not saturated[n] and table[n, EDGE] == 0.0 and table[n, PIXELS] >= 3.0:
-                examined += 1
-                if shapes[n, 4] > _WIDTH_SNR:
-                    clean[used] = shapes[n, 0]
-                    used += 1
-        width = common_width(clean[:used])
+        width = _width_of_stars(judged & (table[:, PIXELS] >= 3.0), shapes)
         if not width > weight**2:
             break
         weight = 1.2 * math.sqrt(width)
@@ -104,7 +96,7 @@ def is_hit(
     share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), half)
     filtered = filtered_at(image, level, half, x, y) if filtering else np.zeros(count, np.float32)
     for n in range(count):
-        if saturated[n] or table[n, EDGE] != 0.0:
+        if not judged[n]:
             continue
         hit[n] = shapes[n, 0] + _SHARP_ERRORS * shapes[n, 2] < limit
         if filtering:
@@ -112,6 +104,32 @@ def is_hit(
             hit[n] |= signal > share * filtered[n] + _PEAK_ERRORS * noise[y[n], x[n]]
         one_pixel[n] = shapes[n, 3] > _ONE_PIXEL
     return hit, one_pixel
+
+
+@njit(cache=True, error_model="numpy")
+def _width_of_stars(judged: Flags, shapes: FloatArray) -> float:
+    """The variance that the brightest well measured objects share; NaN for none.
+
+    Where stars are few, hot pixels are most of what is found, and agree. Stars sharper than a pixel are not taken for
+    them: wherever such a star falls off the middle of its pixel, its neighbours have light too. So where nearly all
+    that is sharp is nothing but one pixel, and three others are not sharp, these are the stars.
+    """
+    clean = np.empty(_WIDTH_STARS)
+    used = 0
+    for n in np.flatnonzero(judged)[: 2 * _WIDTH_STARS]:
+        if used < _WIDTH_STARS and shapes[n, 4] > _WIDTH_SNR:
+            clean[used] = shapes[n, 0]
+            used += 1
+    width: float = common_width(clean[:used])
+    if width > _SHARPEST_STAR_PX2:
+        return width
+    clear = shapes[judged & (shapes[:, 4] > _WIDTH_SNR)]
+    wide = clear[:, 0] > _SHARPEST_STAR_PX2
+    sharp = len(clear) - np.sum(wide)
+    alone = np.sum(clear[~wide, 3] > _ALONE)
+    if sharp >= _MANY_SHARP and alone >= _ALONE_SHARE * sharp and np.sum(wide) >= _FEWEST_STARS:
+        width = common_width(clear[wide, 0])
+    return width
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,9 +13,10 @@ _TRIED = 14
 _TOLERANCE_SHARE = 0.12
 _TOLERANCE_PX = 1.0
 _FEWEST = 4
-_AGREEING = 0.6
-SHORTEST_PX = 10.0
-"""Shorter lines are left to the limit on the axis ratio; leaves and twigs, which point anywhere, are short."""
+_AGREEING, _SHORT_AGREEING = 0.6, 0.7
+SHORTEST_PX, CLEAR_PX = 3.0, 10.0
+"""Shorter lines are left to the limit on the axis ratio; of those that are not clearly longer than leaves and twigs,
+which point anywhere, more must agree."""
 
 FloatArray = NDArray[np.float64]
 
@@ -31,9 +32,13 @@ def elongations(variance_x: FloatArray, variance_y: FloatArray, covariance: Floa
     return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
 
 
-def common_motion(xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTEST_PX) -> FloatArray | None:
-    """Motion (a, b, c) that most streaks share, or None where fewer than four or than 0.6 of the brightest do, or
-    where it is shorter than that in the middle of them.
+def common_motion(
+    xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTEST_PX, clear_px: float = CLEAR_PX
+) -> FloatArray | None:
+    """Motion (a, b, c) that most streaks share, or None where fewer than four do.
+
+    Of the brightest 0.6 must share it, or 0.7 where it is shorter than `clear_px` in the middle of them, and it must
+    not be shorter than `shortest_px`.
 
     A camera that turns moves the image at (x, y) by (a − c y, b + c x): two shifts and a turn about the line of
     sight (narrow field). Every pair of the brightest streaks, with either sign, proposes one by least squares; the
@@ -45,8 +50,8 @@ def common_motion(xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTE
         Centres, brightest first, about the middle of the image.
     lines : (N, 2)
         From `elongations`.
-    shortest_px : float
-        Least motion.
+    shortest_px, clear_px : float
+        Least motion, and the least that 0.6 suffice for.
     """
     count = len(xy)
     if count < _FEWEST:
@@ -62,7 +67,9 @@ def common_motion(xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTE
         if np.count_nonzero(fits[:tried]) < max(_FEWEST, _AGREEING * tried):
             return None
         motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
-    return motion if np.median(np.hypot(*motion_at(xy[:tried], motion).T)) > shortest_px else None
+    length = np.median(np.hypot(*motion_at(xy[:tried], motion).T))
+    sure = length > clear_px or np.count_nonzero(fits[:tried]) >= _SHORT_AGREEING * tried
+    return motion if sure and length > shortest_px else None
 
 
 def motion_at(xy: FloatArray, motion: FloatArray) -> FloatArray:
