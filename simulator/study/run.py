@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,9 @@ from simulator.study.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, noth
 from simulator.study.statistics import BODY_AXES, summarise
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
+
+if TYPE_CHECKING:
+    from simulator.study.trial import TrialRunner
 
 RESULT_FILES = ("summary.json", "trials.parquet", "report.html", "scenario.resolved.yaml")
 
@@ -127,7 +130,7 @@ def run(
         done.store.write(staging / TRIALS_FILE, done.requested)
         columns = Columns(staging / TRIALS_FILE)
         summary = _summary(scenario, done, columns, elapsed_s)
-        _write_pages(scenario, columns, summary, staging)
+        _write_pages(scenario, columns, summary, staging, done.runner)
         _move_into_place(staging, folder)
     if not done.interrupted:
         discard_parts(folder)
@@ -152,13 +155,15 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
     }
 
 
-def _write_pages(scenario: Scenario, columns: Columns, summary: dict[str, Any], folder: Path) -> None:
+def _write_pages(
+    scenario: Scenario, columns: Columns, summary: dict[str, Any], folder: Path, runner: TrialRunner | None
+) -> None:
     from simulator.study.report import report_html
 
     write_atomically(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     header = "".join(f"# {name} {number}\n" for name, number in summary["versions"].items())
     write_atomically(folder / "scenario.resolved.yaml", f"# boresight {__version__}\n{header}{scenario.to_yaml()}")
-    write_atomically(folder / "report.html", report_html(scenario, summary, columns))
+    write_atomically(folder / "report.html", report_html(scenario, summary, columns, runner=runner))
 
 
 def _move_into_place(staging: Path, folder: Path) -> None:
