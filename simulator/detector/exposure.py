@@ -7,16 +7,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.few import outside
+
 FloatArray = NDArray[np.float64]
+
+_FINITE = np.finfo(np.float64).max
 
 
 @numba.njit(cache=True, error_model="numpy")
 def is_light(mean_e: FloatArray) -> bool:
     """Whether all of the means (N,) are numbers, finite and not negative."""
-    wrong = 0
-    for i in range(mean_e.size):
-        wrong += not ((mean_e[i] >= 0.0) & (mean_e[i] < np.inf))
-    return wrong == 0
+    return bool(outside(mean_e, 0.0, _FINITE) == 0)
 
 
 @numba.njit(cache=True, error_model="numpy")

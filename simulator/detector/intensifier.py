@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from simulator.detector.pixels import SHOT_NOISE, Step, walk
+from simulator.detector.pixels import walk
+from simulator.detector.steps import SHOT_NOISE, Step
 from simulator.scenario.schema import DetectorSection, IntensifierSection
 
 __all__ = ["intensify", "multiply"]

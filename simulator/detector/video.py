@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from simulator.detector.pixels import NORMAL_NOISE, Step, walk
+from simulator.detector.pixels import walk
+from simulator.detector.steps import NORMAL_NOISE, Step
 from simulator.scenario.schema import VideoSection
 
 __all__ = ["video_signal"]

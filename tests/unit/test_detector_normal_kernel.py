@@ -46,7 +46,7 @@ def test_the_tails():
     words = words.astype(np.uint32)
     key, first = draw_key(stream(3, "key")), 7
     signal = np.zeros(words.size)
-    add_normal(signal, 1.0, key, first, words, np.empty(words.size, dtype=np.float32))
+    add_normal(signal, 1.0, key, first, np.arange(words.size), words, np.empty(words.size, dtype=np.float32))
     fraction = np.array([further_bits(key, first + i) for i in range(words.size)])
     exact = np.where(words < 2**31, 1.0, -1.0) * ndtri((np.minimum(words, ~words) + fraction) / 2**32)
     np.testing.assert_allclose(signal, exact, rtol=1e-7)

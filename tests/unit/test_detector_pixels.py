@@ -5,7 +5,8 @@ import pytest
 from scipy.special import ndtri
 
 from simulator.detector.philox import draw_key, fill_words
-from simulator.detector.pixels import (
+from simulator.detector.pixels import TILE, walk
+from simulator.detector.steps import (
     AMPLIFY,
     BEND,
     CLIP,
@@ -14,10 +15,8 @@ from simulator.detector.pixels import (
     NORMAL_NOISE,
     PHOTO_RESPONSE,
     SHOT_NOISE,
-    TILE,
     Step,
     of_map,
-    walk,
 )
 from simulator.randomness import stream
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 from simulator.detector.normal import normal_from_words
 from simulator.detector.philox import draw_key, fill_words, further_bits
-from simulator.detector.pixels import SHOT_NOISE, TILE, Step, walk
+from simulator.detector.pixels import TILE, walk
 from simulator.detector.poisson import (
     HIGHEST,
     LARGEST_MEAN,
@@ -21,6 +21,7 @@ from simulator.detector.poisson import (
     probability,
     quantile,
 )
+from simulator.detector.steps import SHOT_NOISE, Step
 from simulator.randomness import stream
 from startracker.errors import InputError
 
