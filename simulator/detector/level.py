@@ -26,7 +26,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.exposure import clip, dark_signal, is_light, photo_response
+from simulator.detector.exposure import clip, collect
 from simulator.detector.few import BLOCK, outside
 from simulator.detector.normal import WORD, tail_words
 from simulator.detector.philox import Key, Words, further_bits
@@ -37,11 +37,9 @@ from simulator.detector.steps import (
     BEND,
     CLIP,
     CONVERT,
-    DARK_SIGNAL,
-    LIGHT,
     NORMAL_NOISE,
-    PHOTO_RESPONSE,
     SHOT_NOISE,
+    Collection,
     Step,
 )
 
@@ -61,16 +59,13 @@ _PIXELS_A_TERM = 8
 """A term of the sum takes as long as the table saves on so many pixels."""
 _MOST_OPEN = 2**_GUIDE_BITS // 64
 """With more open buckets than these the pixels that they leave to further bits are no longer few."""
-_NOTHING: FloatArray = np.zeros(0)
 
 
 class LevelTable(NamedTuple):
-    """Distribution of the number that a pixel of one level reads.
+    """Distribution of the number that a pixel of the level reads.
 
     Parameters
     ----------
-    level : float
-        Signal of the pixels before the steps; NaN, which no pixel holds, for a row that is not drawn from a table.
     lowest : int
         Least number.
     below, above : (M,) float64
@@ -80,38 +75,38 @@ class LevelTable(NamedTuple):
         lower what carries into the higher when a word is added that has passed the edge.
     """
 
-    level: float
     lowest: int
     below: FloatArray
     above: FloatArray
     guide: Guide
 
 
-NO_TABLE = LevelTable(math.nan, 0, _NOTHING, _NOTHING, np.zeros(0, dtype=np.uint64))
-
-
-def level_table(level: float, steps: Sequence[Step], pixels: int) -> LevelTable:
-    """Distribution of the numbers that a row of steps makes of a level, `NO_TABLE` where there is none or it does not
+def level_table(level: float, how: Collection, steps: Sequence[Step], pixels: int) -> LevelTable | None:
+    """Distribution of the numbers that a row of steps makes of a level, None where there is none or it does not
     pay: a map, no chance or no converter; a level so bright that its sum takes longer than drawing all pixels.
 
     Parameters
     ----------
     level : float
-        Signal before the first step.
-    steps : sequence of Step
-        In their order.
+        Signal before the row.
+    how, steps : Collection, sequence of Step
+        How the row begins, and what is left of it.
     pixels : int
         Of the image.
     """
-    if any(step.map.size for step in steps) or all(step.rng is None for step in steps):
-        return NO_TABLE
-    return _tabulated(float(level), tuple((step.kernel, step.values) for step in steps), pixels // _PIXELS_A_TERM)
+    if how.responses.size or how.darks_e.size or all(step.rng is None for step in steps):
+        return None
+    mean = np.empty(1)
+    if not (collect(mean, np.array([float(level)]), how, 0) and math.isfinite(mean[0])):
+        return None
+    row = tuple((step.kernel, step.values) for step in steps)
+    return _tabulated(float(mean[0]), row, pixels // _PIXELS_A_TERM)
 
 
 @functools.lru_cache(maxsize=4)
-def _tabulated(level: float, steps: tuple[tuple[int, tuple[float, ...]], ...], most_terms: int) -> LevelTable:
+def _tabulated(mean_e: float, steps: tuple[tuple[int, tuple[float, ...]], ...], most_terms: int) -> LevelTable | None:
     """A mean becomes counts with their shares, and these, with a normal distribution about each, numbers."""
-    signal, share, sigma = np.array([level]), np.ones(1), 0.0
+    signal, share, sigma = np.array([mean_e]), np.ones(1), 0.0
     for kernel, values in steps[:-1]:
         if kernel == AMPLIFY:
             amplify(signal, *values)
@@ -119,32 +114,25 @@ def _tabulated(level: float, steps: tuple[tuple[int, tuple[float, ...]], ...], m
         elif kernel == NORMAL_NOISE:
             sigma = math.hypot(sigma, *values)
         elif sigma > 0.0:
-            return NO_TABLE
+            return None
         elif kernel == SHOT_NOISE:
             mean = float(signal[0])
             if len(signal) > 1 or not 0.0 <= mean <= LARGEST_MEAN or 8.0 * _UNLIKELY * mean > most_terms**2:
-                return NO_TABLE
+                return None
             signal, share = _poisson(mean)
-        elif kernel == LIGHT:
-            if not is_light(signal):
-                return NO_TABLE
-        elif kernel == PHOTO_RESPONSE:
-            photo_response(signal, values[0], _NOTHING)
-        elif kernel == DARK_SIGNAL:
-            dark_signal(signal, values[0], _NOTHING)
         elif kernel == CLIP:
             clip(signal, *values)
         elif kernel == BEND:
             bend(signal, *values)
         else:
-            return NO_TABLE
+            return None
     if steps[-1][0] != CONVERT:
-        return NO_TABLE
+        return None
     ends = np.array([signal.min() - _SIGMAS * sigma, signal.max() + _SIGMAS * sigma])
     convert(ends, *steps[-1][1])
     lowest, edges = int(ends[0]), int(ends[1] - ends[0])
     if len(signal) * min(edges, 2.0 * _SIGMAS * sigma + 1.0) > most_terms:
-        return NO_TABLE
+        return None
     below, above = np.zeros(edges), np.zeros(edges)
     if sigma > 0.0:
         _add_blurred(signal, share, sigma, lowest + 0.5, below, above)
@@ -152,7 +140,7 @@ def _tabulated(level: float, steps: tuple[tuple[int, tuple[float, ...]], ...], m
         convert(signal, *steps[-1][1])
         _add_sharp(signal, share, lowest, below, above)
     guide, several = _guide(lowest, below, above)
-    return LevelTable(level, lowest, below, above, guide) if several <= _MOST_OPEN else NO_TABLE
+    return LevelTable(lowest, below, above, guide) if several <= _MOST_OPEN else None
 
 
 def _poisson(mean: float) -> tuple[FloatArray, FloatArray]:

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.exposure import clip, dark_signal, is_light, photo_response
+from simulator.detector.exposure import clip, collect
 from simulator.detector.few import BLOCK, outside
-from simulator.detector.level import NO_TABLE, LevelTable, draw_level, level_table
+from simulator.detector.level import LevelTable, draw_level, level_table
 from simulator.detector.normal import add_normal
 from simulator.detector.philox import Key, Words, block, draw_key, fill_words
 from simulator.detector.poisson import LARGEST_MEAN, shot_noise
@@ -26,12 +26,12 @@ from simulator.detector.steps import (
     BEND,
     CLIP,
     CONVERT,
-    DARK_SIGNAL,
     LIGHT,
     NORMAL_NOISE,
-    PHOTO_RESPONSE,
     SHOT_NOISE,
+    Collection,
     Step,
+    begin,
 )
 from startracker.errors import InputError
 
@@ -46,7 +46,6 @@ _TILE, _QUARTER, _TWO = np.uint64(TILE), np.uint64(TILE // 4), np.uint64(2)
 _VALUES = 3
 _MANY = 4
 """Where more than one pixel in so many is off the level, the tile is walked as it lies."""
-_ALL_ALIKE: FloatArray = np.zeros(0)
 _NO_KEY: Key = np.zeros(2, dtype=np.uint64)
 
 
@@ -73,22 +72,20 @@ def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any], level: fl
     """
     if not (signal.flags.c_contiguous and out.flags.c_contiguous):
         raise ValueError("walk works on C-contiguous arrays only")
-    values = np.zeros((len(steps), _VALUES))
-    keys = np.zeros((len(steps), 2), dtype=np.uint64)
-    maps = {PHOTO_RESPONSE: _ALL_ALIKE, DARK_SIGNAL: _ALL_ALIKE}
-    for k, step in enumerate(steps):
+    how, rest = begin(steps)
+    values = np.zeros((len(rest), _VALUES))
+    keys = np.zeros((len(rest), 2), dtype=np.uint64)
+    for k, step in enumerate(rest):
         values[k, : len(step.values)] = step.values
         keys[k] = _NO_KEY if step.rng is None else draw_key(step.rng)
-        if step.map.size:
-            maps[step.kernel] = step.map
-    kernels = np.array([step.kernel for step in steps], dtype=np.int64)
-    table = NO_TABLE if level is None else level_table(level, steps, signal.size)
-    chance = next((k for k, step in enumerate(steps) if step.rng is not None), 0)
+    kernels = np.array([step.kernel for step in rest], dtype=np.int64)
     pixels, target = signal.reshape(-1), out.reshape(-1)
-    if table is NO_TABLE:
-        stopped = _walk(pixels, kernels, values, keys, maps[PHOTO_RESPONSE], maps[DARK_SIGNAL], target)
+    table = None if level is None else level_table(level, how, rest, signal.size)
+    if level is None or table is None:
+        stopped = _walk(pixels, how, kernels, values, keys, target)
     else:
-        stopped = _walk_about_level(pixels, kernels, values, keys, table, keys[chance], target)
+        chance = next(k for k, step in enumerate(rest) if step.rng is not None)
+        stopped = _walk_about_level(pixels, how, kernels, values, keys, float(level), table, keys[chance], target)
     if stopped == LIGHT:
         raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
     if stopped == SHOT_NOISE:
@@ -98,11 +95,10 @@ def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any], level: fl
 @numba.njit(cache=True, error_model="numpy")
 def _walk(
     signal: FloatArray,
+    how: Collection,
     kernels: IntArray,
     values: FloatArray,
     keys: Key,
-    response: FloatArray,
-    dark: FloatArray,
     out: NDArray[Any],
 ) -> int:
     """The walk; returns the kernel that refused the signal, or −1."""
@@ -112,14 +108,12 @@ def _walk(
     for first in range(0, signal.size, TILE):
         stop = min(first + TILE, signal.size)
         tile, source, target = space[: stop - first], signal[first:stop], out[first:stop]
-        for i in range(tile.size):  # on slices of their own loops are vectorised, a slice assignment is not
-            tile[i] = source[i]
-        stopped = _through(
-            tile, first, offset[: tile.size], kernels, values, keys, response[first:stop], dark[first:stop], room
-        )
+        if not collect(tile, source, how, first):
+            return LIGHT
+        stopped = _through(tile, first, offset[: tile.size], kernels, values, keys, room)
         if stopped >= 0:
             return stopped
-        for i in range(tile.size):
+        for i in range(tile.size):  # on slices of their own loops are vectorised, a slice assignment is not
             target[i] = tile[i]
     return stopped
 
@@ -127,47 +121,51 @@ def _walk(
 @numba.njit(cache=True, error_model="numpy")
 def _walk_about_level(
     signal: FloatArray,
+    how: Collection,
     kernels: IntArray,
     values: FloatArray,
     keys: Key,
+    level: float,
     table: LevelTable,
     key: Key,
     out: NDArray[Any],
 ) -> int:
-    """The walk of an image many of whose pixels have the level of a table, by whose `key` these are drawn."""
+    """The walk of an image many of whose pixels have a level, and are drawn from its table by `key`."""
     room = _rooms(2 * TILE)
     stopped: int = -1
     words, numbers = np.empty(TILE, dtype=np.uint32), np.empty(TILE, dtype=np.int32)
     space, offset = np.empty(TILE), np.arange(TILE)
-    others, pixel, waiting = np.empty(2 * TILE), np.empty(2 * TILE, dtype=np.int64), 0
+    others, charge = np.empty(2 * TILE), np.empty(2 * TILE)
+    pixel, waiting = np.empty(2 * TILE, dtype=np.int64), 0
     for first in range(0, signal.size, TILE):
         stop = min(first + TILE, signal.size)
         tile, source, target = space[: stop - first], signal[first:stop], out[first:stop]
         drawn = numbers[: tile.size]
-        off = _gather(source, table.level, first, others[waiting:], pixel[waiting:])
+        off = _gather(source, level, first, others[waiting:], pixel[waiting:])
         if off < tile.size:
             fill_words(key, np.uint64(first // 4), np.uint64(0), words)
             draw_level(table, key, first, words, drawn)
         if _MANY * off > tile.size:
-            for i in range(tile.size):
-                tile[i] = source[i]
-            stopped = _through(tile, first, offset[: tile.size], kernels, values, keys, _ALL_ALIKE, _ALL_ALIKE, room)
+            if not collect(tile, source, how, first):
+                return LIGHT
+            stopped = _through(tile, first, offset[: tile.size], kernels, values, keys, room)
             if stopped >= 0:
                 return stopped
             for i in range(tile.size):
-                target[i] = np.float64(drawn[i]) if source[i] == table.level else tile[i]
+                target[i] = np.float64(drawn[i]) if source[i] == level else tile[i]
         else:
             waiting += off
             for i in range(tile.size):
                 target[i] = drawn[i]
         if waiting >= TILE or (waiting > 0 and stop == signal.size):
-            stopped = _through(
-                others[:waiting], 0, pixel[:waiting], kernels, values, keys, _ALL_ALIKE, _ALL_ALIKE, room
-            )
+            run = charge[:waiting]
+            if not collect(run, others[:waiting], how, 0):
+                return LIGHT
+            stopped = _through(run, 0, pixel[:waiting], kernels, values, keys, room)
             if stopped >= 0:
                 return stopped
             for i in range(waiting):
-                out[pixel[i]] = others[i]
+                out[pixel[i]] = run[i]
             waiting = 0
     return stopped
 
@@ -199,22 +197,13 @@ def _through(
     kernels: IntArray,
     values: FloatArray,
     keys: Key,
-    response: FloatArray,
-    dark: FloatArray,
     room: tuple[Words, SingleArray, SingleArray],
 ) -> int:
     """Take a run of pixels (N,) of the numbers first + offset through the steps, in place; returns as `_walk`."""
     words, one, two = room
     for k in range(kernels.size):
         kernel, value, key = kernels[k], values[k], keys[k]
-        if kernel == LIGHT:
-            if not is_light(run):
-                return LIGHT
-        elif kernel == PHOTO_RESPONSE:
-            photo_response(run, value[0], response)
-        elif kernel == DARK_SIGNAL:
-            dark_signal(run, value[0], dark)
-        elif kernel == SHOT_NOISE:
+        if kernel == SHOT_NOISE:
             _words_of(key, first, offset, words)
             if not shot_noise(run, key, first, offset, words, one, two):
                 return SHOT_NOISE

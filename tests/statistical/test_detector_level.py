@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector.level import NO_TABLE, level_table
+from simulator.detector.level import level_table
 from simulator.detector.pixels import TILE, walk
-from simulator.detector.steps import AMPLIFY, CLIP, CONVERT, LIGHT, NORMAL_NOISE, SHOT_NOISE, Step
+from simulator.detector.steps import AMPLIFY, CLIP, CONVERT, LIGHT, NORMAL_NOISE, SHOT_NOISE, Step, begin
 from simulator.randomness import stream
 
 P_LIMIT = 1e-4
@@ -27,7 +27,7 @@ def draw(mean, read_e, gain, offset, full_well, top, seed="level", shot=True):
         steps.append(Step(NORMAL_NOISE, (read_e,), rng=rng[1]))
     steps += [Step(AMPLIFY, (gain, offset)), Step(CONVERT, (top,))]
     image = np.empty(SHAPE, dtype=np.uint16)
-    assert level_table(mean, steps, image.size) is not NO_TABLE
+    assert level_table(mean, *begin(steps), image.size) is not None
     walk(np.full(SHAPE, mean), steps, image, mean)
     return image
 

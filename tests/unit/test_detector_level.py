@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from simulator.detector import FixedPattern, detect
-from simulator.detector.level import NO_TABLE, draw_level, level_number, level_table
+from simulator.detector import level as levels
+from simulator.detector.level import draw_level, level_number
 from simulator.detector.philox import draw_key, fill_words, further_bits
 from simulator.detector.pixels import TILE, walk
 from simulator.detector.steps import (
@@ -19,6 +20,7 @@ from simulator.detector.steps import (
     PHOTO_RESPONSE,
     SHOT_NOISE,
     Step,
+    begin,
     of_map,
 )
 from simulator.randomness import stream
@@ -27,6 +29,10 @@ from startracker.errors import InputError
 
 LEVEL, READ_E, GAIN, OFFSET = 7.5, 10.0, 3.3, 60.0
 MEGAPIXEL = 1 << 20
+
+
+def level_table(level, steps, pixels):
+    return levels.level_table(level, *begin(steps), pixels)
 
 
 def row(read_e=READ_E, gain=GAIN, offset=OFFSET, top=4095.0, seed=1, shot=True):
@@ -200,7 +206,7 @@ def without(kernel):
     ],
 )
 def test_what_has_no_table(steps, level, pixels):
-    assert level_table(level, steps, pixels) is NO_TABLE
+    assert level_table(level, steps, pixels) is None
 
 
 def test_light_that_cannot_be():
