@@ -12,7 +12,7 @@ The number is the least v with P(≤ v) > u for u = (w + f)/2³². A guide (Chen
 by their first `_GUIDE_BITS` into buckets: one that has no edge P(≤ v) 2³² within it, or one, is settled by a comparison
 in whole numbers. Where several edges share a bucket, in the tails, or w itself holds an edge, 53 further bits f of the
 pixel decide in double precision, on either side of the middle by the probability of the tail. What is left out of the
-sum is less likely than the least u, so that the numbers are exact to the rounding of a double, as those of the steps.
+sum is less likely than the least u, so that the numbers are exact to the rounding of a double.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _UNLIKELY = 60.0
 """Numbers beyond bounds that are passed with less than exp(−60) = 0.7 × 2⁻⁸⁶ are left out; 2⁻⁸⁶ is the least u."""
 _SIGMAS = 10.7
 """1 − Φ(10.7) is less than that too."""
-_PIXELS_A_TERM = 8
+_PIXELS_A_TERM = 12
 """A term of the sum takes as long as the table saves on so many pixels."""
 _MOST_OPEN = 2**_GUIDE_BITS // 64
 """With more open buckets than these the pixels that they leave to further bits are no longer few."""
