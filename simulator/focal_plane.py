@@ -66,9 +66,10 @@ class Exposure:
     sources : TrueSources
         Every source whose light reaches the detector.
     mean_e : array, shape (height, width)
-        Mean photo-electrons of the sources.
+        Mean photo-electrons, of the sources and of the background.
     background_e : float or array
-        Mean photo-electrons a pixel that are no source's: diffuse sky, Earth, stray light, tether, transfer smear.
+        Those of them that are no source's: diffuse sky, Earth, stray light, tether, transfer smear. One number where
+        all pixels have the same.
     excluded : tuple of str
         Bodies within the baffle's exclusion angle.
     """
@@ -77,6 +78,11 @@ class Exposure:
     mean_e: FloatArray
     background_e: float | FloatArray
     excluded: tuple[str, ...] = ()
+
+    @property
+    def level_e(self) -> float | None:
+        """Mean photo-electrons of all pixels that no source lights; None where they have not all the same."""
+        return float(self.background_e) if np.ndim(self.background_e) == 0 else None
 
 
 class _Seen(NamedTuple):
@@ -160,19 +166,22 @@ class FocalPlane:
         """Mean photo-electrons of a scene in every pixel."""
         detector = self.scenario.detector
         light = self._sources(scene)
-        mean_e = np.zeros((detector.height, detector.width))
-        self._draw(mean_e, light, scene)
-        self._draw_ghosts(mean_e, light.sources)
         stray_e, excluded = self._stray_light(scene)
         background_e = self._diffuse_e(scene) + stray_e + self._tether_e(scene)
+        mean_e = np.full(
+            (detector.height, detector.width), background_e, dtype=float
+        )  # once through the memory of the image
+        self._draw(mean_e, light, scene)
+        self._draw_ghosts(mean_e, light.sources)
         if detector.shutter == "frame_transfer":
             smear_e = frame_transfer_smear(
-                mean_e + background_e,
+                mean_e,
                 detector.exposure_s,
                 detector.line_time_us * 1e-6,
                 "up" if detector.readout_corner.startswith("top") else "down",
                 detector.transfer_smear,
             )
+            mean_e += smear_e
             background_e = smear_e + background_e
         return Exposure(light.sources, mean_e, background_e, excluded)
 

@@ -87,9 +87,7 @@ class Renderer:
 
         scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s)
         light = self.focal_plane.expose(scene)
-        mean_e = light.mean_e
-        mean_e += light.background_e
-        readout = detect(mean_e, detector, self.pattern, streams, keep_charge=False)
+        readout = detect(light.mean_e, detector, self.pattern, streams, keep_charge=False, level_e=light.level_e)
 
         frame = Frame(
             image=readout.image,
@@ -114,7 +112,7 @@ class Renderer:
             rate_camera_rad_s=scene.pointing.rate_camera_rad_s,
             t_s=scene.t_s,
             sources=light.sources,
-            mean_electrons=mean_e,
+            mean_electrons=light.mean_e,
             excluded=light.excluded,
         )
         return frame, truth

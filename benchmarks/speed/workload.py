@@ -106,9 +106,8 @@ def scene(made: Renderer, index: int) -> Scene:
 def expose(made: Renderer, what: Scene, index: int) -> Readout:
     """Frame of a scene: focal plane and detector."""
     light = made.focal_plane.expose(what)
-    light.mean_e[...] += light.background_e
     streams = partial(_stream, made.scenario.seed, index)
-    return detect(light.mean_e, made.scenario.detector, made.pattern, streams, keep_charge=False)
+    return detect(light.mean_e, made.scenario.detector, made.pattern, streams, keep_charge=False, level_e=light.level_e)
 
 
 def _stream(seed: int, trial: int, stage: str) -> np.random.Generator:

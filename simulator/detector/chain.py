@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector import blooming, cosmic_rays, intensifier, pixels, readout, transfer, video
+from simulator.detector import blooming, cosmic_rays, intensifier, readout, steps, transfer, video
 from simulator.detector.fixed_pattern import FixedPattern
-from simulator.detector.pixels import Step, of_map, walk
+from simulator.detector.pixels import walk
+from simulator.detector.steps import Step, of_map
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
@@ -45,17 +46,17 @@ CHARGE: tuple[Effect, ...] = (
     Effect(
         "photo_response",  # mean photo-electrons → the same, by the response of each pixel
         lambda d, p: np.ndim(p.prnu) > 0 or p.prnu != 1.0,
-        lambda d, p, rng: of_map(pixels.PHOTO_RESPONSE, p.prnu),
+        lambda d, p, rng: of_map(steps.PHOTO_RESPONSE, p.prnu),
     ),
     Effect(
         "dark_signal",  # + mean dark electrons: temperature, DSNU, hot pixels
         lambda d, p: np.ndim(p.dark_e) > 0 or bool(p.dark_e > 0),
-        lambda d, p, rng: of_map(pixels.DARK_SIGNAL, p.dark_e),
+        lambda d, p, rng: of_map(steps.DARK_SIGNAL, p.dark_e),
     ),
     Effect(
         "shot_noise",  # mean → counted electrons
         lambda d, p: d.shot_noise,
-        lambda d, p, rng: Step(pixels.SHOT_NOISE, rng=rng("shot_noise")),
+        lambda d, p, rng: Step(steps.SHOT_NOISE, rng=rng("shot_noise")),
     ),
     Effect(
         "cosmic_rays",  # + charge along the tracks of particles
@@ -66,7 +67,7 @@ CHARGE: tuple[Effect, ...] = (
         "full_well",  # the rest drains or blooms
         lambda d, p: True,
         lambda d, p, rng: (
-            Step(pixels.CLIP, (d.full_well_e,))
+            Step(steps.CLIP, (d.full_well_e,))
             if d.antiblooming >= 1.0
             else lambda s: blooming.full_well(s, d.full_well_e, d.antiblooming)
         ),
@@ -81,22 +82,22 @@ READOUT: tuple[Effect, ...] = (
     Effect(
         "reset_noise",
         lambda d, p: d.reset_capacitance_ff > 0,
-        lambda d, p, rng: Step(pixels.NORMAL_NOISE, (readout.section_reset_noise_e(d),), rng=rng("reset_noise")),
+        lambda d, p, rng: Step(steps.NORMAL_NOISE, (readout.section_reset_noise_e(d),), rng=rng("reset_noise")),
     ),
     Effect(
         "read_noise",
         lambda d, p: d.read_noise_e > 0,
-        lambda d, p, rng: Step(pixels.NORMAL_NOISE, (d.read_noise_e,), rng=rng("read_noise")),
+        lambda d, p, rng: Step(steps.NORMAL_NOISE, (d.read_noise_e,), rng=rng("read_noise")),
     ),
     Effect(
         "nonlinearity",
         lambda d, p: any(d.nonlinearity),
-        lambda d, p, rng: Step(pixels.BEND, (d.full_well_e, *d.nonlinearity)),
+        lambda d, p, rng: Step(steps.BEND, (d.full_well_e, *d.nonlinearity)),
     ),
     Effect(
         "gain_offset",  # electrons → DN
         lambda d, p: True,
-        lambda d, p, rng: Step(pixels.AMPLIFY, (readout.gain_e_per_dn(d), d.offset_dn)),
+        lambda d, p, rng: Step(steps.AMPLIFY, (readout.gain_e_per_dn(d), d.offset_dn)),
     ),
     Effect(
         "video",  # analogue line and recorder: bandwidth, noise
@@ -106,7 +107,7 @@ READOUT: tuple[Effect, ...] = (
     Effect(
         "adc",  # fractional DN → whole DN
         lambda d, p: d.adc_bits is not None,
-        lambda d, p, rng: Step(pixels.CONVERT, (2.0 ** (d.adc_bits or 0) - 1.0,)),
+        lambda d, p, rng: Step(steps.CONVERT, (2.0 ** (d.adc_bits or 0) - 1.0,)),
     ),
 )
 
@@ -145,6 +146,7 @@ def detect(
     streams: Streams,
     *,
     keep_charge: bool = True,
+    level_e: float | None = None,
 ) -> Readout:
     """Expose and read out the detector.
 
@@ -161,7 +163,11 @@ def detect(
         Gives the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
         ``read_noise``, ``video``. Asked only for those that are on.
     keep_charge : bool
-        Also hand out the charge before readout; the image is the same without, and sooner there.
+        Also hand out the charge before readout; without a level the image is the same either way, and sooner there
+        without the charge.
+    level_e : float, optional
+        Mean photo-electrons that most pixels share, an even background: without maps and charge their numbers are drawn
+        at once from the distribution of what leaves the converter (`level.py`).
 
     Raises
     ------
@@ -174,7 +180,7 @@ def detect(
     for name, array in named.items():
         if np.shape(array) != shape and (array is mean_photo_e or np.ndim(array) > 0):
             raise InputError(f"{name} has the shape {np.shape(array)}; this detector has {shape} (rows, columns)")
-    charge = [Step(pixels.LIGHT), *_acts(CHARGE, section, pattern, streams)]
+    charge = [Step(steps.LIGHT), *_acts(CHARGE, section, pattern, streams)]
     read = _acts(READOUT, section, pattern, streams)
     top = readout.highest_dn(section)
     light = np.ascontiguousarray(mean_photo_e, dtype=np.float64)
@@ -188,7 +194,7 @@ def detect(
         if top is not None:
             saturated |= image >= top
     else:
-        _run(light, charge + read, image)
+        _run(light, charge + read, image, level_e)
     return Readout(image, electrons, saturated, readout.saturation_dn(section), readout.noise_gain_e_per_dn(section))
 
 
@@ -198,14 +204,14 @@ def _acts(
     return [effect.act(section, pattern, streams) for effect in effects if effect.on(section, pattern)]
 
 
-def _run(signal: FloatArray, acts: Iterable[Step | FrameEffect], out: NDArray[Any]) -> None:
-    """Take an image, which stays as it is, through steps and effects on whole frames, into `out`."""
-    steps: list[Step] = []
+def _run(signal: FloatArray, acts: Iterable[Step | FrameEffect], out: NDArray[Any], level: float | None = None) -> None:
+    """Take an image (it stays as it is) and its level through steps and effects on whole frames into `out`."""
+    row: list[Step] = []
     for act in acts:
         if isinstance(act, Step):
-            steps.append(act)
+            row.append(act)
         else:
             room = np.empty_like(signal)
-            walk(signal, steps, room)
-            signal, steps = act(room), []
-    walk(signal, steps, out)
+            walk(signal, row, room)
+            signal, row, level = act(room), [], None
+    walk(signal, row, out, level)

@@ -1,5 +1,5 @@
-"""From light to charge: what happens in a pixel while the shutter is open. Kernels work in place on runs of pixels;
-counting the electrons is in `poisson.py`."""
+"""From light to charge: what happens in a pixel while the shutter is open. Kernels work on runs of pixels; counting the
+electrons is in `poisson.py`."""
 
 from __future__ import annotations
 
@@ -7,47 +7,50 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.few import outside
+from simulator.detector.steps import Collection
+
 FloatArray = NDArray[np.float64]
 
-
-@numba.njit(cache=True, error_model="numpy")
-def is_light(mean_e: FloatArray) -> bool:
-    """Whether all of the means (N,) are numbers, finite and not negative."""
-    wrong = 0
-    for i in range(mean_e.size):
-        wrong += not ((mean_e[i] >= 0.0) & (mean_e[i] < np.inf))
-    return wrong == 0
+_FINITE = np.finfo(np.float64).max
 
 
 @numba.njit(cache=True, error_model="numpy")
-def photo_response(mean_e: FloatArray, response: float, responses: FloatArray) -> None:
-    """Mean photo-electrons (N,) of pixels that do not respond alike: mean × relative response.
+def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, first: int) -> bool:
+    """Mean electrons of the pixels first, first + 1, …: light × response + dark signal; False where light cannot be.
 
-    The non-uniformity acts on the mean, before the shot noise: it changes how many photons are detected, and the
-    detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*). `responses` (N,) has that of each pixel;
-    where it is empty, `response` is that of all.
+    The non-uniformity of the response acts on the mean, before the shot noise: it changes how many photons are
+    detected, and the detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*). Photo-electrons and
+    dark electrons are independent Poisson numbers, so that one draw of their summed mean has exactly the distribution
+    of their sum.
+
+    Parameters
+    ----------
+    mean_e : (N,) float64
+        Takes them.
+    signal : (N,) float64
+        Light, finite and not negative, or any other signal where `how` does not say that it is light.
+    how : Collection
+        Response and dark signal of the image's pixels.
+    first : int
+        Number of the first pixel.
     """
-    if responses.size == 0:
-        for i in range(mean_e.size):
-            mean_e[i] *= response
+    n = mean_e.size
+    responses, darks_e = how.responses[first : first + n], how.darks_e[first : first + n]
+    # the image and the maps lie in slow memory, and come at once sooner than one after the other
+    if responses.size > 0 and darks_e.size > 0:
+        for i in range(n):
+            mean_e[i] = signal[i] * responses[i] + darks_e[i]
+    elif responses.size > 0:
+        for i in range(n):
+            mean_e[i] = signal[i] * responses[i] + how.dark_e
+    elif darks_e.size > 0:
+        for i in range(n):
+            mean_e[i] = signal[i] * how.response + darks_e[i]
     else:
-        for i in range(mean_e.size):
-            mean_e[i] *= responses[i]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def dark_signal(mean_e: FloatArray, dark_e: float, darks_e: FloatArray) -> None:
-    """Mean electrons (N,) of light and dark current together; `darks_e` (N,), or where it is empty `dark_e` for all.
-
-    Photo-electrons and dark electrons are independent Poisson numbers, so that one draw of their summed mean has
-    exactly the distribution of their sum.
-    """
-    if darks_e.size == 0:
-        for i in range(mean_e.size):
-            mean_e[i] += dark_e
-    else:
-        for i in range(mean_e.size):
-            mean_e[i] += darks_e[i]
+        for i in range(n):
+            mean_e[i] = signal[i] * how.response + how.dark_e
+    return bool(not how.light or outside(signal, 0.0, _FINITE) == 0)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.pixels import SHOT_NOISE, Step, walk
+from simulator.detector.pixels import walk
+from simulator.detector.steps import SHOT_NOISE, Step
 from simulator.scenario.schema import DetectorSection, IntensifierSection
 
 __all__ = ["intensify", "multiply"]

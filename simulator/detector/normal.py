@@ -18,11 +18,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.few import BLOCK, outside
 from simulator.detector.fused import fma
 from simulator.detector.philox import Key, Words, further_bits
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 TAIL = np.float32(3.66)
 """Where the tails begin."""
@@ -91,7 +93,9 @@ def upper_quantile(p: float) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_normal(signal: FloatArray, sigma: float, key: Key, first: int, words: Words, normal: SingleArray) -> None:
+def add_normal(
+    signal: FloatArray, sigma: float, key: Key, first: int, offset: IntArray, words: Words, normal: SingleArray
+) -> None:
     """Add normal numbers of mean 0 to a run of pixels, in place.
 
     Parameters
@@ -102,8 +106,8 @@ def add_normal(signal: FloatArray, sigma: float, key: Key, first: int, words: Wo
         Standard deviation.
     key : (2,) uint64
         Of the stream.
-    first : int
-        Number of the first pixel.
+    first, offset : int, (N,) int64
+        Their sum is the number of each pixel.
     words : (≥ N,) uint32
         Those of the pixels.
     normal : (≥ N,) float32
@@ -111,19 +115,17 @@ def add_normal(signal: FloatArray, sigma: float, key: Key, first: int, words: Wo
     """
     n = signal.size
     normal_from_words(words, normal)
-    tails = np.int32(0)
-    for i in range(n):
-        tails = np.int32(tails + np.int32(abs(normal[i]) > TAIL))
-    if tails > 0:
-        settle_tails(normal[:n], key, first, words)
+    settle_tails(normal[:n], key, first, offset, words)
     for i in range(n):
         signal[i] += sigma * np.float64(normal[i])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def settle_tails(normal: SingleArray, key: Key, first: int, words: Words) -> None:
+def settle_tails(normal: SingleArray, key: Key, first: int, offset: IntArray, words: Words) -> None:
     """The tails' own numbers in place of those beyond `TAIL`."""
-    for i in range(normal.size):
-        if abs(normal[i]) > TAIL:
-            x = upper_quantile((tail_words(words[i]) + further_bits(key, first + i)) * WORD)
-            normal[i] = x if words[i] >= _MIDDLE else -x
+    for start in range(0, normal.size, BLOCK):
+        if outside(normal[start : start + BLOCK], -TAIL, TAIL) > 0:
+            for i in range(start, min(start + BLOCK, normal.size)):
+                if abs(normal[i]) > TAIL:
+                    x = upper_quantile((tail_words(words[i]) + further_bits(key, first + offset[i])) * WORD)
+                    normal[i] = x if words[i] >= _MIDDLE else -x

@@ -1,56 +1,55 @@
-"""Effects that act on every pixel by itself, one after the other while the pixels lie in the processor's cache.
+"""The walk of an image through a row of steps, each of which acts on every pixel by itself.
 
-An image of a million pixels is larger than the cache, and to fetch it costs as much as most effects. A row of steps is
-therefore walked tile by tile, not image by image. `chain.py` has the order; a `Step` says which kernel it is and with
-which numbers.
+An image of a million pixels is larger than the processor's cache, and to fetch it costs as much as most effects. A row
+of steps is therefore walked tile by tile, not image by image. Where a level is known that most pixels have, these are
+drawn from a table of the row's outcome (`level.py`), and the others gathered into tiles of their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.exposure import clip, dark_signal, is_light, photo_response
+from simulator.detector.exposure import clip, collect
+from simulator.detector.few import BLOCK, outside
+from simulator.detector.level import LevelTable, draw_level, level_table
 from simulator.detector.normal import add_normal
-from simulator.detector.philox import Key, draw_key, fill_words
+from simulator.detector.philox import Key, Words, block, draw_key, fill_words
 from simulator.detector.poisson import LARGEST_MEAN, shot_noise
 from simulator.detector.readout import amplify, bend, convert
+from simulator.detector.steps import (
+    AMPLIFY,
+    BEND,
+    CLIP,
+    CONVERT,
+    LIGHT,
+    NORMAL_NOISE,
+    SHOT_NOISE,
+    Collection,
+    Step,
+    begin,
+)
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 TILE = 2048
 """Pixels at a time. Part of what a seed means: pixel k takes word (k mod TILE) div (TILE/4) of the block of counter
 (k div TILE) (TILE/4) + k mod (TILE/4)."""
-LIGHT, PHOTO_RESPONSE, DARK_SIGNAL, SHOT_NOISE, CLIP, NORMAL_NOISE, BEND, AMPLIFY, CONVERT = range(9)
+_TILE, _QUARTER, _TWO = np.uint64(TILE), np.uint64(TILE // 4), np.uint64(2)
 _VALUES = 3
+_MANY = 4
+"""Where more than one pixel in so many is off the level, the tile is walked as it lies."""
 _NO_KEY: Key = np.zeros(2, dtype=np.uint64)
-_NO_MAP: FloatArray = np.zeros(0)
 
 
-@dataclass(frozen=True)
-class Step:
-    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream."""
-
-    kernel: int
-    values: tuple[float, ...] = ()
-    map: FloatArray = field(default_factory=lambda: _NO_MAP)
-    rng: np.random.Generator | None = None
-
-
-def of_map(kernel: int, map_: FloatArray | float) -> Step:
-    """Step with a value for each pixel, or the same for all."""
-    if np.ndim(map_) == 0:
-        return Step(kernel, (float(map_),))
-    return Step(kernel, map=np.ascontiguousarray(map_, dtype=np.float64).reshape(-1))
-
-
-def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
+def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any], level: float | None = None) -> None:
     """Take an image through a row of steps.
 
     Parameters
@@ -61,6 +60,9 @@ def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
         In their order.
     out : (H, W) float64 or uint16, contiguous
         Takes the outcome; may be `signal`. Whole numbers in range are needed for uint16: `CONVERT` comes last.
+    level : float, optional
+        Signal that many pixels share. Where their outcome has a table they take it from there, by the word of the first
+        random step: other numbers than without a level, of the same distribution.
 
     Raises
     ------
@@ -70,16 +72,20 @@ def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
     """
     if not (signal.flags.c_contiguous and out.flags.c_contiguous):
         raise ValueError("walk works on C-contiguous arrays only")
-    values = np.zeros((len(steps), _VALUES))
-    keys = np.zeros((len(steps), 2), dtype=np.uint64)
-    maps = {PHOTO_RESPONSE: _NO_MAP, DARK_SIGNAL: _NO_MAP}
-    for k, step in enumerate(steps):
+    how, rest = begin(steps)
+    values = np.zeros((len(rest), _VALUES))
+    keys = np.zeros((len(rest), 2), dtype=np.uint64)
+    for k, step in enumerate(rest):
         values[k, : len(step.values)] = step.values
         keys[k] = _NO_KEY if step.rng is None else draw_key(step.rng)
-        if step.map.size:
-            maps[step.kernel] = step.map
-    kernels = np.array([step.kernel for step in steps], dtype=np.int64)
-    stopped = _walk(signal.reshape(-1), kernels, values, keys, maps[PHOTO_RESPONSE], maps[DARK_SIGNAL], out.reshape(-1))
+    kernels = np.array([step.kernel for step in rest], dtype=np.int64)
+    pixels, target = signal.reshape(-1), out.reshape(-1)
+    table = None if level is None else level_table(level, how, rest, signal.size)
+    if level is None or table is None:
+        stopped = _walk(pixels, how, kernels, values, keys, target)
+    else:
+        chance = next(k for k, step in enumerate(rest) if step.rng is not None)
+        stopped = _walk_about_level(pixels, how, kernels, values, keys, float(level), table, keys[chance], target)
     if stopped == LIGHT:
         raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
     if stopped == SHOT_NOISE:
@@ -89,46 +95,141 @@ def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
 @numba.njit(cache=True, error_model="numpy")
 def _walk(
     signal: FloatArray,
-    kernels: NDArray[np.int64],
+    how: Collection,
+    kernels: IntArray,
     values: FloatArray,
     keys: Key,
-    response: FloatArray,
-    dark: FloatArray,
     out: NDArray[Any],
 ) -> int:
     """The walk; returns the kernel that refused the signal, or −1."""
-    words = np.empty(TILE, dtype=np.uint32)
-    one, two = np.empty(TILE, dtype=np.float32), np.empty(TILE, dtype=np.float32)
-    room = np.empty(TILE)
+    room = _rooms(TILE)
+    stopped: int = -1
+    space, offset = np.empty(TILE), np.arange(TILE)
     for first in range(0, signal.size, TILE):
         stop = min(first + TILE, signal.size)
-        tile, source, target = room[: stop - first], signal[first:stop], out[first:stop]
+        tile, source, target = space[: stop - first], signal[first:stop], out[first:stop]
+        if not collect(tile, source, how, first):
+            return LIGHT
+        stopped = _through(tile, first, offset[: tile.size], kernels, values, keys, room)
+        if stopped >= 0:
+            return stopped
         for i in range(tile.size):  # on slices of their own loops are vectorised, a slice assignment is not
-            tile[i] = source[i]
-        for k in range(kernels.size):
-            kernel, value, key = kernels[k], values[k], keys[k]
-            if kernel == LIGHT:
-                if not is_light(tile):
-                    return LIGHT
-            elif kernel == PHOTO_RESPONSE:
-                photo_response(tile, value[0], response[first:stop])
-            elif kernel == DARK_SIGNAL:
-                dark_signal(tile, value[0], dark[first:stop])
-            elif kernel == SHOT_NOISE:
-                fill_words(key, np.uint64(first // 4), np.uint64(0), words)
-                if not shot_noise(tile, key, first, words, one, two):
-                    return SHOT_NOISE
-            elif kernel == CLIP:
-                clip(tile, value[0])
-            elif kernel == NORMAL_NOISE:
-                fill_words(key, np.uint64(first // 4), np.uint64(0), words)
-                add_normal(tile, value[0], key, first, words, one)
-            elif kernel == BEND:
-                bend(tile, value[0], value[1], value[2])
-            elif kernel == AMPLIFY:
-                amplify(tile, value[0], value[1])
-            elif kernel == CONVERT:
-                convert(tile, value[0])
-        for i in range(tile.size):
             target[i] = tile[i]
+    return stopped
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _walk_about_level(
+    signal: FloatArray,
+    how: Collection,
+    kernels: IntArray,
+    values: FloatArray,
+    keys: Key,
+    level: float,
+    table: LevelTable,
+    key: Key,
+    out: NDArray[Any],
+) -> int:
+    """The walk of an image many of whose pixels have a level, and are drawn from its table by `key`."""
+    room = _rooms(2 * TILE)
+    stopped: int = -1
+    words, numbers = np.empty(TILE, dtype=np.uint32), np.empty(TILE, dtype=np.int32)
+    space, offset = np.empty(TILE), np.arange(TILE)
+    others, charge = np.empty(2 * TILE), np.empty(2 * TILE)
+    pixel, waiting = np.empty(2 * TILE, dtype=np.int64), 0
+    for first in range(0, signal.size, TILE):
+        stop = min(first + TILE, signal.size)
+        tile, source, target = space[: stop - first], signal[first:stop], out[first:stop]
+        drawn = numbers[: tile.size]
+        off = _gather(source, level, first, others[waiting:], pixel[waiting:])
+        if off < tile.size:
+            fill_words(key, np.uint64(first // 4), np.uint64(0), words)
+            draw_level(table, key, first, words, drawn)
+        if _MANY * off > tile.size:
+            if not collect(tile, source, how, first):
+                return LIGHT
+            stopped = _through(tile, first, offset[: tile.size], kernels, values, keys, room)
+            if stopped >= 0:
+                return stopped
+            for i in range(tile.size):
+                target[i] = np.float64(drawn[i]) if source[i] == level else tile[i]
+        else:
+            waiting += off
+            for i in range(tile.size):
+                target[i] = drawn[i]
+        if waiting >= TILE or (waiting > 0 and stop == signal.size):
+            run = charge[:waiting]
+            if not collect(run, others[:waiting], how, 0):
+                return LIGHT
+            stopped = _through(run, 0, pixel[:waiting], kernels, values, keys, room)
+            if stopped >= 0:
+                return stopped
+            for i in range(waiting):
+                out[pixel[i]] = run[i]
+            waiting = 0
+    return stopped
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gather(source: FloatArray, level: float, first: int, others: FloatArray, pixel: IntArray) -> int:
+    """Those pixels of a tile that are off the level, and their numbers; returns how many."""
+    count = 0
+    for start in range(0, source.size, BLOCK):
+        stop = min(start + BLOCK, source.size)
+        if outside(source[start:stop], level, level) > 0:
+            for i in range(start, stop):
+                if source[i] != level:
+                    others[count], pixel[count] = source[i], first + i
+                    count += 1
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rooms(size: int) -> tuple[Words, SingleArray, SingleArray]:
+    return np.empty(size, dtype=np.uint32), np.empty(size, dtype=np.float32), np.empty(size, dtype=np.float32)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _through(
+    run: FloatArray,
+    first: int,
+    offset: IntArray,
+    kernels: IntArray,
+    values: FloatArray,
+    keys: Key,
+    room: tuple[Words, SingleArray, SingleArray],
+) -> int:
+    """Take a run of pixels (N,) of the numbers first + offset through the steps, in place; returns as `_walk`."""
+    words, one, two = room
+    for k in range(kernels.size):
+        kernel, value, key = kernels[k], values[k], keys[k]
+        if kernel == SHOT_NOISE:
+            _words_of(key, first, offset, words)
+            if not shot_noise(run, key, first, offset, words, one, two):
+                return SHOT_NOISE
+        elif kernel == CLIP:
+            clip(run, value[0])
+        elif kernel == NORMAL_NOISE:
+            _words_of(key, first, offset, words)
+            add_normal(run, value[0], key, first, offset, words, one)
+        elif kernel == BEND:
+            bend(run, value[0], value[1], value[2])
+        elif kernel == AMPLIFY:
+            amplify(run, value[0], value[1])
+        elif kernel == CONVERT:
+            convert(run, value[0])
     return -1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _words_of(key: Key, first: int, offset: IntArray, words: Words) -> None:
+    """Words of pixels by their rising numbers into `words` (≥ N,; all of a tile, where they are one from its start)."""
+    n = offset.size
+    if first % TILE == 0 and offset[0] == 0 and offset[n - 1] == n - 1 and n <= TILE:
+        fill_words(key, np.uint64(first // 4), np.uint64(0), words[:TILE])
+        return
+    for i in range(n):
+        pixel = np.uint64(first + offset[i])
+        part = pixel % _TILE // _QUARTER
+        x0, x1, x2, x3 = block(key[0], key[1], pixel // _TILE * _QUARTER + pixel % _QUARTER, np.uint64(0))
+        words[i] = np.uint32((x0 if part == 0 else x1) if part < _TWO else (x2 if part == _TWO else x3))

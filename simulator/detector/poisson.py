@@ -25,12 +25,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.few import BLOCK, outside
 from simulator.detector.fused import fma
 from simulator.detector.normal import TAIL, WORD, normal_from_words, tail_words, upper_quantile
 from simulator.detector.philox import Key, Words, further_bits
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 LARGEST_MEAN = 1e18
 """Largest mean that can be counted in 64 bits with its noise."""
@@ -65,7 +67,7 @@ _LOG2_E, _LN2, _EXPONENT, _BITS = (
 )
 _E2, _E3, _E4 = np.float32(0.5), np.float32(-1.0 / 6), np.float32(1.0 / 24)
 _E5, _E6, _E7 = np.float32(-1.0 / 120), np.float32(1.0 / 720), np.float32(-1.0 / 5040)
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_ZERO, _ONE, _MOST = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
 _STIRLING = np.array(
     [
         math.nan, 0.08106146679532726, 0.0413406959554093, 0.02767792568499834,
@@ -78,7 +80,15 @@ _STIRLING = np.array(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def shot_noise(signal: FloatArray, key: Key, first: int, words: Words, mean: SingleArray, number: SingleArray) -> bool:
+def shot_noise(
+    signal: FloatArray,
+    key: Key,
+    first: int,
+    offset: IntArray,
+    words: Words,
+    mean: SingleArray,
+    number: SingleArray,
+) -> bool:
     """Poisson numbers in place of a run of means; False where one of them is negative, NaN or above `LARGEST_MEAN`.
 
     Parameters
@@ -87,18 +97,15 @@ def shot_noise(signal: FloatArray, key: Key, first: int, words: Words, mean: Sin
         Means; changed in place.
     key : (2,) uint64
         Of the stream.
-    first : int
-        Number of the first pixel.
+    first, offset : int, (N,) int64
+        Their sum is the number of each pixel.
     words : (≥ N,) uint32
         Those of the pixels.
     mean, number : (≥ N,) float32
         Room.
     """
     n = signal.size
-    wrong = 0
-    for i in range(n):
-        wrong += not ((signal[i] >= 0.0) & (signal[i] <= LARGEST_MEAN))
-    if wrong > 0:
+    if outside(signal, 0.0, LARGEST_MEAN) > 0:
         return False
     for i in range(n):
         mean[i] = np.float32(signal[i])
@@ -113,25 +120,21 @@ def shot_noise(signal: FloatArray, key: Key, first: int, words: Words, mean: Sin
             number[i] = _OPEN
     if _FEW * low > n:
         compare(words[:n], mean, number)
-    unsettled = np.int32(0)
-    for i in range(n):
-        unsettled = np.int32(unsettled + np.int32(number[i] < _ZERO))
-    if unsettled > 0:
-        settle(signal, key, first, words, number)
-    else:
-        for i in range(n):
-            signal[i] = np.float64(number[i])
+    settle(signal, key, first, offset, words, number)
     return True
 
 
 @numba.njit(cache=True, error_model="numpy")
-def settle(signal: FloatArray, key: Key, first: int, words: Words, number: SingleArray) -> None:
+def settle(signal: FloatArray, key: Key, first: int, offset: IntArray, words: Words, number: SingleArray) -> None:
     """Numbers in place of the means: those found, and for the rest the quantile itself."""
+    for start in range(0, signal.size, BLOCK):
+        stop = min(start + BLOCK, signal.size)
+        if outside(number[start:stop], _ZERO, _MOST) > 0:
+            for i in range(start, stop):
+                if number[i] < _ZERO:
+                    signal[i] = quantile(words[i], further_bits(key, first + offset[i]), signal[i])
     for i in range(signal.size):
-        if number[i] < _ZERO:
-            signal[i] = quantile(words[i], further_bits(key, first + i), signal[i])
-        else:
-            signal[i] = np.float64(number[i])
+        signal[i] = np.float64(number[i]) if number[i] >= _ZERO else signal[i]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.pixels import NORMAL_NOISE, Step, walk
+from simulator.detector.pixels import walk
+from simulator.detector.steps import NORMAL_NOISE, Step
 from simulator.scenario.schema import VideoSection
 
 __all__ = ["video_signal"]

@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from simulator.detector.normal import TAIL, add_normal
-from simulator.detector.pixels import NORMAL_NOISE, TILE, Step, walk
+from simulator.detector.pixels import TILE, walk
+from simulator.detector.steps import NORMAL_NOISE, Step
 from simulator.randomness import stream
 
 N = 10_000_000
@@ -49,7 +50,8 @@ def test_one_word_of_the_tail_by_itself():
     """The lowest word alone: half a million numbers below Φ⁻¹(2⁻³²) = −6.23, told apart by their further bits."""
     n = 500_000
     tail = np.zeros(n)
-    add_normal(tail, 1.0, np.array([3, 4], dtype=np.uint64), 0, np.zeros(n, np.uint32), np.empty(n, np.float32))
+    key, words = np.array([3, 4], dtype=np.uint64), np.zeros(n, np.uint32)
+    add_normal(tail, 1.0, key, 0, np.arange(n), words, np.empty(n, np.float32))
     assert tail.max() <= stats.norm.ppf(2.0**-32) * (1 - 1e-7)
     # Single precision, 4e-7, is 2e-5 of the tail's own scale 1/6.2: far below what half a million numbers can tell.
     assert stats.kstest(stats.norm.cdf(tail) * 2.0**32, "uniform").pvalue > P_LIMIT

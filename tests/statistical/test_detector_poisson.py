@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector.pixels import SHOT_NOISE, TILE, Step, walk
+from simulator.detector.pixels import TILE, walk
 from simulator.detector.poisson import HIGHEST, LOWEST
+from simulator.detector.steps import SHOT_NOISE, Step
 from simulator.randomness import stream
 
 P_LIMIT = 1e-4

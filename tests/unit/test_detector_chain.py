@@ -5,8 +5,9 @@ import pytest
 
 from simulator.detector import CHARGE, READOUT, FixedPattern, build_fixed_pattern, detect
 from simulator.detector.fixed_pattern import dark_current_factor
-from simulator.detector.pixels import CONVERT, NORMAL_NOISE, Step, walk
+from simulator.detector.pixels import walk
 from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
+from simulator.detector.steps import CONVERT, NORMAL_NOISE, Step
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError

@@ -44,10 +44,10 @@ def test_the_tails():
     rng = stream(3, "tails")
     words = np.concatenate([rng.integers(0, 500_000, 3000), rng.integers(2**32 - 500_000, 2**32, 3000), [0, 2**32 - 1]])
     words = words.astype(np.uint32)
-    key, first = draw_key(stream(3, "key")), 7
+    key, first, offset = draw_key(stream(3, "key")), 7, np.cumsum(rng.integers(1, 4, words.size))
     signal = np.zeros(words.size)
-    add_normal(signal, 1.0, key, first, words, np.empty(words.size, dtype=np.float32))
-    fraction = np.array([further_bits(key, first + i) for i in range(words.size)])
+    add_normal(signal, 1.0, key, first, offset, words, np.empty(words.size, dtype=np.float32))
+    fraction = np.array([further_bits(key, first + i) for i in offset])
     exact = np.where(words < 2**31, 1.0, -1.0) * ndtri((np.minimum(words, ~words) + fraction) / 2**32)
     np.testing.assert_allclose(signal, exact, rtol=1e-7)
 

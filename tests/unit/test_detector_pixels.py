@@ -5,7 +5,8 @@ import pytest
 from scipy.special import ndtri
 
 from simulator.detector.philox import draw_key, fill_words
-from simulator.detector.pixels import (
+from simulator.detector.pixels import TILE, walk
+from simulator.detector.steps import (
     AMPLIFY,
     BEND,
     CLIP,
@@ -14,10 +15,8 @@ from simulator.detector.pixels import (
     NORMAL_NOISE,
     PHOTO_RESPONSE,
     SHOT_NOISE,
-    TILE,
     Step,
     of_map,
-    walk,
 )
 from simulator.randomness import stream
 
@@ -79,10 +78,17 @@ def test_steps_without_chance_against_numpy():
     assert np.array_equal(signal, expected[-1])
 
 
-def test_one_number_for_all_pixels():
+@pytest.mark.parametrize("response", [1.5, np.linspace(0.5, 1.5, 12)])
+@pytest.mark.parametrize("dark", [2.0, np.linspace(0.0, 5.0, 12)])
+def test_one_number_for_all_pixels_or_a_map(response, dark):
     out = np.empty((3, 4))
-    walk(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, 1.5), of_map(DARK_SIGNAL, 2.0)], out)
-    assert np.all(out == 17.0)
+    walk(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, response), of_map(DARK_SIGNAL, dark)], out)
+    assert np.array_equal(out.ravel(), np.broadcast_to(10.0 * response + dark, 12))
+
+
+def test_what_begins_a_row_stands_at_its_beginning():
+    with pytest.raises(ValueError, match="begin a row"):
+        walk(np.ones((3, 4)), [of_map(DARK_SIGNAL, 2.0), of_map(PHOTO_RESPONSE, 1.5)], np.empty((3, 4)))
 
 
 def test_layouts_that_do_not_fit_are_refused():

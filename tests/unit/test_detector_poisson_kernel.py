@@ -9,7 +9,7 @@ from scipy import stats
 
 from simulator.detector.normal import normal_from_words
 from simulator.detector.philox import draw_key, fill_words, further_bits
-from simulator.detector.pixels import SHOT_NOISE, TILE, Step, walk
+from simulator.detector.pixels import TILE, walk
 from simulator.detector.poisson import (
     HIGHEST,
     LARGEST_MEAN,
@@ -20,7 +20,9 @@ from simulator.detector.poisson import (
     expand,
     probability,
     quantile,
+    shot_noise,
 )
+from simulator.detector.steps import SHOT_NOISE, Step
 from simulator.randomness import stream
 from startracker.errors import InputError
 
@@ -51,6 +53,18 @@ def quantile_twin(word, fraction, mean):
         if not (short | long).any():
             return n
     raise AssertionError("the twin found no quantile")
+
+
+def test_further_bits_are_those_of_the_pixel():
+    """The first word and the last leave all to further bits, which belong to first + offset."""
+    rng, size = stream(4, "pixels"), 500
+    key, first, offset = draw_key(stream(4, "key")), 9, np.cumsum(rng.integers(1, 4, size))
+    words = rng.choice(np.array([0, 2**32 - 1], dtype=np.uint32), size)
+    signal, rooms = np.full(size, 5000.0), (np.empty(size, dtype=np.float32) for _ in range(2))
+    assert shot_noise(signal, key, first, offset, words, *rooms)
+    fraction = np.array([further_bits(key, first + i) for i in offset])
+    assert np.array_equal(signal, quantile_twin(words, fraction, 5000.0))
+    assert len(np.unique(signal)) > 50
 
 
 def words_at_the_steps(mean, count, rng):

@@ -40,7 +40,7 @@ def test_a_body_is_no_variable_star():
 @pytest.fixture(scope="module")
 def pair():
     """A focal plane, and the scene of two stars 0.3 px apart that it cannot resolve, of one colour."""
-    renderer = Renderer(Scenario.load("cubesat", [*QUIET, "sky.planets=false"]))
+    renderer = Renderer(Scenario.load("cubesat", [*QUIET, "sky.planets=false", "sky.background=false"]))
     attitude = Attitude.from_radec_roll(40.0, 10.0, 0.0)
     scene = renderer.scenes.scene(0, lambda name: np.random.default_rng(0), 0.1, 0.0, attitude)
     separation = 0.3 * renderer.camera.pixel_rad
