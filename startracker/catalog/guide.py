@@ -136,7 +136,6 @@ class GuideDatabase:
     pattern: NDArray[np.bool_]
     epoch_jyear: float
     _field: tuple[float, float]
-    _start: FloatArray
     _motion: list[FloatArray] = field(default_factory=list)
     _pairs: dict[tuple[float, float], PairList] = field(default_factory=dict)
     _grid: list[VoxelGrid] = field(default_factory=list)
@@ -166,12 +165,13 @@ class GuideDatabase:
         if observer is None:
             return self
         if not self._motion:
-            self._motion.append(self.catalog.space_motion()[1])
+            self._motion.extend(np.ascontiguousarray(axes.T) for axes in self.catalog.space_motion())
         years = observer.epoch_jyear - self.catalog.epoch_jyear
         place = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
         velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
-        directions = seen_directions(self._start, self._motion[0], parallax, years, place, beta)
+        start, motion = self._motion
+        directions = seen_directions(start, motion, parallax, years, place, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def brightest(self, count: int) -> GuideDatabase:
@@ -184,7 +184,6 @@ class GuideDatabase:
             catalog=self.catalog.select(np.arange(count)),
             directions=directions,
             pattern=self.pattern[:count],
-            _start=self._start[:count],
             _motion=[],
             _pairs={},
             _grid=[],
@@ -313,7 +312,6 @@ def _build(
         pattern,
         merged.epoch_jyear,
         (half_diagonal, solid_angle),
-        directions,
     )
 
 
