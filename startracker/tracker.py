@@ -55,7 +55,7 @@ MISFIT_PX = 3.0
 BRIGHTEST, LEAST_SEEN, BORDER_PX = 8, 0.6, 12.0
 """Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
 seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
-LEAST_MATCHED = 0.3
+LEAST_MATCHED = 0.4
 """Share of the bright spots that the stars of a field make where nothing else is the matter with the frame: of those as
 bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
 _AXES = math.sqrt(3.0)

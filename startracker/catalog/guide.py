@@ -20,7 +20,7 @@ from startracker.catalog.field_shape import FieldShape, field_shape
 from startracker.catalog.places import seen_directions
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import VoxelGrid, stars_in_cone, voxel_grid
+from startracker.catalog.voxels import VoxelGrid, on_image, stars_around, stars_in_cone, voxel_grid
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.observer import Observer
@@ -264,11 +264,10 @@ class GuideDatabase:
         """
         half_diagonal = self.half_diagonal_rad if camera is None else camera.half_diagonal_rad
         camera = camera or self.camera
-        near = self.in_cone(matrix[2], half_diagonal + 1.5 * margin_px * camera.pixel_rad)
-        vectors = self.directions[near] @ matrix.T
-        xy = camera.project(vectors)
-        inside = camera.contains(xy, margin_px)
-        return near[inside], vectors[inside], xy[inside]
+        cosine = math.cos(min(half_diagonal + 1.5 * margin_px * camera.pixel_rad, math.pi))
+        index, vectors = stars_around(np.ascontiguousarray(matrix), cosine, self.directions, self._cubes)
+        found = on_image(index, vectors, camera.project(vectors), camera.width, camera.height, float(margin_px))
+        return found[0], found[1], found[2]
 
 
 def field_of(camera: Camera) -> tuple[float, float]:
