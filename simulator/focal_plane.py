@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
@@ -255,9 +256,7 @@ class FocalPlane:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
-        x, y = xy[:, 0], xy[:, 1]
-        outside = np.maximum(np.maximum(-x, x - camera.width), np.maximum(-y, y - camera.height))
-        rows = np.flatnonzero(outside <= extent_px)
+        rows = _near_image(xy, extent_px, camera.width, camera.height)
         if self.sky.earth:
             rows = rows[~occulted(direction[rows], scene.r_km)]
         return _Seen(rows, in_camera[rows], xy[rows], electrons[rows])
@@ -368,3 +367,15 @@ class FocalPlane:
         )
         excluded = self.baffle.within_exclusion(names, boresight, directions)
         return rate * detector.exposure_s, tuple(excluded)
+
+
+@njit(cache=True, error_model="numpy")
+def _near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
+    """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
+    rows, count = np.empty(len(xy), np.int64), 0
+    for n in range(len(xy)):
+        x, y = xy[n, 0], xy[n, 1]
+        if max(-x, x - width) <= extent_px[n] and max(-y, y - height) <= extent_px[n]:
+            rows[count] = n
+            count += 1
+    return rows[:count]
