@@ -165,15 +165,14 @@ class StarTracker:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=told)
         hint = _prior(prior, prior_deg)
-        solution, first, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
-        found = replace(first, steps=steps)
+        solution, found, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return replace(solution, steps=Steps(found.steps, solution.steps, tips))
+        return replace(solution, steps=Steps(steps, solution.steps, tips))
 
     def solve_centroids(
         self,
@@ -302,8 +301,8 @@ class StarTracker:
                 return replace(solution, times_ms=clock.times_ms(), steps=steps)
         vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        # beyond the lens model's fold there are no directions
-        usable = np.flatnonzero(np.isfinite(vectors).all(axis=1) & (stated < WORST_PX))
+        # beyond the lens model's fold there are no directions, NaN on all axes
+        usable = np.flatnonzero(np.isfinite(vectors[:, 2]) & (stated < WORST_PX))
         observed = Observed(
             vectors[usable], None if flux is None else flux[usable], stated[usable] * self.camera.pixel_rad
         )
