@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +27,10 @@ from simulator.scenario import Scenario
 from simulator.scene import Scene
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import occulted, stray_sources
+from simulator.sky.magnitudes import sun_v
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import Bodies
+from simulator.sky.spectra import SOLAR_B_V
 from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
@@ -134,8 +136,6 @@ class FocalPlane:
         """As calibrated: what the frame carries."""
         self.true_camera = true_camera(self.camera, optics.thermal)
         """As it is: what the sky is drawn through."""
-        margin_rad = _EDGE_MARGIN_PX * self.true_camera.pixel_rad
-        self.half_field_rad = min(self.true_camera.half_diagonal_rad + margin_rad, self.true_camera.limit_rad)
         response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
             detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
         )
@@ -154,8 +154,24 @@ class FocalPlane:
             diffusion_um=detector.charge_diffusion_um,
             weights_of=self.photometer.bin_weights,
         )
+        self.half_field_rad = self._half_field_rad()
+        """Sources this far from the boresight, at any moment of the exposure, may leave light on the detector."""
         self.baffle = build_baffle(optics.baffle, scenario.base_dir)
         self.illumination = None if is_off(optics.vignetting) else illumination_map(self.true_camera, optics.vignetting)
+
+    def _half_field_rad(self) -> float:
+        camera = self.true_camera
+        brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * self.scenario.detector.exposure_s
+        reach_px = math.ceil(min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)) + 1
+        grown = replace(
+            camera,
+            width=camera.width + 2 * reach_px,
+            height=camera.height + 2 * reach_px,
+            cx=camera.cx + reach_px,
+            cy=camera.cy + reach_px,
+        )
+        margin_rad = _EDGE_MARGIN_PX * camera.pixel_rad
+        return min(camera.half_diagonal_rad + margin_rad, grown.half_diagonal_rad, camera.limit_rad)
 
     def expose(self, scene: Scene) -> Exposure:
         """Mean photo-electrons of a scene in every pixel."""
