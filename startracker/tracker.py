@@ -379,8 +379,7 @@ def _is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> boo
 
 def _misfit_px(solution: Solution) -> float:
     """Root mean square distance of the stars from where the solution puts them."""
-    off = solution.stars.residual_px.ravel()
-    return math.sqrt(float(off @ off) / len(solution.stars))
+    return float(np.linalg.norm(solution.stars.residual_px)) / math.sqrt(len(solution.stars))
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
