@@ -342,9 +342,9 @@ class FocalPlane:
     def _tether_e(self, scene: Scene) -> float | FloatArray:
         """The tether in the light of Sun and Moon: disks where it is out of focus, points through the PSF beyond."""
         section, camera, bodies = self.scenario.tether, self.true_camera, scene.bodies
-        lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if section.diameter_mm == 0.0:
             return 0.0
+        lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
         image = np.zeros((camera.height, camera.width))

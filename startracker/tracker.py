@@ -317,7 +317,8 @@ class StarTracker:
         tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
             return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
-        pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
+        pairs = found.pairs.copy()
+        pairs[:, 0] = usable[pairs[:, 0]]
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
@@ -372,9 +373,8 @@ def _is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> boo
     if _misfit_px(solution) > MISFIT_PX or len(stars) - half < LEAST_MATCHED * as_bright:
         return False
     index, _, _ = guide.in_field(solution.attitude.as_matrix(), -BORDER_PX, solution.camera)
-    brightest = guide.catalog.id[index[:BRIGHTEST]].tolist()
-    seen = set(stars.catalog_id.tolist()).intersection(brightest)
-    return len(seen) >= LEAST_SEEN * len(brightest)
+    brightest = set(guide.catalog.id[index[:BRIGHTEST]].tolist())
+    return len(brightest.intersection(stars.catalog_id.tolist())) >= LEAST_SEEN * len(brightest)
 
 
 def _misfit_px(solution: Solution) -> float:
