@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
@@ -26,8 +27,10 @@ from simulator.scenario import Scenario
 from simulator.scene import Scene
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import occulted, stray_sources
+from simulator.sky.magnitudes import sun_v
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import Bodies
+from simulator.sky.spectra import SOLAR_B_V
 from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
@@ -139,8 +142,6 @@ class FocalPlane:
         """As calibrated: what the frame carries."""
         self.true_camera = true_camera(self.camera, optics.thermal)
         """As it is: what the sky is drawn through."""
-        margin_rad = _EDGE_MARGIN_PX * self.true_camera.pixel_rad
-        self.half_field_rad = min(self.true_camera.half_diagonal_rad + margin_rad, self.true_camera.limit_rad)
         response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
             detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
         )
@@ -159,8 +160,24 @@ class FocalPlane:
             diffusion_um=detector.charge_diffusion_um,
             weights_of=self.photometer.bin_weights,
         )
+        self.half_field_rad = self._half_field_rad()
+        """Sources this far from the boresight, at any moment of the exposure, may leave light on the detector."""
         self.baffle = build_baffle(optics.baffle, scenario.base_dir)
         self.illumination = None if is_off(optics.vignetting) else illumination_map(self.true_camera, optics.vignetting)
+
+    def _half_field_rad(self) -> float:
+        camera = self.true_camera
+        brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * self.scenario.detector.exposure_s
+        reach_px = math.ceil(min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)) + 1
+        grown = replace(
+            camera,
+            width=camera.width + 2 * reach_px,
+            height=camera.height + 2 * reach_px,
+            cx=camera.cx + reach_px,
+            cy=camera.cy + reach_px,
+        )
+        margin_rad = _EDGE_MARGIN_PX * camera.pixel_rad
+        return min(camera.half_diagonal_rad + margin_rad, grown.half_diagonal_rad, camera.limit_rad)
 
     def expose(self, scene: Scene) -> Exposure:
         """Mean photo-electrons of a scene in every pixel."""
@@ -264,9 +281,7 @@ class FocalPlane:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
-        x, y = xy[:, 0], xy[:, 1]
-        outside = np.maximum(np.maximum(-x, x - camera.width), np.maximum(-y, y - camera.height))
-        rows = np.flatnonzero(outside <= extent_px)
+        rows = _near_image(xy, extent_px, camera.width, camera.height)
         if self.sky.earth:
             rows = rows[~occulted(direction[rows], scene.r_km)]
         return _Seen(rows, in_camera[rows], xy[rows], electrons[rows])
@@ -336,9 +351,9 @@ class FocalPlane:
     def _tether_e(self, scene: Scene) -> float | FloatArray:
         """The tether in the light of Sun and Moon: disks where it is out of focus, points through the PSF beyond."""
         section, camera, bodies = self.scenario.tether, self.true_camera, scene.bodies
-        lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if section.diameter_mm == 0.0:
             return 0.0
+        lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
         image = np.zeros((camera.height, camera.width))
@@ -377,3 +392,15 @@ class FocalPlane:
         )
         excluded = self.baffle.within_exclusion(names, boresight, directions)
         return rate * detector.exposure_s, tuple(excluded)
+
+
+@njit(cache=True, error_model="numpy")
+def _near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
+    """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
+    rows, count = np.empty(len(xy), np.int64), 0
+    for n in range(len(xy)):
+        x, y = xy[n, 0], xy[n, 1]
+        if max(-x, x - width) <= extent_px[n] and max(-y, y - height) <= extent_px[n]:
+            rows[count] = n
+            count += 1
+    return rows[:count]

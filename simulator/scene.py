@@ -18,7 +18,7 @@ from simulator.mission.pointing import Pointing, hold, point, point_at_random, p
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
 from simulator.scenario import Scenario
-from simulator.sky.apparent import SkyIndex
+from simulator.sky.apparent import SkyIndex, by_place
 from simulator.sky.colours import spectral_coordinates
 from simulator.sky.observer import observe
 from simulator.sky.solar_system import Bodies, solar_system, sun_position_au
@@ -101,7 +101,7 @@ class SceneBuilder:
         self.clock = Clock(scenario.epoch)
         self.orbit = build_orbit(scenario.orbit, scenario.epoch)
         self._round_s = round_s(scenario.pointing, self.orbit.period_s)
-        catalog = load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit)
+        catalog = by_place(load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit))
         self.sky = SkyIndex(catalog)
         self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
         self._jitter = load_spectrum(scenario.pointing.jitter, scenario.base_dir)

@@ -28,6 +28,8 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+
 
 def radec_to_direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
     """Unit vectors, shape (..., 3), of right ascension and declination in radians."""
@@ -215,7 +217,7 @@ class Attitude:
     @property
     def inverse(self) -> Attitude:
         """The way back: target into source."""
-        return Attitude(self.quat * np.array([-1.0, -1.0, -1.0, 1.0]), self.target, self.source)
+        return Attitude(self.quat * _CONJUGATE, self.target, self.source)
 
     def __matmul__(self, other: Attitude) -> Attitude:
         """``self @ other``: first `other`, then `self`; `FrameMismatchError` when their frames do not join."""
@@ -239,7 +241,7 @@ class Attitude:
             raise FrameMismatchError(
                 f"{self.source} → {self.target} and {other.source} → {other.target} cannot be compared"
             )
-        x, y, z, w = quat_multiply(other.quat, self.inverse.quat).tolist()
+        x, y, z, w = quat_multiply(other.quat, self.quat * _CONJUGATE).tolist()
         sine = math.sqrt(x * x + y * y + z * z)
         angle = 2.0 * math.atan2(sine, abs(w))
         scale = (angle / sine if sine > 0 else 2.0) * (1.0 if w >= 0 else -1.0)

@@ -264,7 +264,9 @@ class Camera:
         The pinhole's distortion polynomial is valid near the field alone; far outside it can fold back into the
         image, so select by angle first (`half_diagonal_rad`).
         """
-        v = np.atleast_2d(np.asarray(vectors, dtype=float))
+        v = np.asarray(vectors, dtype=float)
+        if v.ndim < 2:
+            v = v[None]
         if self.projection == "pinhole":
             return np.asarray(project_pinhole(v, *self._pinhole))
         xy = fisheye_project(v, *self._fisheye)
@@ -273,7 +275,9 @@ class Camera:
     def unproject(self, xy: ArrayLike) -> FloatArray:
         """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone, and
         outside a fisheye's image circle."""
-        p = np.atleast_2d(np.asarray(xy, dtype=float))
+        p = np.asarray(xy, dtype=float)
+        if p.ndim < 2:
+            p = p[None]
         if self.projection == "pinhole":
             return np.asarray(unproject_pinhole(p, *self._pinhole))
         normalised = np.stack([self.parity * (p[:, 0] - self.cx) / self.fx, (p[:, 1] - self.cy) / self.fy], axis=1)

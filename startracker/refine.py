@@ -89,36 +89,35 @@ def refine(
     known = variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
-    used, same = pairs, False
+    used, same = np.ascontiguousarray(pairs, dtype=np.int64), False
     directions = camera.unproject(xy)
     for _ in range(12):
-        stars, reference = used[:, 0], guide.directions[used[:, 1]]
-        vectors = camera.unproject(xy[stars]) if free_focal else directions[stars]
-        matrix = fit_rotation(vectors, reference, 1.0 / sigma[stars] ** 2)
         if free_focal:
+            directions = camera.unproject(xy)
+        matrix, reference = _first_fit(used, directions, guide.directions, sigma)
+        if free_focal:
+            stars = used[:, 0]
             camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
-        predicted = camera.project(reference @ matrix.T)
-        scale = _robust_scale(xy[stars] - predicted, sigma[stars], known)
+        scale = _robust_scale(used, xy, camera.project(reference @ matrix.T), sigma, known)
         if same:
             break
         index, _, places = guide.in_field(matrix, 3.0, camera)
-        near, _ = nearest_unique(xy, places, REJECT_SIGMAS * scale * sigma)
-        seen = np.flatnonzero(near >= 0)
-        fitting = np.stack([seen, index[near[seen]]], axis=1)
+        fitting, same = _matched_again(xy, places, REJECT_SIGMAS * scale * sigma, index, used)
         if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
             break
-        same = np.array_equal(fitting, used)
         used = fitting
     stars, reference = used[:, 0], guide.directions[used[:, 1]]
-    vectors = camera.unproject(xy[stars])
-    estimate = estimator(vectors, reference, sigma[stars] * camera.pixel_rad)
+    measured, sigma = xy[stars], sigma[stars]
+    vectors = camera.unproject(measured) if free_focal else directions[stars]
+    estimate = estimator(vectors, reference, sigma * camera.pixel_rad)
     matrix, covariance = estimate.matrix, estimate.covariance
     if free_focal:
-        normal, _ = _normal(camera, matrix, vectors, reference, sigma[stars])
+        normal, _ = _normal(camera, matrix, vectors, reference, sigma)
         covariance = np.asarray(np.linalg.inv(normal)[:3, :3], dtype=np.float64)
-    residual = xy[stars] - camera.project(reference @ matrix.T)
+    residual = measured - camera.project(reference @ matrix.T)
     freedom = max(2 * len(stars) - (4 if free_focal else 3), 1)
-    chi2 = float(np.sum(residual**2 / sigma[stars, None] ** 2))
+    off = (residual / sigma[:, None]).ravel()
+    chi2 = float(off @ off)
     factor = max(chi2 / freedom, _UNKNOWN_FLOOR_PX**2)
     if known and factor < 1.0 + _MISFIT_SIGMAS * math.sqrt(2.0 / freedom):
         factor = 1.0
@@ -149,9 +148,39 @@ def _normal(
 
 
 @njit(cache=True, error_model="numpy")
-def _robust_scale(residual: FloatArray, sigma: FloatArray, known: bool) -> float:
+def _first_fit(
+    used: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Attitude (3, 3) of pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these."""
+    seen, reference, weight = np.empty((len(used), 3)), np.empty((len(used), 3)), np.empty(len(used))
+    for k in range(len(used)):
+        seen[k], reference[k] = directions[used[k, 0]], guides[used[k, 1]]
+        weight[k] = 1.0 / sigma[used[k, 0]] ** 2
+    return fit_rotation(seen, reference, weight), reference
+
+
+@njit(cache=True, error_model="numpy")
+def _matched_again(
+    xy: FloatArray, places: FloatArray, gate: FloatArray, index: IntArray, used: IntArray
+) -> tuple[IntArray, bool]:
+    """Pairs (M, 2) of centroids and the nearest of the guide stars `index` (K,), and whether they are those in use."""
+    near, _ = nearest_unique(xy, places, gate)
+    seen = np.flatnonzero(near >= 0)
+    pairs = np.empty((len(seen), 2), np.int64)
+    same = len(seen) == len(used)
+    for k in range(len(seen)):
+        pairs[k, 0], pairs[k, 1] = seen[k], index[near[seen[k]]]
+        same = same and pairs[k, 0] == used[k, 0] and pairs[k, 1] == used[k, 1]
+    return pairs, same
+
+
+@njit(cache=True, error_model="numpy")
+def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: FloatArray, known: bool) -> float:
     """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
-    length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
+    length = np.empty(len(used))
+    for k in range(len(used)):
+        star = used[k, 0]
+        length[k] = math.hypot(xy[star, 0] - predicted[k, 0], xy[star, 1] - predicted[k, 1]) / sigma[star]
     freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
     scale = np.median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:

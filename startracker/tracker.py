@@ -55,8 +55,9 @@ MISFIT_PX = 3.0
 BRIGHTEST, LEAST_SEEN, BORDER_PX = 8, 0.6, 12.0
 """Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
 seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
-LEAST_MATCHED = 0.3
-"""Share of the spots that the stars of a field make where nothing else is the matter with the frame."""
+LEAST_MATCHED = 0.4
+"""Share of the bright spots that the stars of a field make where nothing else is the matter with the frame: of those as
+bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
 _AXES = math.sqrt(3.0)
 
 
@@ -164,15 +165,14 @@ class StarTracker:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=told)
         hint = _prior(prior, prior_deg)
-        solution, first, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
-        found = replace(first, steps=steps)
+        solution, found, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return replace(solution, steps=Steps(found.steps, solution.steps, tips))
+        return replace(solution, steps=Steps(steps, solution.steps, tips))
 
     def solve_centroids(
         self,
@@ -202,7 +202,8 @@ class StarTracker:
         """
         clock = Clock()
         points, signal = clean_centroids(xy, flux, self.camera)
-        solution = self._solve(points, signal, None, _prior(prior, prior_deg), observer, clock)
+        guide = self.guide.seen_by(observer)
+        solution = self._solve(points, signal, None, _prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
@@ -231,8 +232,10 @@ class StarTracker:
         there are some, spots count only if they do.
         """
 
+        guide = self.guide.seen_by(observer)
+
         def solve(look: FoundStars) -> Solution:
-            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, clock)
+            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock)
 
         def streaks() -> FoundStars | None:
             known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
@@ -246,7 +249,7 @@ class StarTracker:
                 return solution, drawn, steps
             steps = (*steps, *solution.steps, *spots.steps)
         solution = solve(spots)
-        if solution.solved and self._is_whole(solution, len(spots.xy), observer):
+        if solution.solved and _is_whole(solution, spots.flux, guide):
             return solution, spots, steps
         if not spots.smeared:
             drawn = streaks()
@@ -260,19 +263,6 @@ class StarTracker:
             solution = replace(refused, steps=solution.steps)
         return solution, spots, steps
 
-    def _is_whole(self, solution: Solution, spots: int, observer: Observer | None) -> bool:
-        """Whether spots are where the solution puts its stars, many of them are stars, and most of the brightest stars
-        of the field are among them."""
-        assert solution.attitude is not None
-        if _misfit_px(solution) > MISFIT_PX or solution.matched < LEAST_MATCHED * spots:
-            return False
-        guide = self.guide.seen_by(observer)
-        matrix = solution.attitude.as_matrix()
-        index, _, _ = guide.in_field(matrix, -BORDER_PX, solution.camera)
-        brightest = guide.catalog.id[index[:BRIGHTEST]]
-        seen = np.isin(brightest, solution.stars.catalog_id)
-        return len(seen) == 0 or float(seen.mean()) >= LEAST_SEEN
-
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
         self,
@@ -281,6 +271,7 @@ class StarTracker:
         variance_px2: FloatArray | None,
         prior: Prior | None,
         observer: Observer | None,
+        guide: GuideDatabase,
         clock: Clock,
     ) -> Solution:
         tried: Sequence[Step] = ()
@@ -308,11 +299,10 @@ class StarTracker:
             if solution.solved:
                 steps = (*tried, *attitude_steps(solution))
                 return replace(solution, times_ms=clock.times_ms(), steps=steps)
-        guide = self.guide.seen_by(observer)
         vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        # beyond the lens model's fold there are no directions
-        usable = np.flatnonzero(np.isfinite(vectors).all(axis=1) & (stated < WORST_PX))
+        # beyond the lens model's fold there are no directions, NaN on all axes
+        usable = np.flatnonzero(np.isfinite(vectors[:, 2]) & (stated < WORST_PX))
         observed = Observed(
             vectors[usable], None if flux is None else flux[usable], stated[usable] * self.camera.pixel_rad
         )
@@ -327,7 +317,8 @@ class StarTracker:
         tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
             return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
-        pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
+        pairs = found.pairs.copy()
+        pairs[:, 0] = usable[pairs[:, 0]]
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
@@ -372,9 +363,23 @@ class StarTracker:
         )
 
 
+def _is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool:
+    """Whether spots of such a flux are where the solution puts its stars, many of the bright ones are stars, and most
+    of the brightest stars of the field are among them."""
+    assert solution.attitude is not None
+    stars = solution.stars
+    half = len(stars) // 2
+    as_bright = np.count_nonzero(flux >= np.partition(stars.flux, half)[half])
+    if _misfit_px(solution) > MISFIT_PX or len(stars) - half < LEAST_MATCHED * as_bright:
+        return False
+    index, _, _ = guide.in_field(solution.attitude.as_matrix(), -BORDER_PX, solution.camera)
+    brightest = set(guide.catalog.id[index[:BRIGHTEST]].tolist())
+    return len(brightest.intersection(stars.catalog_id.tolist())) >= LEAST_SEEN * len(brightest)
+
+
 def _misfit_px(solution: Solution) -> float:
     """Root mean square distance of the stars from where the solution puts them."""
-    return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
+    return float(np.linalg.norm(solution.stars.residual_px)) / math.sqrt(len(solution.stars))
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:

@@ -260,7 +260,7 @@ def _wrapped(angle: FloatArray) -> Any:
 
 def _to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """Vectors (..., 3) taken back through matrices (..., 3, 3) out of GCRS."""
-    turned: FloatArray = np.einsum("...ji,...j->...i", matrix, vectors)
+    turned: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
     return turned
 
 

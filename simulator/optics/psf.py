@@ -37,6 +37,9 @@ light out of the pixel of a centred star, so that such a pixel gets 3 % too litt
 WING_RADIUS_PX = 512.0
 """Where the tables of the wings end; 2 λN/(π² 512 px) of an Airy pattern lies outside: 0.04 % at λN = 1 px."""
 
+_LEAST_SIGMAS = math.sqrt(2.0) * float(erfcinv(FLUX_LOSS / 2.0))
+"""Both axes lose at most `FLUX_LOSS` together: erfc(h/σ√2) ≤ FLUX_LOSS/2 on each."""
+
 LEAST_SHARE = 1.5e-4
 """A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can
 get."""
@@ -149,11 +152,9 @@ class Psf:
         """
         e = np.maximum(np.asarray(electrons, dtype=float), 1e-9)
         if self.core is None or self.wing is None:
-            # both axes lose at most FLUX_LOSS together: erfc(h/σ√2) ≤ FLUX_LOSS/2 on each
-            least = math.sqrt(2.0) * float(erfcinv(FLUX_LOSS / 2.0))
-            peak = e / (2.0 * math.pi * self.sigma_px * self.sigma_y_px)
-            faint = np.sqrt(2.0 * np.log(np.maximum(peak / WING_LIMIT_E, 1.0)))
-            return np.asarray(self.sigma_px * np.maximum(least, faint))
+            limit_e = 2.0 * math.pi * self.sigma_px * self.sigma_y_px * WING_LIMIT_E
+            faint = np.sqrt(2.0 * np.log(np.maximum(e / limit_e, 1.0)))
+            return np.asarray(self.sigma_px * np.maximum(_LEAST_SIGMAS, faint))
         wanted = _reach(self.wing, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
         half = self.core_half_px
         winged = np.clip(wanted, least_radius(half, self.aspect), WING_RADIUS_PX - TAPER_PX - 1.0)

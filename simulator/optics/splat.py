@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS, fade
 
@@ -102,23 +103,13 @@ def add_gaussians(
             top, bottom = max(math.ceil(y - radius_y), 0), min(math.floor(y + radius_y), height - 1)
             if left > right or top > bottom:
                 continue
-            _shares(column, left, right, x, scale_x)
-            _shares(row, top, bottom, y, scale_y)
+            shares_of_pixels(column, left, right, x, scale_x)
+            shares_of_pixels(row, top, bottom, y, scale_y)
             amount = electrons[n] * weights[k]
             for j in range(top, bottom + 1):
                 line = amount * row[j - top]
                 for i in range(right - left + 1):
                     image[j, left + i] += line * column[i]
-
-
-@njit(cache=True, error_model="numpy")
-def _shares(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
-    """Share of a Gaussian in each of the pixels first … last."""
-    low = math.erf((first - 0.5 - centre) * scale)
-    for i in range(last - first + 1):
-        high = math.erf((first + i + 0.5 - centre) * scale)
-        out[i] = 0.5 * (high - low)
-        low = high
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,7 +21,7 @@ from startracker.observer import Observer
 if TYPE_CHECKING:
     from simulator.scenario.schema import SkySection
 
-__all__ = ["SkyIndex", "apparent_directions", "bend_by_sun"]
+__all__ = ["SkyIndex", "apparent_directions", "bend_by_sun", "by_place"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -166,6 +166,18 @@ def _limit(distance_au: float) -> float:
     return 1e-6 / max(distance_au * distance_au, 1.0)
 
 
+def by_place(catalog: StarCatalog) -> StarCatalog:
+    """The same stars, those of one part of the sky side by side in memory, as `SkyIndex` looks for them: the columns of
+    a field are then a few pages that the processor fetches ahead, and not a cache miss a star."""
+    return catalog.select(np.argsort(_cells(catalog.space_motion()[0]), kind="stable"))
+
+
+def _cells(directions: FloatArray) -> IntArray:
+    """Number of the cell of each unit vector (N, 3)."""
+    cell = np.minimum(((directions + 1.0) * (0.5 * _CELLS)).astype(np.int64), _CELLS - 1)
+    return np.asarray((cell[:, 0] * _CELLS + cell[:, 1]) * _CELLS + cell[:, 2])
+
+
 class SkyIndex:
     """A catalogue that finds the stars of a field of view without a look at all the others: only at those in the same
     cells of the cube around the sphere, 16 along each edge.
@@ -180,8 +192,7 @@ class SkyIndex:
         self.catalog = catalog
         self._u, self._motion = catalog.space_motion()
         across = self._motion - self._u * np.einsum("ij,ij->i", self._u, self._motion)[:, None]
-        cell = np.minimum(((self._u + 1.0) * (0.5 * _CELLS)).astype(np.int64), _CELLS - 1)
-        key = (cell[:, 0] * _CELLS + cell[:, 1]) * _CELLS + cell[:, 2]
+        key = _cells(self._u)
         self._order = np.argsort(key, kind="stable")
         self._starts = np.searchsorted(key[self._order], np.arange(_CELLS**3 + 1))
         self._fastest_rad_yr = float(np.sqrt((across**2).sum(axis=1).max(initial=0.0)))

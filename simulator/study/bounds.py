@@ -19,6 +19,7 @@ from simulator.detector.excess_noise import excess_noise_factor, signal_gain
 from simulator.detector.fixed_pattern import FixedPattern, dark_current_factor
 from simulator.detector.readout import gain_e_per_dn, section_reset_noise_e
 from simulator.frame import FrameTruth
+from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
@@ -61,14 +62,27 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
         NaN where the stars do not determine an attitude, or where nothing in the scenario is random, in which case
         there is no bound.
     """
+    if len(stars) < 2:
+        return np.full(3, np.nan)
     information = star_information(renderer, truth, stars)
     slopes = pixel_slopes(renderer.focal_plane.true_camera, truth.attitude.apply(truth.sources.direction[stars]))
-    total = np.einsum("nai,nab,nbj->ij", slopes, information, slopes) if len(stars) >= 2 else np.full((3, 3), np.nan)
-    bound = np.full(3, np.nan)
+    return np.asarray(_deviations_deg(information, slopes))
+
+
+@njit(cache=True, error_model="numpy")
+def _deviations_deg(information: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Kernel: roots of the diagonal of [Σ Jᵀ F J]⁻¹ in degrees (3,); NaN where it has none."""
+    total, bound = np.zeros((3, 3)), np.full(3, np.nan)
+    for n in range(len(information)):
+        for a in range(2):
+            for b in range(2):
+                for i in range(3):
+                    for j in range(3):
+                        total[i, j] += slopes[n, a, i] * information[n, a, b] * slopes[n, b, j]
     if np.isfinite(total).all():
         value, axis = np.linalg.eigh(total)
         if value[0] > 1e-12 * value[2]:
-            bound = np.degrees(np.sqrt((axis**2 / value).sum(axis=1)))
+            bound[:] = np.degrees(np.sqrt((axis**2 / value).sum(axis=1)))
     return bound
 
 
@@ -76,22 +90,22 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
     out."""
     sources = truth.sources
-    best = _brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, sources.kind == "star")
-    return np.unique(best[best >= 0])
+    of_stars = sources.kind == "star"
+    return np.asarray(_brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, of_stars))
 
 
 @njit(cache=True, error_model="numpy")
 def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray, is_star: BoolArray) -> IntArray:
-    """Kernel: row of the brightest star within `SAME_STAR_PX` of each place (N, 2); −1 where there is none."""
+    """Kernel: rows of the brightest stars within `SAME_STAR_PX` of each place (N, 2), ascending, each once."""
     best = np.full(len(xy), -1)
     for n in range(len(xy)):
         most = 0.0
         for k in range(len(source_xy)):
             if is_star[k] and electrons[k] > most:
                 dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
-                if math.hypot(dx, dy) <= SAME_STAR_PX:
+                if abs(dx) <= SAME_STAR_PX and math.hypot(dx, dy) <= SAME_STAR_PX:
                     most, best[n] = electrons[k], k
-    return best
+    return np.unique(best[best >= 0])
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -220,11 +234,7 @@ def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None
     """Share of a Gaussian in each of the pixels of a line, as far as `radius`."""
     out[:] = 0.0
     first, last = max(math.ceil(centre - radius), 0), min(math.floor(centre + radius), len(out) - 1)
-    low = math.erf((first - 0.5 - centre) * scale)
-    for i in range(first, last + 1):
-        high = math.erf((i + 0.5 - centre) * scale)
-        out[i] = 0.5 * (high - low)
-        low = high
+    shares_of_pixels(out[first:], first, last, centre, scale)
 
 
 @njit(cache=True, error_model="numpy")
@@ -232,10 +242,15 @@ def _widest(paths: FloatArray) -> float:
     """Kernel: the longest side of the boxes around paths (N, K, 2), without those that have a NaN."""
     widest = 0.0
     for n in range(len(paths)):
-        if np.isnan(paths[n]).any():
-            continue
-        for axis in range(2):
-            widest = max(widest, paths[n, :, axis].max() - paths[n, :, axis].min())
+        left = right = paths[n, 0, 0]
+        top = bottom = paths[n, 0, 1]
+        whole = True
+        for k in range(paths.shape[1]):
+            x, y = paths[n, k, 0], paths[n, k, 1]
+            whole = whole and not math.isnan(x + y)
+            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
+        if whole:
+            widest = max(widest, right - left, bottom - top)
     return widest
 
 

@@ -30,6 +30,8 @@ STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
 between two runs of the same scenario and seed."""
 
+_ERRORS = (*CAMERA_AXES, "roll", "pitch", "yaw")
+_ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
 _TRUE_QUATERNION = tuple(f"true_q{axis}" for axis in "xyzw")
 _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
 _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
@@ -67,9 +69,8 @@ def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
 def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
     """Rotation vector from the true to the estimated attitude, in camera axes and in body axes, degrees."""
     camera = np.degrees(truth.rotation_vector_to(estimate))
-    body = mounting.inverse.apply(camera)
-    names = ("cross_x", "cross_y", "about_boresight", "roll", "pitch", "yaw")
-    return dict(zip(names, camera.tolist() + body.tolist(), strict=True))
+    body = camera @ mounting.as_matrix()  # back into the body's axes
+    return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
 
 
 def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
@@ -100,6 +101,21 @@ def _strangers(
                 found = found or math.hypot(dx, dy) <= tolerance_px
         wrong += not found
     return wrong
+
+
+@njit(cache=True, error_model="numpy")
+def _in_field(
+    xy: FloatArray, v_mag: FloatArray, is_star: NDArray[np.bool_], width: int, height: int, limit: float
+) -> tuple[int, int]:
+    """Numbers of stars down to a magnitude, and of bodies, whose places (N, 2) are on the image."""
+    stars = bodies = 0
+    for n in range(len(xy)):
+        if -0.5 <= xy[n, 0] < width - 0.5 and -0.5 <= xy[n, 1] < height - 0.5:
+            if not is_star[n]:
+                bodies += 1
+            elif v_mag[n] <= limit:
+                stars += 1
+    return stars, bodies
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
@@ -156,7 +172,6 @@ class TrialRunner:
 
     def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
         scenario, sources = self.scenario, truth.sources
-        inside, is_star = frame.camera.contains(sources.xy), sources.kind == "star"
         row: dict[str, Any] = {
             "index": index,
             "t_s": truth.t_s,
@@ -174,7 +189,7 @@ class TrialRunner:
             "orbit_argument_deg": argument_of_latitude_deg(self.renderer.scenes.orbit, truth.t_s),
             "temperature_c": scenario.detector.temperature_c,
         }
-        errors = dict.fromkeys(("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight"), math.nan)
+        errors = dict.fromkeys(_ERRORS, math.nan)
         sigma, estimate = [math.nan] * 3, [math.nan] * 4
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
@@ -186,25 +201,26 @@ class TrialRunner:
             estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:
-                sigma = np.degrees(np.sqrt(solution.covariance.diagonal())).tolist()
+                sigma = [math.degrees(math.sqrt(variance)) for variance in solution.covariance.diagonal().tolist()]
         row |= zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True)
         row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
-        row |= {f"error_{axis}_deg": value for axis, value in errors.items()}
+        row |= zip(_ERROR_COLUMNS, errors.values(), strict=True)
         row |= zip(_SIGMA, sigma, strict=True)
         matched = matched_sources(truth, solution.stars.xy)
         row |= zip(_BOUND, attitude_bound_deg(self.renderer, truth, matched).tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
-        row["limit_mag"] = float(np.max(solution.stars.v_mag)) if solution.matched else math.nan
-        bright = sources.v_mag <= scenario.tracker.magnitude_limit
-        residuals = solution.stars.residual_px
+        row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
+        camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
+        stars, bodies = _in_field(sources.xy, sources.v_mag, sources.kind == "star", camera.width, camera.height, limit)
+        residuals = solution.stars.residual_px.ravel()
         row |= {
-            "stars_in_field": int(np.count_nonzero(inside & bright & is_star)),
-            "bodies_in_field": int(np.count_nonzero(inside & ~is_star)),
+            "stars_in_field": stars,
+            "bodies_in_field": bodies,
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
-            "residual_rms_px": float(np.sqrt(np.mean(residuals**2))) if len(residuals) else math.nan,
+            "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
             "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
         }
         return row

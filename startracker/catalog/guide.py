@@ -20,7 +20,7 @@ from startracker.catalog.field_shape import FieldShape, field_shape
 from startracker.catalog.places import seen_directions
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import VoxelGrid, stars_in_cone, voxel_grid
+from startracker.catalog.voxels import VoxelGrid, on_image, stars_around, stars_in_cone, voxel_grid
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.observer import Observer
@@ -136,7 +136,6 @@ class GuideDatabase:
     pattern: NDArray[np.bool_]
     epoch_jyear: float
     _field: tuple[float, float]
-    _start: FloatArray
     _motion: list[FloatArray] = field(default_factory=list)
     _pairs: dict[tuple[float, float], PairList] = field(default_factory=dict)
     _grid: list[VoxelGrid] = field(default_factory=list)
@@ -166,12 +165,13 @@ class GuideDatabase:
         if observer is None:
             return self
         if not self._motion:
-            self._motion.append(self.catalog.space_motion()[1])
+            self._motion.extend(np.ascontiguousarray(axes.T) for axes in self.catalog.space_motion())
         years = observer.epoch_jyear - self.catalog.epoch_jyear
         place = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
         velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
-        directions = seen_directions(self._start, self._motion[0], parallax, years, place, beta)
+        start, motion = self._motion
+        directions = seen_directions(start, motion, parallax, years, place, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def brightest(self, count: int) -> GuideDatabase:
@@ -184,7 +184,6 @@ class GuideDatabase:
             catalog=self.catalog.select(np.arange(count)),
             directions=directions,
             pattern=self.pattern[:count],
-            _start=self._start[:count],
             _motion=[],
             _pairs={},
             _grid=[],
@@ -265,11 +264,10 @@ class GuideDatabase:
         """
         half_diagonal = self.half_diagonal_rad if camera is None else camera.half_diagonal_rad
         camera = camera or self.camera
-        near = self.in_cone(matrix[2], half_diagonal + 1.5 * margin_px * camera.pixel_rad)
-        vectors = self.directions[near] @ matrix.T
-        xy = camera.project(vectors)
-        inside = camera.contains(xy, margin_px)
-        return near[inside], vectors[inside], xy[inside]
+        cosine = math.cos(min(half_diagonal + 1.5 * margin_px * camera.pixel_rad, math.pi))
+        index, vectors = stars_around(np.ascontiguousarray(matrix), cosine, self.directions, self._cubes)
+        found = on_image(index, vectors, camera.project(vectors), camera.width, camera.height, float(margin_px))
+        return found[0], found[1], found[2]
 
 
 def field_of(camera: Camera) -> tuple[float, float]:
@@ -313,7 +311,6 @@ def _build(
         pattern,
         merged.epoch_jyear,
         (half_diagonal, solid_angle),
-        directions,
     )
 
 

@@ -23,8 +23,9 @@ def seen_directions(
 
     Parameters
     ----------
-    start, motion : (N, 3)
-        Unit vectors at the catalogue's epoch, and their space motion a Julian year (`StarCatalog.space_motion`).
+    start, motion : (3, N)
+        Unit vectors at the catalogue's epoch, and their space motion a Julian year (`StarCatalog.space_motion`), an
+        axis a row: eight stars are then computed at a time.
     parallax : (N,)
         Radians.
     years : float
@@ -32,19 +33,18 @@ def seen_directions(
     place_au, beta : (3,)
         The observer's barycentric position (zero: no parallax) and velocity over that of light (zero: no aberration).
     """
-    out = np.empty_like(start)
-    inverse_gamma = math.sqrt(1.0 - beta[0] ** 2 - beta[1] ** 2 - beta[2] ** 2)
-    for i in range(len(start)):
+    out = np.empty((start.shape[1], 3))
+    vx, vy, vz = beta[0], beta[1], beta[2]
+    inverse_gamma = math.sqrt(1.0 - vx * vx - vy * vy - vz * vz)
+    ahead = 1.0 / (1.0 + inverse_gamma)
+    for i in range(start.shape[1]):
         p = parallax[i]
-        x = start[i, 0] + years * motion[i, 0] - p * place_au[0]
-        y = start[i, 1] + years * motion[i, 1] - p * place_au[1]
-        z = start[i, 2] + years * motion[i, 2] - p * place_au[2]
-        shrink = 1.0 / math.sqrt(x * x + y * y + z * z)
-        x, y, z = x * shrink, y * shrink, z * shrink
-        forward = 1.0 + (x * beta[0] + y * beta[1] + z * beta[2]) / (1.0 + inverse_gamma)
-        x = x * inverse_gamma + beta[0] * forward
-        y = y * inverse_gamma + beta[1] * forward
-        z = z * inverse_gamma + beta[2] * forward
-        shrink = 1.0 / math.sqrt(x * x + y * y + z * z)
-        out[i, 0], out[i, 1], out[i, 2] = x * shrink, y * shrink, z * shrink
+        x = start[0, i] + years * motion[0, i] - p * place_au[0]
+        y = start[1, i] + years * motion[1, i] - p * place_au[1]
+        z = start[2, i] + years * motion[2, i] - p * place_au[2]
+        # aberration of a vector of any length: what it makes of a unit vector u is 1 + u·β long
+        length, along = math.sqrt(x * x + y * y + z * z), x * vx + y * vy + z * vz
+        shrink = 1.0 / (length + along)
+        forward, kept = (length + along * ahead) * shrink, inverse_gamma * shrink
+        out[i, 0], out[i, 1], out[i, 2] = x * kept + vx * forward, y * kept + vy * forward, z * kept + vz * forward
     return out

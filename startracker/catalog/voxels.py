@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["VoxelGrid", "star_within", "stars_in_cone", "voxel_grid"]
+__all__ = ["VoxelGrid", "on_image", "star_within", "stars_around", "stars_in_cone", "voxel_grid"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -103,3 +103,43 @@ def stars_in_cone(
                     out[count] = star
                     count += 1
     return out[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def stars_around(
+    matrix: FloatArray, cosine: float, directions: FloatArray, grid: VoxelGrid
+) -> tuple[IntArray, FloatArray]:
+    """Stars about the boresight at the attitude `matrix` (3, 3), to an angle of this cosine, ascending, and their
+    vectors (K, 3) in the camera frame."""
+    near = np.sort(stars_in_cone(matrix[2, 0], matrix[2, 1], matrix[2, 2], cosine, directions, grid))
+    index, vectors = np.empty(len(near), np.int64), np.empty((len(near), 3))
+    for k in range(len(near)):
+        star = near[k]
+        index[k] = star
+        for axis in range(3):
+            vectors[k, axis] = (
+                matrix[axis, 0] * directions[star, 0]
+                + matrix[axis, 1] * directions[star, 1]
+                + matrix[axis, 2] * directions[star, 2]
+            )
+    return index, vectors
+
+
+@njit(cache=True, error_model="numpy")
+def on_image(
+    index: IntArray, vectors: FloatArray, xy: FloatArray, width: int, height: int, margin_px: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Those of stars with pixels (K, 2) that lie on the image, grown by a margin: index, vectors and pixels."""
+    kept, count = np.empty(len(index), np.int64), 0
+    for k in range(len(index)):
+        x, y = xy[k, 0], xy[k, 1]
+        if (
+            x >= -0.5 - margin_px
+            and x < width - 0.5 + margin_px
+            and y >= -0.5 - margin_px
+            and y < height - 0.5 + margin_px
+        ):
+            kept[count] = k
+            count += 1
+    kept = kept[:count]
+    return index[kept], vectors[kept], xy[kept]

@@ -82,24 +82,40 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     if not math.isfinite(zero):
         return out
     stride = max(1, len(field_v) // _SAMPLE)
-    wide_height = _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI)
+    anyhow, most = np.empty(len(SCATTERS_MAG)), np.zeros(len(SCATTERS_MAG))
+    for k in range(len(seen)):
+        anyhow[:] = 0.0
+        count = 0
+        for g in range(0, len(field_v), stride):
+            d = magnitude[seen[k]] - zero - field_v[g]
+            wide = _wide(d)
+            for s in range(len(SCATTERS_MAG)):
+                anyhow[s] += _core(d, SCATTERS_MAG[s]) + wide
+            count += 1
+        d = difference[k] - zero
+        wide = _wide(d)
+        for s in range(len(SCATTERS_MAG)):
+            likely = _core(d, SCATTERS_MAG[s]) + wide
+            out[s, seen[k]] = math.log((likely + _FLOOR) / (anyhow[s] / count + _FLOOR))
+            most[s] = max(most[s], out[s, seen[k]])
     for s in range(len(SCATTERS_MAG)):
-        width = SCATTERS_MAG[s]
-        height = (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI)
-        most = 0.0
-        for k in range(len(seen)):
-            d = difference[k] - zero
-            likely = height * math.exp(-0.5 * (d / width) ** 2) + wide_height * math.exp(-0.5 * (d / _WIDE_MAG) ** 2)
-            anyhow, count = 0.0, 0
-            for g in range(0, len(field_v), stride):
-                d = magnitude[seen[k]] - zero - field_v[g]
-                wide = wide_height * math.exp(-0.5 * (d / _WIDE_MAG) ** 2)
-                anyhow += height * math.exp(-0.5 * (d / width) ** 2) + wide
-                count += 1
-            out[s, seen[k]] = math.log((likely + _FLOOR) / (anyhow / count + _FLOOR))
-            most = max(most, out[s, seen[k]])
-        out[s, seen[0]] -= most
+        out[s, seen[0]] -= most[s]
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def _core(difference: float, width: float) -> float:
+    """Density of a magnitude difference of the given scatter, without the wings' share."""
+    square = 0.5 * (difference / width) ** 2
+    if square > 40.0:  # e^−40 is lost beside `_FLOOR`
+        return 0.0
+    return (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI) * math.exp(-square)
+
+
+@njit(cache=True, error_model="numpy")
+def _wide(difference: float) -> float:
+    """Density of the wings."""
+    return _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (difference / _WIDE_MAG) ** 2)
 
 
 class CountTable(NamedTuple):
@@ -107,9 +123,9 @@ class CountTable(NamedTuple):
 
     Parameters
     ----------
-    log_weight : (n + 1, depths + 1)
+    log_weight : (depths + 1, n + 1)
         ln of the probability that M given ones of D guide stars within the depth are seen, as M given ones of the n,
-        and nothing else but distractors; −inf where M > D.
+        and nothing else but distractors; −inf where M > D. Row D, column M.
     log_total : (depths + 1,)
         ln of the probability of n stars, summed over all depths up to each.
     """
@@ -143,7 +159,7 @@ def _count_table(n: int, depths: int) -> CountTable:
     choose = np.where(among, log_factorial[d] - log_factorial[m] - log_factorial[unseen], -np.inf)
     each = np.logaddexp.reduce(log_weight + choose + ways, axis=0)
     log_total = np.logaddexp.accumulate(np.where(d[0] > 0, each, -np.inf))
-    return CountTable(log_weight, log_total)
+    return CountTable(np.ascontiguousarray(log_weight.T), log_total)
 
 
 _usual_table = lru_cache(maxsize=128)(_count_table)
@@ -168,12 +184,13 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
     """
     highest, total = -math.inf, 0.0
     for depth in range(1, in_field + 1):
-        value, cumulative, m = counts.log_weight[0, depth], 0.0, 0
+        log_weight = counts.log_weight[depth]
+        value, cumulative, m = log_weight[0], 0.0, 0
         for k in range(len(gain)):
             if rank[k] < depth:
                 m += 1
                 cumulative += gain[k]
-                value = max(value, cumulative + counts.log_weight[m, depth])
+                value = max(value, cumulative + log_weight[m])
         if value > highest:
             total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
             highest = value

@@ -126,7 +126,9 @@ def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) 
     if not log_b > -math.inf:
         return None
     seen = np.flatnonzero(guide_of >= 0)
-    return Hypothesis(matrix, np.stack([seen, guide_of[seen]], axis=1), log_b, scale, in_field, math.exp(focal))
+    pairs = np.empty((len(seen), 2), np.int64)
+    pairs[:, 0], pairs[:, 1] = seen, guide_of[seen]
+    return Hypothesis(matrix, pairs, log_b, scale, in_field, math.exp(focal))
 
 
 def too_few(observed: Observed, least: int) -> Identification:

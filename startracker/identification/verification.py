@@ -223,7 +223,7 @@ def verify_attitude(
         v_mag[k] = sky.v_mag[field[k]]
     predicted = np.empty_like(reference)
     observed = vectors.copy()
-    index, last = np.empty(n, np.int64), np.empty(n, np.int64)
+    index, last, weighed = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -2, np.int64)
     distance = np.empty(n)
     owner = np.empty(len(field), np.int64)
     gate = np.empty(n)
@@ -249,12 +249,7 @@ def verify_attitude(
             count = match_nearest(observed, predicted, gate, index, distance, owner)
             if count < 3:
                 break
-            same = True
-            for i in range(n):
-                if index[i] != last[i]:
-                    same = False
-                    break
-            if same:
+            if np.array_equal(index, last):
                 break
             last[:] = index
             normal, right = fit_step(observed, slopes, predicted, index, sigma, unknowns)
@@ -275,6 +270,12 @@ def verify_attitude(
                         observed[i, axis] = vectors[i, axis] + focal * slopes[i, axis]
         if count < 3:
             break
+        if not free_focal and np.array_equal(index, weighed):  # a narrower gate that drops none changes nothing
+            if step <= _NARROWEST:
+                break
+            step = max(step / _NARROWING, _NARROWEST)
+            continue
+        weighed[:] = index
         # the last fit's own residuals
         for k in range(len(field)):
             for axis in range(3):
