@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from startracker.centroid.cholesky import factorise, substitute
 from startracker.centroid.psf_sums import interpolate, interpolated, sums, sums_of_one
 from startracker.detection.values import Image
 
@@ -32,36 +33,6 @@ them and 1e-4 px."""
 _ACCEPTED_PX = 1e-3
 _WEIGHINGS = 3
 _LARGEST_GROWTH = 2.0
-
-
-@njit(cache=True, error_model="numpy")
-def _factorise(matrix: FloatArray, size: int) -> bool:
-    """Cholesky's factor in place; False when the matrix is not positive definite."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 1e-14 * matrix[i, i]:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
-    """Solution of L Lᵀ z = right, in place."""
-    for i in range(size):
-        for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= factor[k, i] * right[k]
-        right[i] /= factor[i, i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -170,10 +141,10 @@ def _fit_group(
                 table, oversampling, x, y, flux, px, py, signal, dark, variances, inverse_gain, flat_error,
                 weigh, weights, normal, right,
             )  # fmt: skip
-        if not _factorise(normal, size):
+        if not factorise(normal, size):
             return
         score = right.copy()
-        _substitute(normal, size, right)
+        substitute(normal, size, right)
         longest, gain = 0.0, 0.0
         for a in range(size):
             gain += score[a] * right[a]
@@ -205,7 +176,7 @@ def _fit_group(
         for axis in range(2):
             column[:] = 0.0
             column[3 * star + axis] = 1.0
-            _substitute(normal, size, column)
+            substitute(normal, size, column)
             row[3 + axis] = column[3 * star + axis]
             row[5] = column[3 * star]
 
