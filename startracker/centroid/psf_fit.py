@@ -151,6 +151,7 @@ def _fit(
         frame.level,
         frame.noise,
         psf.table,
+        psf.axes,
         psf.oversampling,
         group,
         x,

@@ -208,6 +208,7 @@ def _misfit(frame: Prepared, model: PsfModel, x: FloatArray, y: FloatArray, halv
         frame.level,
         frame.noise,
         model.table,
+        model.axes,
         model.oversampling,
         np.arange(len(x)),
         x,
