@@ -81,24 +81,30 @@ def is_clutter(
     pitch = stamp_pitch(half, outer)
     filter_stamp(image, level, half, x, y, outer, work, stamp)
     middle = outer * pitch + outer
-    count, n = 0, 0
-    highest = np.empty(8)
+    # numbers without a sign as indices: one that may be negative costs a comparison each time
+    places, n, count = offsets[ring], np.uint64(0), np.uint64(0)
+    highest = np.zeros(8, np.float32)
     for sector in range(8):
-        top = np.float32(0.0)
-        while n < ends[ring, sector]:
-            value = stamp[middle + offsets[ring, n, 0] * pitch + offsets[ring, n, 1]]
+        top, end = np.float32(0.0), np.uint64(ends[ring, sector])
+        while n < end:
+            value = stamp[np.uint64(middle + places[n, 0] * pitch + places[n, 1])]
             sample[count] = value
             finite = abs(value) < np.inf
-            count += finite
+            count += np.uint64(finite)
             top = value if finite and value > top else top
-            n += 1
-        highest[sector] = top
-    fourth = np.sort(highest)[4]
+            n += np.uint64(1)
+        # from the lowest to the highest
+        k = sector
+        while k > 0 and highest[k - 1] > top:
+            highest[k] = highest[k - 1]
+            k -= 1
+        highest[k] = top
+    fourth, taken = np.float64(highest[4]), int(count)
     # the median is below a value when more than half of the sample is
-    below = 0
-    for k in range(count):
-        below += sample[k] < fourth - quiet
-    if below <= count // 2:
+    below, limit = 0, fourth - quiet
+    for value in sample[:taken]:
+        below += value < limit
+    if below <= taken // 2:
         return False
-    median = select_kth(sample, 0, count, count // 2)
+    median = select_kth(sample, 0, taken, taken // 2)
     return bool(np.float64(stamp[middle]) - median < isolation * (fourth - median))

@@ -300,8 +300,17 @@ def _interpolate(
     cell_y, share_y = _cells(rows, height, extrapolate)
     cell_x, share_x = _cells(columns, width, extrapolate)
     lines = np.empty((rows, width), np.float32)
-    for r in range(rows):
-        for x in range(width):
-            left, right = tiles[r, cell_x[x]], tiles[r, min(cell_x[x] + 1, columns - 1)]
-            lines[r, x] = left + share_x[x] * (right - left)
+    first = 0
+    while first < width:
+        # the pixels between two centres
+        k, last = cell_x[first], first + 1
+        while last < width and cell_x[last] == k:
+            last += 1
+        share = share_x[first:last]
+        for r in range(rows):
+            left, line = tiles[r, k], lines[r, first:last]
+            step = tiles[r, min(k + 1, columns - 1)] - left
+            for i in range(len(share)):
+                line[i] = left + share[i] * step
+        first = last
     return lines, cell_y, share_y.astype(np.float32)
