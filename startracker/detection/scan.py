@@ -16,7 +16,9 @@ from startracker.detection.values import Image, is_value
 
 __all__ = ["UNFILTERED", "kernel_half", "scan_rows"]
 
-_PADDING = 80
+_LINE = 16
+"""Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
+_PADDING = 17 * _LINE
 """Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
 
 FloatImage = NDArray[np.float32]
@@ -102,12 +104,12 @@ def scan_rows(
     height, width = image.shape
     reach = len(half) - 1
     size = 2 * reach + 1
-    pitch = width + _PADDING
-    ring = np.zeros(size * pitch, np.float32)
-    padded = np.zeros(width + 2 * reach, np.float32)
-    total = np.empty(width, np.float32)
-    above = row_marks(width)
-    cell, least = -1, np.empty(width, np.float32)
+    pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
+    work = np.zeros((size + 3) * pitch + _LINE, np.float32)
+    ring = work[(-work.ctypes.data // work.itemsize) % _LINE :]
+    total, least, padded = ring[size * pitch :][:width], ring[(size + 1) * pitch :][:width], ring[(size + 2) * pitch :]
+    padded = padded[: width + 2 * reach]
+    above, cell = row_marks(width), -1
     edges = np.empty(width + 2, np.int64)
     runs, signal, count, values = np.empty((1024, 3), np.int64), np.empty(8192, np.float32), 0, 0
     sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
