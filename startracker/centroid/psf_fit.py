@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.moments import Prepared, collect, measure_moments, prepare
@@ -13,6 +14,7 @@ from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids
 from startracker.detection.background import Background
+from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
@@ -32,6 +34,7 @@ SYSTEMATIC_PX = 0.001
 """Floor of a position's standard deviation, twice the error of the table's interpolation; less than a moment's, as a
 star image that is not the assumed one shows in the residuals of the fit, and counts there."""
 _MISFIT_SIGMA = 4.0
+_ASTRAY_PX = 1.5
 
 
 def weighted_moment(
@@ -151,6 +154,7 @@ def _fit(
         frame.level,
         frame.noise,
         psf.table,
+        psf.axes,
         psf.oversampling,
         group,
         x,
@@ -180,12 +184,9 @@ def _start(
         raise InputError(
             f"centroid.flat_field_error is {frame.settings.flat_field_error}; it must be from 0 to below 1"
         )
-    peaks = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
-    start = np.where(np.isfinite(moments[:, :1]), moments[:, :2], peaks)
-    # a moment that neighbours have drawn off is no start
-    astray = (np.abs(start - peaks).max(axis=1) > 1.5) & ~spots.saturated
-    start[astray] = peaks[astray]
-    flat = np.where(spots.saturated, np.ceil(np.sqrt(spots.pixels / math.pi)), 0).astype(np.int64)
+    start, flat, ceilings = _start_values(
+        frame.image, frame.level, spots.x_peak, spots.y_peak, spots.pixels, spots.saturated, moments
+    )
     if frame.settings.psf is None:
         # as wide as the windows will be; an image longer than the moments took it for is cut off, not wrong
         wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(flat.max()) + 3.0
@@ -195,12 +196,34 @@ def _start(
     # the pixel at the corner of a window whose star has moved by one pixel must lie in the table
     reach = min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
     half = min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), reach)
-    halves = np.minimum(half + flat, reach)
-    ceilings = np.full(len(spots), np.inf)
-    level = frame.level[spots.y_peak, spots.x_peak].astype(float)
-    top = frame.image[spots.y_peak, spots.x_peak].astype(float)
-    ceilings[spots.saturated] = (level + _CEILING_SHARE * (top - level))[spots.saturated]
-    return psf, start, halves, ceilings
+    return psf, start, np.minimum(half + flat, reach), ceilings
+
+
+@njit(cache=True, error_model="numpy")
+def _start_values(
+    image: Image,
+    level: Plane,
+    xs: IntArray,
+    ys: IntArray,
+    pixels: IntArray,
+    saturated: NDArray[np.bool_],
+    moments: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Approximate positions (N, 2), radii of flat tops in whole pixels and ceilings (N,), DN."""
+    count = len(xs)
+    start, flat, ceilings = np.empty((count, 2)), np.zeros(count, np.int64), np.full(count, np.inf)
+    for n in range(count):
+        x, y = xs[n], ys[n]
+        start[n, 0], start[n, 1] = moments[n, 0], moments[n, 1]
+        off = max(abs(start[n, 0] - x), abs(start[n, 1] - y))
+        # a moment that neighbours have drawn off is no start
+        if not math.isfinite(start[n, 0]) or (off > _ASTRAY_PX and not saturated[n]):
+            start[n, 0], start[n, 1] = x, y
+        if saturated[n]:
+            flat[n] = math.ceil(math.sqrt(pixels[n] / math.pi))
+            sky = np.float64(level[y, x])
+            ceilings[n] = sky + _CEILING_SHARE * (np.float64(image[y, x]) - sky)
+    return start, flat, ceilings
 
 
 def _widths(psf: PsfModel) -> tuple[float, float]:

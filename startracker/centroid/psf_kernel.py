@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from startracker.centroid.psf_sums import interpolate, interpolated, sums, sums_of_one
+from startracker.centroid.cholesky import factorise, substitute
+from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums, sums_of_one
 from startracker.detection.values import Image
 
 __all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
@@ -35,36 +36,6 @@ _LARGEST_GROWTH = 2.0
 
 
 @njit(cache=True, error_model="numpy")
-def _factorise(matrix: FloatArray, size: int) -> bool:
-    """Cholesky's factor in place; False when the matrix is not positive definite."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 1e-14 * matrix[i, i]:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
-    """Solution of L Lᵀ z = right, in place."""
-    for i in range(size):
-        for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= factor[k, i] * right[k]
-        right[i] /= factor[i, i]
-
-
-@njit(cache=True, error_model="numpy")
 def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
     """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
 
@@ -87,24 +58,41 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _initial_flux(
-    image: Image, level: FloatImage, table: FloatArray, oversampling: int, x: float, y: float, half: int, ceiling: float
-) -> float:
-    """Σ p d / Σ p² over the usable pixels of a star's window."""
+def _amplitude(share: FloatArray, signal: FloatArray) -> float:
+    """Flux by unweighted least squares: Σ p d / Σ p²."""
     above, below = 0.0, 0.0
-    cx, cy = round(x), round(y)
-    weights = np.empty((2, 8))
-    first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
-    first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)
-    for j in range(max(cy - half, 0), min(cy + half + 1, image.shape[0])):
-        for i in range(max(cx - half, 0), min(cx + half + 1, image.shape[1])):
-            value = np.float64(image[j, i])
-            if math.isfinite(value) and value < ceiling:
-                point_x, point_y = first_x + i * oversampling, first_y + j * oversampling
-                p = interpolated(table, oversampling, point_x, point_y, weights, 0)[0]
-                above += p * (value - level[j, i])
-                below += p * p
+    for n in range(len(signal)):
+        above += share[n] * signal[n]
+        below += share[n] * share[n]
     return above / below if below > 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _without(
+    px: IntArray,
+    py: IntArray,
+    signal: FloatArray,
+    dark: FloatArray,
+    start: int,
+    end: int,
+    image: Image,
+    ceiling: float,
+    cx: IntArray,
+    cy: IntArray,
+    half: IntArray,
+    star: int,
+) -> int:
+    """Leave out of the pixels start … end those at the ceiling and those in an earlier star's window; the new end."""
+    kept = start
+    for n in range(start, end):
+        usable = image[py[n], px[n]] < ceiling
+        for other in range(star):
+            if abs(px[n] - cx[other]) <= half[other] and abs(py[n] - cy[other]) <= half[other]:
+                usable = False
+        if usable:
+            px[kept], py[kept], signal[kept], dark[kept] = px[n], py[n], signal[n], dark[n]
+            kept += 1
+    return kept
 
 
 @njit(cache=True, error_model="numpy")
@@ -113,6 +101,7 @@ def _fit_group(
     level: FloatImage,
     noise: FloatImage,
     table: FloatArray,
+    axes: FloatArray,
     oversampling: int,
     members: IntArray,
     xs: FloatArray,
@@ -128,54 +117,55 @@ def _fit_group(
     height, width = image.shape
     m = len(members)
     size = 3 * m
-    x, y, flux = np.empty(m), np.empty(m), np.empty(m)
-    cx, cy, half = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
+    x, y, flux = xs[members], ys[members], np.empty(m)
+    cx, cy, half = np.empty(m, np.int64), np.empty(m, np.int64), halves[members]
     pixels = 0
     for k in range(m):
-        s = members[k]
-        x[k], y[k], half[k] = xs[s], ys[s], halves[s]
         cx[k], cy[k] = round(x[k]), round(y[k])
-        flux[k] = _initial_flux(image, level, table, oversampling, x[k], y[k], half[k], ceilings[s])
-        if not flux[k] > 0.0:
-            return
         pixels += (2 * half[k] + 1) ** 2
     # the pixels' places, signal above the background and its variance; those of overlapping windows once
     px, py, signal, dark = np.empty(pixels, np.int64), np.empty(pixels, np.int64), np.empty(pixels), np.empty(pixels)
+    low_x, low_y = (cx - half).min(), (cy - half).min()
+    extent = max((cx + half).max() - low_x, (cy + half).max() - low_y) + 1
+    shares, weights, lines = np.empty((m, 3, pixels)), np.empty((2, 8)), np.empty((4, extent))
     used, lowest_ceiling = 0, ceilings[members].min()
     for k in range(m):
+        end = used
         for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
             for i in range(max(cx[k] - half[k], 0), min(cx[k] + half[k] + 1, width)):
                 value = np.float64(image[j, i])
-                usable = math.isfinite(value) and value < lowest_ceiling
-                for other in range(k):
-                    if abs(i - cx[other]) <= half[other] and abs(j - cy[other]) <= half[other]:
-                        usable = False
-                if usable:
-                    px[used], py[used] = i * oversampling, j * oversampling
-                    signal[used], dark[used] = value - level[j, i], np.float64(noise[j, i]) ** 2
-                    used += 1
+                if math.isfinite(value) and value < ceilings[members[k]]:
+                    px[end], py[end] = i, j
+                    signal[end], dark[end] = value - level[j, i], np.float64(noise[j, i]) ** 2
+                    end += 1
+        if end == used:
+            return
+        fill(table, axes, oversampling, x[k], y[k], px[used:end], py[used:end], low_x, low_y, shares[k], weights, lines)
+        flux[k] = _amplitude(shares[k, 0], signal[used:end])
+        if not flux[k] > 0.0:
+            return
+        used = end if m == 1 else _without(px, py, signal, dark, used, end, image, lowest_ceiling, cx, cy, half, k)
     if used <= size:
         return
-    variances = np.empty(used)
+    px, py, signal, dark = px[:used], py[:used], signal[:used], dark[:used]
+    variances, gradient = np.empty(used), np.empty(size)
     normal, right = np.zeros((size, size)), np.zeros(size)
-    weights = np.empty((2 * m, 8))
     chi2, step = 0.0, 1.0
     for iteration in range(_ITERATIONS):
         weigh = reweigh or iteration < _WEIGHINGS
+        if m > 1 or iteration > 0:  # a star alone has had its first
+            for k in range(m):
+                fill(table, axes, oversampling, x[k], y[k], px, py, low_x, low_y, shares[k], weights, lines)
         if m == 1:
             chi2 = sums_of_one(
-                table, oversampling, x[0], y[0], flux[0], px, py, signal, dark, variances, inverse_gain, flat_error,
-                weigh, weights, normal, right,
-            )  # fmt: skip
+                shares[0], flux[0], signal, dark, variances, inverse_gain, flat_error, weigh, normal, right
+            )
         else:
-            chi2 = sums(
-                table, oversampling, x, y, flux, px, py, signal, dark, variances, inverse_gain, flat_error,
-                weigh, weights, normal, right,
-            )  # fmt: skip
-        if not _factorise(normal, size):
+            chi2 = sums(shares, flux, signal, dark, variances, inverse_gain, flat_error, weigh, gradient, normal, right)
+        if not factorise(normal, size):
             return
         score = right.copy()
-        _substitute(normal, size, right)
+        substitute(normal, size, right)
         longest, gain = 0.0, 0.0
         for a in range(size):
             gain += score[a] * right[a]
@@ -207,7 +197,7 @@ def _fit_group(
         for axis in range(2):
             column[:] = 0.0
             column[3 * star + axis] = 1.0
-            _substitute(normal, size, column)
+            substitute(normal, size, column)
             row[3 + axis] = column[3 * star + axis]
             row[5] = column[3 * star]
 
@@ -218,6 +208,7 @@ def fit_stars(
     level: FloatImage,
     noise: FloatImage,
     table: FloatArray,
+    axes: FloatArray,
     oversampling: int,
     group: IntArray,
     xs: FloatArray,
@@ -232,7 +223,7 @@ def fit_stars(
 
     Parameters
     ----------
-    table, oversampling
+    table, axes, oversampling
         Of a `startracker.centroid.psf_model.PsfModel`.
     group : int array, shape (N,)
         Stars of equal number are fitted together over the union of their windows.
@@ -258,8 +249,8 @@ def fit_stars(
         if group[index] == index:
             members = np.flatnonzero(group == index)
             _fit_group(
-                image, level, noise, table, oversampling, members, xs, ys, halves, ceilings, inverse_gain, flat_error,
-                reweigh, out,
+                image, level, noise, table, axes, oversampling, members, xs, ys, halves, ceilings, inverse_gain,
+                flat_error, reweigh, out,
             )  # fmt: skip
     return out
 

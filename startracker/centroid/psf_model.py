@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -41,11 +41,14 @@ class PsfModel:
         Points a pixel.
     shape : (float, float, float)
         Variances along x and y and covariance of the Gaussian nearest the core, px².
+    axes : array, shape (2, n)
+        Where the table is a product axes[1, r] axes[0, c], these; else of the shape (0, 0).
     """
 
     table: FloatArray
     oversampling: int
     shape: tuple[float, float, float]
+    axes: FloatArray = field(default_factory=partial(np.empty, (0, 0)))
 
     @property
     def radius_px(self) -> float:
@@ -161,7 +164,7 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
     if abs(xy) < _UNROTATED * math.sqrt(xx * yy):
         along_x = ndtr((grid + 0.5) / math.sqrt(xx)) - ndtr((grid - 0.5) / math.sqrt(xx))
         along_y = ndtr((grid + 0.5) / math.sqrt(yy)) - ndtr((grid - 0.5) / math.sqrt(yy))
-        return PsfModel(along_y[:, None] * along_x, oversampling, (xx, yy, xy))
+        return PsfModel(along_y[:, None] * along_x, oversampling, (xx, yy, xy), np.stack([along_x, along_y]))
     # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]

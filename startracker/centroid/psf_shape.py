@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
+from startracker.centroid.cholesky import factorise, substitute
 from startracker.centroid.moments import Prepared, column_medians
 from startracker.centroid.psf_kernel import fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
@@ -52,46 +53,65 @@ def fit_gaussians(
     """
     height, width = image.shape
     out = np.full((len(xs), 3), np.nan)
+    side, nodes = 2 * half + 1, len(_NODES)
     gradient, normal, right = np.empty(6), np.empty((6, 6)), np.empty(6)
+    # the Gaussian is a product of one factor along x, one along y and one of both, which steps from row to row
+    along_x, along_y = np.empty(nodes * side), np.empty(nodes * side)
+    both, step_y = np.empty((nodes, nodes * side)), np.empty(nodes * side)
     for index in range(len(xs)):
         cx, cy = round(xs[index]), round(ys[index])
         x, y, a, b, c = xs[index], ys[index], xx, yy, 0.0
         flux = -1.0
+        low_x, high_x = max(cx - half, 0), min(cx + half + 1, width)
+        low_y, high_y = max(cy - half, 0), min(cy + half + 1, height)
         for _ in range(_STEPS):
             normal[:], right[:] = 0.0, 0.0
             above, below = 0.0, 0.0
             determinant = a * b - c * c
             ia, ib, ic = b / determinant, a / determinant, -c / determinant
             scale = 1.0 / (2.0 * math.pi * math.sqrt(determinant))
-            for j in range(max(cy - half, 0), min(cy + half + 1, height)):
-                for i in range(max(cx - half, 0), min(cx + half + 1, width)):
+            for k in range(nodes * (high_x - low_x)):
+                u = low_x + k // nodes + _NODES[k % nodes] - x
+                along_x[k] = scale * _WEIGHTS[k % nodes] * math.exp(-0.5 * ia * u * u)
+                step_y[k] = math.exp(-ic * u)
+                for t in range(nodes):
+                    both[t, k] = math.exp(-ic * u * (low_y + _NODES[t] - y))
+            for k in range(nodes * (high_y - low_y)):
+                v = low_y + k // nodes + _NODES[k % nodes] - y
+                along_y[k] = _WEIGHTS[k % nodes] * math.exp(-0.5 * ib * v * v)
+            for j in range(low_y, high_y):
+                for i in range(low_x, high_x):
+                    total, u1, v1, uu, uv, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    for t in range(nodes):
+                        v = j + _NODES[t] - y
+                        row, row_u, row_uu = 0.0, 0.0, 0.0
+                        for s in range(nodes):
+                            k, u = (i - low_x) * nodes + s, i + _NODES[s] - x
+                            p = along_x[k] * both[t, k]
+                            row, row_u, row_uu = row + p, row_u + p * u, row_uu + p * u * u
+                            both[t, k] *= step_y[k]
+                        g = along_y[(j - low_y) * nodes + t]
+                        total, u1, uu = total + g * row, u1 + g * row_u, uu + g * row_uu
+                        v1, uv, vv = v1 + g * row * v, uv + g * row_u * v, vv + g * row * v * v
                     value = np.float64(image[j, i])
                     if not math.isfinite(value):
                         continue
-                    gradient[:] = 0.0
-                    for s in range(3):
-                        for t in range(3):
-                            u, v = i + _NODES[s] - x, j + _NODES[t] - y
-                            gu, gv = ia * u + ic * v, ic * u + ib * v
-                            p = scale * _WEIGHTS[s] * _WEIGHTS[t] * math.exp(-0.5 * (u * gu + v * gv))
-                            gradient[0] += p * gu
-                            gradient[1] += p * gv
-                            gradient[2] += p
-                            gradient[3] += 0.5 * p * (gu * gu - ia)
-                            gradient[4] += 0.5 * p * (gv * gv - ib)
-                            gradient[5] += p * (gu * gv - ic)
+                    gradient[0], gradient[1], gradient[2] = ia * u1 + ic * v1, ic * u1 + ib * v1, total
+                    gradient[3] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
+                    gradient[4] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
+                    gradient[5] = ia * ic * uu + (ia * ib + ic * ic) * uv + ic * ib * vv - ic * total
                     d = value - level[j, i]
-                    light = flux * gradient[2] if flux > 0.0 else max(d, 0.0)
+                    light = flux * total if flux > 0.0 else max(d, 0.0)
                     weight = 1.0 / (np.float64(noise[j, i]) ** 2 + light * inverse_gain)
-                    above += weight * gradient[2] * d
-                    below += weight * gradient[2] * gradient[2]
+                    above += weight * total * d
+                    below += weight * total * total
                     if flux > 0.0:
-                        gradient *= flux
-                        residual = d - gradient[2]
+                        residual = d - flux * total
                         for m in range(6):
-                            right[m] += weight * gradient[m] * residual
-                            for n in range(6):
-                                normal[m, n] += weight * gradient[m] * gradient[n]
+                            g = weight * flux * gradient[m]
+                            right[m] += g * residual
+                            for n in range(m + 1):
+                                normal[m, n] += g * flux * gradient[n]
             if flux <= 0.0:
                 flux = above / below
                 if not flux > 0.0:
@@ -101,13 +121,15 @@ def fit_gaussians(
                 normal[m, m] *= 1.0 + 1e-9
                 if not normal[m, m] > 0.0:
                     normal[m, m] = 1.0
-            step = np.linalg.solve(normal, right)
-            largest = np.abs(step).max()
+            if not factorise(normal, 6):
+                break
+            substitute(normal, 6, right)
+            largest = np.abs(right).max()
             if not math.isfinite(largest):
                 break
             short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
-            x, y, flux = x + short * step[0], y + short * step[1], flux * math.exp(short * step[2])
-            a, b, c = a + short * step[3], b + short * step[4], c + short * step[5]
+            x, y, flux = x + short * right[0], y + short * right[1], flux * math.exp(short * right[2])
+            a, b, c = a + short * right[3], b + short * right[4], c + short * right[5]
             if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
                 break
             if largest < _CONVERGED:
@@ -186,6 +208,7 @@ def _misfit(frame: Prepared, model: PsfModel, x: FloatArray, y: FloatArray, halv
         frame.level,
         frame.noise,
         model.table,
+        model.axes,
         model.oversampling,
         np.arange(len(x)),
         x,

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["interpolate", "interpolated", "sums", "sums_of_one"]
+__all__ = ["fill", "interpolate", "interpolated", "sums", "sums_of_one"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,46 +56,93 @@ def interpolated(
 
 
 @njit(cache=True, error_model="numpy")
-def sums(
+def fill(
     table: FloatArray,
+    axes: FloatArray,
     oversampling: int,
-    x: FloatArray,
-    y: FloatArray,
-    flux: FloatArray,
+    x: float,
+    y: float,
     px: IntArray,
     py: IntArray,
+    low_x: int,
+    low_y: int,
+    out: FloatArray,
+    weights: FloatArray,
+    lines: FloatArray,
+) -> None:
+    """Light of a star at (x, y) in pixels (px, py), and its derivatives by dx and dy, to the rows of `out` (3, N).
+
+    Where the table is the product of two `axes` (x, y), its interpolation is the product of theirs.
+
+    Parameters
+    ----------
+    low_x, low_y : int
+        No pixel is left of, or above, this one, nor L or more beyond it.
+    weights, lines : array
+        Working space, of the shapes (2, 8) and (4, L).
+    """
+    size = table.shape[0]
+    first_x = interpolate(size, oversampling, -x, weights, 0)
+    first_y = interpolate(size, oversampling, -y, weights, 1)
+    if not len(axes):
+        for n in range(len(px)):
+            at_x, at_y = first_x + px[n] * oversampling, first_y + py[n] * oversampling
+            out[0, n], out[1, n], out[2, n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
+        return
+    _along(axes[0], oversampling, first_x + low_x * oversampling, weights[0], lines[0], lines[1])
+    _along(axes[1], oversampling, first_y + low_y * oversampling, weights[1], lines[2], lines[3])
+    share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
+    share, by_x, by_y = out[0], out[1], out[2]
+    for n in range(len(px)):
+        i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
+        share[n], by_x[n], by_y[n] = share_x[i] * share_y[j], slope_x[i] * share_y[j], share_x[i] * slope_y[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _along(
+    axis: FloatArray, oversampling: int, first: int, weights: FloatArray, value: FloatArray, slope: FloatArray
+) -> None:
+    """Values and slopes of one axis at every pixel from the point `first` on; zero outside."""
+    for k in range(len(value)):
+        i = first + k * oversampling
+        value[k], slope[k] = 0.0, 0.0
+        if 1 <= i <= len(axis) - 3:
+            p0, p1, p2, p3 = axis[i - 1], axis[i], axis[i + 1], axis[i + 2]
+            value[k] = weights[0] * p0 + weights[1] * p1 + weights[2] * p2 + weights[3] * p3
+            slope[k] = oversampling * (weights[4] * p0 + weights[5] * p1 + weights[6] * p2 + weights[7] * p3)
+
+
+@njit(cache=True, error_model="numpy")
+def sums(
+    shares: FloatArray,
+    flux: FloatArray,
     signal: FloatArray,
     dark: FloatArray,
     variances: FloatArray,
     inverse_gain: float,
     flat_error: float,
     weigh: bool,
-    weights: FloatArray,
+    gradient: FloatArray,
     normal: FloatArray,
     right: FloatArray,
 ) -> float:
-    """χ² of the model of stars (x, y, flux) in pixels; Fisher matrix and score go to `normal` and `right`.
+    """χ² of the model of stars in pixels; Fisher matrix and score go to `normal` and `right`.
 
-    Pixels have places (px, py), steps of the table; signal; variance of the dark. Their variances are kept in
-    `variances`, and made anew where `weigh` is set. `weights` is working space.
+    `shares` (M, 3, N) are the stars' light of flux 1 and its derivatives, see `fill`. Pixels have a signal and a
+    variance of the dark; their variances are kept in `variances`, and made anew where `weigh` is set. `gradient` is
+    working space.
     """
-    m, size = len(x), 3 * len(x)
-    gradient = np.empty(size)
-    first_x, first_y = np.empty(m, np.int64), np.empty(m, np.int64)
+    m, size = len(flux), 3 * len(flux)
     normal[:], right[:] = 0.0, 0.0
     chi2 = 0.0
-    for star in range(m):
-        first_x[star] = interpolate(table.shape[0], oversampling, -x[star], weights, 2 * star)
-        first_y[star] = interpolate(table.shape[0], oversampling, -y[star], weights, 2 * star + 1)
     for n in range(len(variances)):
         model = 0.0
         for star in range(m):
-            i, j = first_x[star] + px[n], first_y[star] + py[n]
-            p, by_x, by_y = interpolated(table, oversampling, i, j, weights, 2 * star)
-            model += flux[star] * p
-            gradient[3 * star] = -flux[star] * by_x
-            gradient[3 * star + 1] = -flux[star] * by_y
-            gradient[3 * star + 2] = flux[star] * p
+            light = flux[star] * shares[star, 0, n]
+            model += light
+            gradient[3 * star] = -flux[star] * shares[star, 1, n]
+            gradient[3 * star + 1] = -flux[star] * shares[star, 2, n]
+            gradient[3 * star + 2] = light
         if weigh:
             light = max(model, 0.0)
             variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2
@@ -112,30 +159,22 @@ def sums(
 
 @njit(cache=True, error_model="numpy")
 def sums_of_one(
-    table: FloatArray,
-    oversampling: int,
-    x: float,
-    y: float,
+    shares: FloatArray,
     flux: float,
-    px: IntArray,
-    py: IntArray,
     signal: FloatArray,
     dark: FloatArray,
     variances: FloatArray,
     inverse_gain: float,
     flat_error: float,
     weigh: bool,
-    weights: FloatArray,
     normal: FloatArray,
     right: FloatArray,
 ) -> float:
-    """The sums of `sums` for a star alone, without an array in the loop."""
-    first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
-    first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)
+    """The sums of `sums` for a star alone, whose `shares` are (3, N), without an array in the loop."""
     chi2, rx, ry, rf, xx, xy, yy, xf, yf, ff = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    share, by_x, by_y = shares[0], shares[1], shares[2]
     for n in range(len(variances)):
-        p, by_x, by_y = interpolated(table, oversampling, first_x + px[n], first_y + py[n], weights, 0)
-        model, gx, gy = flux * p, -flux * by_x, -flux * by_y
+        model, gx, gy = flux * share[n], -flux * by_x[n], -flux * by_y[n]
         if weigh:
             light = max(model, 0.0)
             variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2

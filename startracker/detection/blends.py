@@ -30,10 +30,11 @@ def _is_peak(image: Image, x: int, y: int) -> bool:
     """Whether no neighbour is brighter; of equal neighbours the first in reading order is the peak."""
     height, width = image.shape
     value = image[y, x]
-    for j in range(max(y - 1, 0), min(y + 2, height)):
-        for i in range(max(x - 1, 0), min(x + 2, width)):
-            later = j > y or (j == y and i > x)
-            if image[j, i] > value or (image[j, i] == value and not later and (i != x or j != y)):
+    for j in range(np.uint64(max(y - 1, 0)), np.uint64(min(y + 2, height))):
+        row, later = image[j], int(j) > y
+        for i in range(np.uint64(max(x - 1, 0)), np.uint64(min(x + 2, width))):
+            before = not later and (int(j) < y or int(i) < x)
+            if row[i] > value or (before and row[i] == value):
                 return False
     return True
 

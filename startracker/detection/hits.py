@@ -9,12 +9,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
-from startracker.detection.scan import filtered_at
-from startracker.detection.shapes import measure_shapes
-from startracker.detection.spots import EDGE, PIXELS, X_PEAK, Y_PEAK
+from startracker.detection.shapes import PEAK_SHARE, SHAPE_COLUMNS, SHAPE_SNR, measure_shapes
+from startracker.detection.spots import PIXELS, X_PEAK, Y_PEAK
+from startracker.detection.stamps import filtered_at
 from startracker.detection.values import Image
 
-__all__ = ["common_width", "is_hit", "peak_share"]
+__all__ = ["common_width", "is_hit", "peak_share", "sharpest_share", "sharpest_star"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -22,6 +22,7 @@ Flags = NDArray[np.bool_]
 
 _PIXEL_VARIANCE = 1.0 / 12.0
 _WEIGHT_PX = 1.2
+_WEIGHTS = 3
 _WIDTH_STARS = 40
 _WIDTH_SNR = 8.0
 _WIDTH_RATIO = 1.3
@@ -32,7 +33,6 @@ _SHARPEST_STAR_PX2 = 0.3
 _TRACK_PX2 = 0.4
 _SHARP_ERRORS = 2.0
 _PEAK_ERRORS = 3.0
-_ONE_PIXEL = 0.6
 _ALONE, _ALONE_SHARE, _MANY_SHARP, _FEWEST_STARS = 0.75, 0.8, 5, 3
 
 
@@ -63,10 +63,61 @@ def common_width(variance: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def sharpest_star(
+    table: FloatArray, judged: Flags, image: Image, level: Plane, noise: Plane
+) -> tuple[float, float, FloatArray]:
+    """Least variance along the minor axis that a star image of the frame can have, px²; the weight that variances are
+    measured under, and the shapes of the objects measured under it so far: NaN for the others.
+
+    The stars' common variance is that of the first forty clear ones among the eighty brightest objects, or of what is
+    not a hot pixel where hot pixels are nearly all. Zero where stars are as sharp as tracks.
+    """
+    x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
+    candidates = np.flatnonzero(judged & (table[:, PIXELS] >= 3.0))
+    brightest = candidates[: 2 * _WIDTH_STARS]
+    shapes = np.full((len(table), SHAPE_COLUMNS), np.nan)
+    weight, width, examined = _WEIGHT_PX, np.nan, brightest
+    for attempt in range(_WEIGHTS):
+        shapes[examined] = measure_shapes(image, level, noise, x[examined], y[examined], weight)
+        if attempt == _WEIGHTS - 1:
+            break
+        clear = brightest[shapes[brightest, SHAPE_SNR] > _WIDTH_SNR][:_WIDTH_STARS]
+        width = common_width(shapes[clear, 0])
+        if not width > _SHARPEST_STAR_PX2:
+            others = candidates[len(examined) :]
+            shapes[others] = measure_shapes(image, level, noise, x[others], y[others], weight)
+            examined = candidates
+            width = _width_beside_pixels(shapes[examined], width)
+        if not width > weight**2:
+            break
+        weight = 1.2 * math.sqrt(width)
+    limit = min(_SHARP_SHARE * width, _TRACK_PX2) if width > _SHARPEST_STAR_PX2 else 0.0
+    return limit, weight, shapes
+
+
+@njit(cache=True, error_model="numpy")
+def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
+    """The variance that stars share where they are few among hot pixels; else `width`.
+
+    Stars sharper than a pixel are not taken for hot pixels: wherever such a star falls off the middle of its pixel, its
+    neighbours have light too. So where nearly all that is sharp is nothing but one pixel, and three others are not
+    sharp, these are the stars.
+    """
+    clear = shapes[shapes[:, SHAPE_SNR] > _WIDTH_SNR]
+    wide = clear[:, 0] > _SHARPEST_STAR_PX2
+    sharp = len(clear) - np.sum(wide)
+    alone = np.sum(clear[~wide, PEAK_SHARE] > _ALONE)
+    if sharp >= _MANY_SHARP and alone >= _ALONE_SHARE * sharp and np.sum(wide) >= _FEWEST_STARS:
+        width = common_width(clear[wide, 0])
+    return width
+
+
+@njit(cache=True, error_model="numpy")
 def is_hit(
-    table: FloatArray, saturated: Flags, image: Image, level: Plane, noise: Plane, half: FloatImage
-) -> tuple[Flags, Flags]:
-    """Objects sharper than the star images of their frame, and which of them are single pixels.
+    shape: FloatArray, limit: float, share: float, x: int, y: int, image: Image, level: Plane, noise: Plane,
+    half: FloatImage,
+) -> bool:  # fmt: skip
+    """Whether an object is sharper than the star images of its frame.
 
     The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
     along the minor axis: a track is long at most in one direction, and smear widens no star in that one. The sharpest
@@ -75,61 +126,29 @@ def is_hit(
     standard error; and, where the matched filter `half` is one that spreads light, what has a brightest pixel that
     exceeds by three times its noise the one which such a star has with the object's filtered signal: this tells a hot
     pixel of 9σ, whose moments do not. Saturated objects, those cut off by the border, and frames whose stars are as
-    sharp as tracks, are not judged.
+    sharp as tracks, are not to be judged.
+
+    Parameters
+    ----------
+    shape : array, shape (5,)
+        Of `measure_shapes`.
+    limit, share : float
+        From `sharpest_star` and `sharpest_share`.
+    x, y : int
+        Brightest pixel.
     """
-    count = len(table)
-    x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
-    hit, one_pixel = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    judged = ~saturated & (table[:, EDGE] == 0.0)
-    weight, width = _WEIGHT_PX, np.nan
-    shapes = measure_shapes(image, level, noise, x, y, weight)
-    for _ in range(2):
-        width = _width_of_stars(judged & (table[:, PIXELS] >= 3.0), shapes)
-        if not width > weight**2:
-            break
-        weight = 1.2 * math.sqrt(width)
-        shapes = measure_shapes(image, level, noise, x, y, weight)
-    if not width > _SHARPEST_STAR_PX2:
-        return hit, one_pixel
-    limit = min(_SHARP_SHARE * width, _TRACK_PX2)
-    filtering = half[1] != 0.0
-    share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), half)
-    filtered = filtered_at(image, level, half, x, y) if filtering else np.zeros(count, np.float32)
-    for n in range(count):
-        if not judged[n]:
-            continue
-        hit[n] = shapes[n, 0] + _SHARP_ERRORS * shapes[n, 2] < limit
-        if filtering:
-            signal = np.float32(image[y[n], x[n]]) - level[y[n], x[n]]
-            hit[n] |= signal > share * filtered[n] + _PEAK_ERRORS * noise[y[n], x[n]]
-        one_pixel[n] = shapes[n, 3] > _ONE_PIXEL
-    return hit, one_pixel
+    if shape[0] + _SHARP_ERRORS * shape[2] < limit:
+        return True
+    if half[1] == 0.0:
+        return False
+    signal = np.float32(image[y, x]) - level[y, x]
+    return bool(signal > share * filtered_at(image, level, half, x, y) + _PEAK_ERRORS * noise[y, x])
 
 
 @njit(cache=True, error_model="numpy")
-def _width_of_stars(judged: Flags, shapes: FloatArray) -> float:
-    """The variance that the brightest well measured objects share; NaN for none.
-
-    Where stars are few, hot pixels are most of what is found, and agree. Stars sharper than a pixel are not taken for
-    them: wherever such a star falls off the middle of its pixel, its neighbours have light too. So where nearly all
-    that is sharp is nothing but one pixel, and three others are not sharp, these are the stars.
-    """
-    clean = np.empty(_WIDTH_STARS)
-    used = 0
-    for n in np.flatnonzero(judged)[: 2 * _WIDTH_STARS]:
-        if used < _WIDTH_STARS and shapes[n, 4] > _WIDTH_SNR:
-            clean[used] = shapes[n, 0]
-            used += 1
-    width: float = common_width(clean[:used])
-    if width > _SHARPEST_STAR_PX2:
-        return width
-    clear = shapes[judged & (shapes[:, 4] > _WIDTH_SNR)]
-    wide = clear[:, 0] > _SHARPEST_STAR_PX2
-    sharp = len(clear) - np.sum(wide)
-    alone = np.sum(clear[~wide, 3] > _ALONE)
-    if sharp >= _MANY_SHARP and alone >= _ALONE_SHARE * sharp and np.sum(wide) >= _FEWEST_STARS:
-        width = common_width(clear[wide, 0])
-    return width
+def sharpest_share(limit: float, half: FloatImage) -> float:
+    """`peak_share` of a star whose variance, pixel included, is `limit`."""
+    return float(peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), half))
 
 
 @njit(cache=True, error_model="numpy")

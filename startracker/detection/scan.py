@@ -14,9 +14,11 @@ from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 
-__all__ = ["UNFILTERED", "filter_stamp", "filtered_at", "kernel_half", "scan_rows"]
+__all__ = ["UNFILTERED", "kernel_half", "scan_rows"]
 
-_PADDING = 80
+_LINE = 16
+"""Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
+_PADDING = 17 * _LINE
 """Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
 
 FloatImage = NDArray[np.float32]
@@ -34,13 +36,11 @@ UNFILTERED = kernel_half(np.ones(1))
 
 
 @njit(cache=True, error_model="numpy")
-def _residual_row(image: Image, level: Plane, y: int, first: int, out: FloatImage) -> None:
-    """Image minus level from column `first` on; zero where the image is not finite."""
+def _residual_row(image: Image, level: Plane, y: int, out: FloatImage) -> None:
+    """Image minus level; zero where the image is not finite."""
     width = len(out)
     share, cell = level.share[y], level.cell[y]
-    row = image[y, first : first + width]
-    upper = level.lines[cell, first : first + width]
-    lower = level.lines[min(cell + 1, len(level.lines) - 1), first : first + width]
+    row, upper, lower = image[y], level.lines[cell], level.lines[min(cell + 1, len(level.lines) - 1)]
     zero = np.float32(0.0)
     for x in range(width):
         signal = np.float32(row[x]) - (upper[x] + share * (lower[x] - upper[x]))
@@ -104,19 +104,19 @@ def scan_rows(
     height, width = image.shape
     reach = len(half) - 1
     size = 2 * reach + 1
-    pitch = width + _PADDING
-    ring = np.zeros(size * pitch, np.float32)
-    padded = np.zeros(width + 2 * reach, np.float32)
-    total = np.empty(width, np.float32)
-    above = row_marks(width)
-    cell, least = -1, np.empty(width, np.float32)
+    pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
+    work = np.zeros((size + 3) * pitch + _LINE, np.float32)
+    ring = work[(-work.ctypes.data // work.itemsize) % _LINE :]
+    total, least, padded = ring[size * pitch :][:width], ring[(size + 1) * pitch :][:width], ring[(size + 2) * pitch :]
+    padded = padded[: width + 2 * reach]
+    above, cell = row_marks(width), -1
     edges = np.empty(width + 2, np.int64)
     runs, signal, count, values = np.empty((1024, 3), np.int64), np.empty(8192, np.float32), 0, 0
     sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
     for y in range(height + reach):
         line = ring[(y % size) * pitch :][:width]
         if y < height:
-            _residual_row(image, level, y, 0, padded[reach : reach + width])
+            _residual_row(image, level, y, padded[reach : reach + width])
             _filter_row(padded, half, line)
         else:
             line[:] = 0.0
@@ -178,57 +178,3 @@ def _filter_column(rows: FloatImage, pitch: int, half: FloatImage, centre: int, 
         else:
             for x in range(width):
                 out[x] += near * (above[x] + below[x]) + far * (higher[x] + lower[x])
-
-
-@njit(cache=True, error_model="numpy")
-def filter_stamp(
-    image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, ring: FloatImage, out: FloatImage
-) -> None:
-    """Filtered signal around a pixel, row by row into out[: (2 radius + 1)²]; not a number where the image is not.
-
-    `ring` is working space for (2 reach + 1) × (2 radius + 1).
-    """
-    height, width = image.shape
-    reach = len(half) - 1
-    side, size = 2 * radius + 1, 2 * reach + 1
-    padded = np.zeros(side + 2 * reach, np.float32)
-    # columns of the padded row that lie on the image
-    first, last = max(x0 - radius - reach, 0), min(x0 + radius + reach + 1, width)
-    inner = padded[first - (x0 - radius - reach) :][: last - first]
-    for j in range(side + 2 * reach):
-        y = y0 - radius - reach + j
-        line = ring[(j % size) * side :][:side]
-        if 0 <= y < height:
-            _residual_row(image, level, y, first, inner)
-            _filter_row(padded, half, line)
-        else:
-            line[:] = 0.0
-        if j < 2 * reach:
-            continue
-        line = out[(j - 2 * reach) * side :][:side]
-        _filter_column(ring, side, half, j - reach, line)
-        y -= reach
-        for i in range(side):
-            x = x0 - radius + i
-            if not (0 <= y < height and 0 <= x < width and is_value(image[y, x])):
-                line[i] = np.nan
-
-
-@njit(cache=True, error_model="numpy")
-def filtered_at(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatImage:
-    """Filtered signal of pixels; not a number where the image is not finite."""
-    height, width = image.shape
-    reach = len(half) - 1
-    out = np.full(len(xs), np.float32(np.nan))
-    for n in range(len(xs)):
-        if not is_value(image[ys[n], xs[n]]):
-            continue
-        total = np.float32(0.0)
-        for y in range(max(ys[n] - reach, 0), min(ys[n] + reach + 1, height)):
-            line = np.float32(0.0)
-            for x in range(max(xs[n] - reach, 0), min(xs[n] + reach + 1, width)):
-                if is_value(image[y, x]):
-                    line += half[abs(x - xs[n])] * (np.float32(image[y, x]) - level[y, x])
-            total += half[abs(y - ys[n])] * line
-        out[n] = total
-    return out

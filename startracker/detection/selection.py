@@ -7,11 +7,9 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.forms import brightest_first, is_halo, measure_forms
-from startracker.detection.hits import is_hit
 from startracker.detection.matched import quantiles
 from startracker.detection.plane import sample_plane
 from startracker.detection.scan import UNFILTERED
-from startracker.detection.shapes import find_clutter, ring_pixels
 from startracker.detection.smear import agrees, common_motion, motion_at
 from startracker.detection.spots import (
     AT_PEAK,
@@ -24,10 +22,12 @@ from startracker.detection.spots import (
     Y_PEAK,
     Spots,
 )
+from startracker.detection.surroundings import ring_pixels
 from startracker.detection.values import Image
+from startracker.detection.verdicts import REASONS, STAR, judge_objects
 from startracker.settings import DetectionSettings
 
-__all__ = ["is_clutter", "select_smeared", "select_spots"]
+__all__ = ["select_smeared", "select_spots"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -73,7 +73,7 @@ def select_spots(
     -------
     Spots
         With the number of objects left out by reason. Only the brightest objects, six for each star asked for, are
-        examined, for clutter only as many as it takes; the rest count as "fainter than the brightest".
+        examined, but for streaks only as many as it takes; the rest count as "fainter than the brightest".
     """
     rejected: dict[str, int] = {}
     if not len(table):
@@ -89,29 +89,35 @@ def select_spots(
     index = index[: _LOOKED_AT * most]
     table, saturated = table[index], saturated[index]
 
-    filtering = UNFILTERED if half is None else half
-    keep = ~_counted(rejected, "halo of a brighter star", is_halo(table))
-    x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
-    if settings.reject_hits and len(table):
-        hit, one_pixel = is_hit(table, saturated, image, background.level_plane, background.noise_plane, filtering)
-        _count(rejected, "hot pixel", keep & hit & one_pixel)
-        _count(rejected, "cosmic-ray hit", keep & hit & ~one_pixel)
-        keep &= ~hit
     forms = measure_forms(table, settings.max_axis_ratio)
-    keep &= ~_counted(rejected, "streak", keep & forms.long)
-    chosen = np.flatnonzero(keep)
-    if settings.isolation > 0.0 and len(chosen):
-        threshold = excess * settings.threshold_sigma
-        cluttered = is_clutter(
-            table[chosen], saturated[chosen], image, background, filtering, threshold, settings.isolation, most
-        )
-        chosen = chosen[~_counted(rejected, "clutter", cluttered)]
-    _note(rejected, "fainter than the brightest", len(chosen) - most)
-    chosen = chosen[:most]
+    quiet = 0.0
+    if settings.isolation > 0.0:
+        # where there are branches, the noise of the tiles is theirs
+        noise = sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX)
+        quiet = excess * settings.threshold_sigma * quantiles(noise, (_QUIET_QUANTILE,))[0]
+    verdict = judge_objects(
+        table,
+        saturated,
+        is_halo(table),
+        forms.long,
+        image,
+        background.level_plane,
+        background.noise_plane,
+        UNFILTERED if half is None else half,
+        settings.reject_hits,
+        *ring_pixels(),
+        quiet,
+        settings.isolation,
+        most,
+    )
+    for number, reason in zip(np.bincount(verdict, minlength=len(REASONS) + 1)[1:].tolist(), REASONS, strict=True):
+        _note(rejected, reason, number)
+    chosen = np.flatnonzero(verdict == STAR)
+    x, y = table[chosen, X_PEAK].astype(np.int64), table[chosen, Y_PEAK].astype(np.int64)
     return Spots(
-        x[chosen],
-        y[chosen],
-        table[chosen, FLUX].copy(),
+        x,
+        y,
+        table[chosen, FLUX],
         table[chosen, PIXELS].astype(np.int64),
         saturated[chosen],
         table[chosen, EDGE] > 0,
@@ -129,18 +135,9 @@ def is_saturated(table: FloatArray, saturation_known: bool) -> Flags:
     return np.asarray(highest & (highest & (table[:, AT_PEAK] >= _FLAT_TOP_PIXELS)).any())
 
 
-def _count(rejected: dict[str, int], reason: str, flags: Flags) -> None:
-    _note(rejected, reason, int(np.count_nonzero(flags)))
-
-
 def _note(rejected: dict[str, int], reason: str, number: int) -> None:
     if number > 0:
         rejected[reason] = rejected.get(reason, 0) + number
-
-
-def _counted(rejected: dict[str, int], reason: str, flags: Flags) -> Flags:
-    _count(rejected, reason, flags)
-    return flags
 
 
 def select_smeared(
@@ -184,34 +181,4 @@ def select_smeared(
         forms.centre[chosen],
         drawn,
         {reason: count for reason, count in rejected.items() if count},
-    )
-
-
-def is_clutter(
-    table: FloatArray,
-    saturated: Flags,
-    image: Image,
-    background: Background,
-    half: FloatImage,
-    threshold: float,
-    isolation: float,
-    most: int,
-) -> Flags:
-    """Objects that do not stand out of their own surroundings; the search ends with the `most`-th that does.
-
-    A star is alone, or has a neighbour to one side; a leaf, a twig, a rag of cloud has its like all around. So the
-    ring around an object is cut into eight sectors; where in four of them something exceeds the noise in the quiet
-    parts of the frame by `threshold` (the quartile of the background's noise: where there are branches, the
-    noise of the tiles is theirs), the object must be `isolation` times as high as the fourth highest sector.
-    """
-    quiet = (
-        threshold
-        * quantiles(sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX), (_QUIET_QUANTILE,))[0]
-    )
-    x, y = table[:, X_PEAK].astype(np.int64), table[:, Y_PEAK].astype(np.int64)
-    radius = np.sqrt(table[:, PIXELS] / np.pi)
-    return np.asarray(
-        find_clutter(
-            image, background.level_plane, half, x, y, radius, ~saturated, *ring_pixels(), quiet, isolation, most
-        )
     )

@@ -1,27 +1,22 @@
-"""Kernels that look at a candidate's pixels: weighted moments, and what surrounds it."""
+"""Kernel that looks at a candidate's pixels: moments under a weight that follows it."""
 
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from startracker.detection.plane import Plane
-from startracker.detection.scan import filter_stamp
-from startracker.detection.tiles import select_kth
 from startracker.detection.values import Image, is_value
 
-__all__ = ["SHAPE_COLUMNS", "find_clutter", "measure_shapes", "ring_pixels"]
+__all__ = ["PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
 brightest pixel, signal-to-noise ratio."""
+PEAK_SHARE, SHAPE_SNR = 3, 4
 _RECENTRINGS = 3
-_RING_PX = 8
-_LARGEST_RADIUS_PX = 12
 
 FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -122,93 +117,4 @@ def measure_shapes(
         out[index, 2] = error * (w / (w - min(minor, 0.95 * w))) ** 2
         out[index, 3] = highest / plain if plain > 0.0 else np.inf
         out[index, 4] = total / (sigma * math.sqrt(norm))
-    return out
-
-
-@cache
-def ring_pixels() -> tuple[IntArray, IntArray]:
-    """Offsets (ring, n, 2) along y and x of the pixels of rings, sector by sector, and where sectors end (ring, 8).
-
-    The first ring lies outside radius 2 px, every further one a pixel further out.
-    """
-    outermost = _LARGEST_RADIUS_PX + 2 + _RING_PX
-    j, i = np.mgrid[-outermost : outermost + 1, -outermost : outermost + 1].reshape(2, -1)
-    sector = np.where(i > 0, 4, 0) + np.where(j > 0, 2, 0) + np.where(abs(i) > abs(j), 1, 0)
-    order = np.argsort(sector, kind="stable")
-    i, j, sector = i[order], j[order], sector[order]
-    rings = [
-        np.flatnonzero((i * i + j * j > inner**2) & (i * i + j * j <= (inner + _RING_PX) ** 2))
-        for inner in range(2, _LARGEST_RADIUS_PX + 3)
-    ]
-    offsets = np.zeros((len(rings), max(map(len, rings)), 2), np.int64)
-    for ring, inside in enumerate(rings):
-        offsets[ring, : len(inside)] = np.column_stack([j, i])[inside]
-    ends = [np.searchsorted(sector[inside], range(8), "right") for inside in rings]
-    return offsets, np.array(ends, np.int64)
-
-
-@njit(cache=True, error_model="numpy")
-def find_clutter(
-    image: Image,
-    level: Plane,
-    half: FloatImage,
-    xs: IntArray,
-    ys: IntArray,
-    radius: FloatArray,
-    judged: NDArray[np.bool_],
-    offsets: IntArray,
-    ends: IntArray,
-    quiet: float,
-    isolation: float,
-    most: int,
-) -> NDArray[np.bool_]:
-    """Whether candidates fail to stand out of the ring around them; shape (N,), false for those not `judged`.
-
-    The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
-    neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
-    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median. The search ends when
-    `most` candidates are found to stand out.
-
-    All this is asked of the image after the filter `half`, see `startracker.detection.scan`.
-    """
-    out = np.zeros(len(xs), np.bool_)
-    largest = 2 * (_LARGEST_RADIUS_PX + 2 + _RING_PX) + 1
-    stamp, working = np.empty(largest**2, np.float32), np.empty((2 * len(half) - 1) * largest, np.float32)
-    sample = np.empty(offsets.shape[1] + 1, np.float32)
-    highest = np.empty(8)
-    clear = 0
-    for index in range(len(xs)):
-        if clear >= most:
-            break
-        clear += 1
-        if not judged[index]:
-            continue
-        ring = min(math.ceil(radius[index]), _LARGEST_RADIUS_PX)
-        outer = ring + 2 + _RING_PX
-        x0, y0 = xs[index], ys[index]
-        side = 2 * outer + 1
-        filter_stamp(image, level, half, x0, y0, outer, working, stamp)
-        middle = outer * side + outer
-        count, n = 0, 0
-        for sector in range(8):
-            top = np.float32(0.0)
-            while n < ends[ring, sector]:
-                value = stamp[middle + offsets[ring, n, 0] * side + offsets[ring, n, 1]]
-                sample[count] = value
-                finite = abs(value) < np.inf
-                count += finite
-                top = value if finite and value > top else top
-                n += 1
-            highest[sector] = top
-        fourth = np.sort(highest)[4]
-        # the median is below a value when more than half of the sample is
-        below = 0
-        for k in range(count):
-            below += sample[k] < fourth - quiet
-        if below <= count // 2:
-            continue
-        median = select_kth(sample, 0, count, count // 2)
-        signal = np.float64(stamp[middle]) - median
-        out[index] = signal < isolation * (fourth - median)
-        clear -= out[index]
     return out

@@ -119,36 +119,37 @@ def _count(
 
     The columns of a row are those of `tile_statistics`, (phase + shift × row) % stride, without a division.
     """
-    size, inverse, first_bin = len(bins), 1.0 / step, int(origin)
+    inverse, first_bin = 1.0 / step, int(origin)
     height, width = tile.shape
+    # numbers without a sign as indices: a signed one may be negative, which costs a comparison each time
+    size, pace, start, stop = np.uint64(len(bins)), np.uint64(stride), np.uint64(phase), np.uint64(width)
     below, count, on_lattice = 0, 0, True
     for y in range(height):
-        first = phase
-        phase += _SHIFT % stride
-        phase -= stride if phase >= stride else 0
-        row = tile[y]
+        x, row = start, tile[y]
+        start += np.uint64(_SHIFT % stride)
+        start -= pace if start >= pace else np.uint64(0)
         if is_whole(tile) and step == 1.0:
-            # one comparison tells what is below or above the bins; a range would divide to know its length
-            x = first
-            while x < width:
-                shifted = np.int64(row[x]) - first_bin
-                if np.uint64(shifted) < np.uint64(size):
-                    bins[np.uint64(shifted)] += np.int32(1)
+            while x < stop:
+                # one comparison tells what is below or above the bins
+                place = np.uint64(np.int64(row[x]) - first_bin)
+                if place < size:
+                    bins[place] += np.int32(1)
                 else:
-                    below += int(shifted < 0)
+                    below += int(np.int64(row[x]) < first_bin)
                 count += 1
-                x += stride
+                x += pace
             continue
-        for x in range(first, width, stride):
-            place = (np.float64(row[x]) - origin) * inverse
-            if 0.0 <= place < size:
-                k = int(place)
-                on_lattice &= place == k
-                bins[k] += 1
+        while x < stop:
+            value = (np.float64(row[x]) - origin) * inverse
+            if 0.0 <= value < len(bins):
+                k = np.uint64(value)
+                on_lattice &= value == k
+                bins[k] += np.int32(1)
                 count += 1
-            elif abs(place) < np.inf:
-                below += int(place < 0.0)
+            elif abs(value) < np.inf:
+                below += int(value < 0.0)
                 count += 1
+            x += pace
     return below, count, on_lattice
 
 
@@ -299,8 +300,17 @@ def _interpolate(
     cell_y, share_y = _cells(rows, height, extrapolate)
     cell_x, share_x = _cells(columns, width, extrapolate)
     lines = np.empty((rows, width), np.float32)
-    for r in range(rows):
-        for x in range(width):
-            left, right = tiles[r, cell_x[x]], tiles[r, min(cell_x[x] + 1, columns - 1)]
-            lines[r, x] = left + share_x[x] * (right - left)
+    first = 0
+    while first < width:
+        # the pixels between two centres
+        k, last = cell_x[first], first + 1
+        while last < width and cell_x[last] == k:
+            last += 1
+        share = share_x[first:last]
+        for r in range(rows):
+            left, line = tiles[r, k], lines[r, first:last]
+            step = tiles[r, min(k + 1, columns - 1)] - left
+            for i in range(len(share)):
+                line[i] = left + share[i] * step
+        first = last
     return lines, cell_y, share_y.astype(np.float32)

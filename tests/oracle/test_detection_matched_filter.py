@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from startracker.detection import Background, estimate, find_components
 from startracker.detection.matched import filter_half, matched_kernel, search_filtered
-from startracker.detection.scan import filtered_at
+from startracker.detection.stamps import filtered_at
 from startracker.settings import DetectionSettings
 
 
@@ -31,8 +31,9 @@ def flat(shape, noise=1.0):
 def filter_image(image, background, sigma):
     """The whole filtered image above the level, and the excess of its noise."""
     half = filter_half(sigma)
-    y, x = np.indices(image.shape).reshape(2, -1)
-    filtered = filtered_at(image, background.level_plane, half, x, y).reshape(image.shape)
+    level = background.level_plane
+    filtered = np.array([filtered_at(image, level, half, x, y) for y, x in np.ndindex(image.shape)])
+    filtered = filtered.reshape(image.shape)
     return filtered, search_filtered(image, background, half, 5.0)[2]
 
 

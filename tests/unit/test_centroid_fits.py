@@ -8,7 +8,7 @@ from startracker.centroid import METHODS, maximum_likelihood
 from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import is_alone
-from startracker.centroid.psf_sums import interpolate, interpolated, sums, sums_of_one
+from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums, sums_of_one
 from startracker.detection import Background, Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -216,39 +216,45 @@ def test_bad_input(method):
         METHODS[method](image, flat(image), spots, CentroidSettings(psf="no such file"), 1.0)
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.2])
+def test_light_in_pixels_is_the_interpolated_table(tilt):
+    psf = gaussian_psf(0.8, 1.1, tilt, radius_px=5.0)
+    assert len(psf.axes) == (0 if tilt else 2)
+    x, y, weights = 40.3, 17.6, np.empty((2, 8))
+    j, i = (axis.ravel() for axis in np.mgrid[10:26, 32:51])  # beyond the table on every side
+    first = [interpolate(len(psf.table), psf.oversampling, -place, weights, n) for n, place in enumerate((x, y))]
+    places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
+    expected = np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places]).T
+    out = np.empty((3, len(i)))
+    fill(psf.table, psf.axes, psf.oversampling, x, y, i, j, 32, 10, out, weights, np.empty((4, 19)))
+    np.testing.assert_allclose(out, expected, rtol=1e-11, atol=1e-18)
+    assert (expected[0] > 0).sum() in range(50, 130)
+    assert (expected == 0.0).all(axis=0).any()
+
+
 @pytest.mark.parametrize("weigh", [True, False])
 def test_sums_over_pixels_against_matrix_products(weigh):
-    psf, random = gaussian_psf(0.8, 1.1, 0.2, radius_px=9.0), np.random.default_rng(5)
-    x, y, flux = np.array([0.3, 2.6]), np.array([-0.4, 1.2]), np.array([900.0, 500.0])
-    j, i = (axis.ravel() for axis in np.mgrid[-3:4, -3:5])
-    signal, dark = random.normal(20, 5, len(i)), random.uniform(4, 9, len(i))
-    kept = random.uniform(5, 50, len(i))
-    weights = np.empty((4, 8))
-
-    def model(star):
-        first = [
-            interpolate(len(psf.table), psf.oversampling, -place[star], weights, n) for n, place in enumerate((x, y))
-        ]
-        places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
-        return flux[star] * np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places])
-
+    random = np.random.default_rng(5)
+    every, flux = random.uniform(-0.1, 0.4, (2, 3, 56)), np.array([900.0, 500.0])
+    signal, dark, kept = random.normal(20, 5, 56), random.uniform(4, 9, 56), random.uniform(5, 50, 56)
     for stars in ([0], [0, 1]):
-        p, by_x, by_y = np.stack([model(star) for star in stars], axis=2).transpose(1, 2, 0)
-        gradient = np.stack([-by_x, -by_y, p], axis=1).reshape(-1, len(i))
+        shares = every[stars]
+        p, by_x, by_y = (shares * flux[stars, None, None]).transpose(1, 0, 2)
+        gradient = np.stack([-by_x, -by_y, p], axis=1).reshape(-1, 56)
         total = p.sum(axis=0)
-        variance = dark + 0.5 * total + (0.01 * total) ** 2 if weigh else kept
+        light = np.maximum(total, 0.0)
+        variance = dark + 0.5 * light + (0.01 * light) ** 2 if weigh else kept
         size, variances = 3 * len(stars), kept.copy()
         normal, right = np.zeros((size, size)), np.zeros(size)
-        k = psf.oversampling
-        pixels = (i * k, j * k, signal, dark, variances, 0.5, 0.01, weigh, weights, normal, right)
-        chi2 = sums(psf.table, k, x[stars], y[stars], flux[stars], *pixels)
+        pixels = signal, dark, variances, 0.5, 0.01, weigh
+        chi2 = sums(shares, flux[stars], *pixels, np.empty(size), normal, right)
         np.testing.assert_allclose(variances, variance, rtol=1e-12)
         assert chi2 == pytest.approx(((signal - total) ** 2 / variance).sum(), rel=1e-12)
         np.testing.assert_allclose(right, gradient @ ((signal - total) / variance), rtol=1e-9)
         np.testing.assert_allclose(normal, np.tril((gradient / variance) @ gradient.T), rtol=1e-9, atol=1e-12)
         if len(stars) == 1:
             joint = normal.copy(), right.copy()
-            assert sums_of_one(psf.table, k, x[0], y[0], flux[0], *pixels) == chi2
+            assert sums_of_one(shares[0], flux[0], *pixels, normal, right) == chi2
             assert np.array_equal(joint[0], normal)
             assert np.array_equal(joint[1], right)
 

@@ -230,3 +230,19 @@ def test_elongation_of_a_line():
         )[0]
         assert abs(found @ [c, s]) == pytest.approx(length, rel=1e-12)
         assert found @ [-s, c] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_verdicts_on_more_objects_than_stars_asked_for():
+    image, _, _ = field(5, count=60)
+    for y, x in ((30, 40), (50, 300), (200, 77), (333, 444)):
+        image[y, x] += 4000.0
+    image = image.astype(np.float32)
+    every, few = (
+        find_components(image, estimate(image), DetectionSettings(max_stars=most), None) for most in (1000, 20)
+    )
+    assert np.array_equal(few.x_peak, every.x_peak[:20])
+    assert np.array_equal(few.y_peak, every.y_peak[:20])
+    assert every.rejected["hot pixel"] == 4
+    # of the objects after the last star asked for only streaks are told apart
+    assert few.rejected["fainter than the brightest"] >= len(every) - 20
+    assert sum(few.rejected.values()) + len(few) == sum(every.rejected.values()) + len(every)

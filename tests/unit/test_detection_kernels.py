@@ -10,8 +10,8 @@ from startracker.detection.hits import peak_share
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
-from startracker.detection.scan import UNFILTERED, filter_stamp, scan_rows
-from startracker.detection.shapes import find_clutter, measure_shapes, ring_pixels
+from startracker.detection.scan import UNFILTERED, scan_rows
+from startracker.detection.shapes import measure_shapes
 from startracker.detection.spots import (
     COLUMNS,
     FLUX,
@@ -25,6 +25,8 @@ from startracker.detection.spots import (
     X_PEAK,
     Y_PEAK,
 )
+from startracker.detection.stamps import filter_stamp, stamp_pitch
+from startracker.detection.surroundings import is_clutter, ring_pixels, ring_space
 from startracker.detection.tiles import smooth_tiles, tile_statistics, whole_step
 from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
@@ -131,10 +133,11 @@ def test_stamp_of_the_filtered_image(x, y, sigma):
     for axis in (0, 1):
         signal = ndimage.correlate1d(signal, kernel, axis, mode="constant")
     half, radius = filter_half(sigma), 9
-    out = np.empty(19 * 19, np.float32)
-    filter_stamp(image, plane, half, x, y, radius, np.empty((2 * len(half) - 1) * 19, np.float32), out)
+    pitch = stamp_pitch(half, radius)
+    out = np.empty(19 * pitch, np.float32)
+    filter_stamp(image, plane, half, x, y, radius, np.empty(2 * pitch**2, np.float32), out)
     expected = np.pad(np.where(np.isnan(image), np.nan, signal), radius, constant_values=np.nan)
-    np.testing.assert_allclose(out.reshape(19, 19), expected[y : y + 19, x : x + 19], atol=3e-5)
+    np.testing.assert_allclose(out.reshape(19, pitch)[:, :19], expected[y : y + 19, x : x + 19], atol=3e-5)
 
 
 def test_clutter_against_its_definition():
@@ -144,11 +147,11 @@ def test_clutter_against_its_definition():
     places = rng(16).integers(0, 120, (80, 2))
     x, y = places.T.copy()
     image[y, x] = 12.0
-    radius, judged = rng(17).uniform(0.3, 14.0, 80), rng(18).random(80) < 0.9
+    radius = rng(17).uniform(0.3, 14.0, 80)
     level = as_plane(np.zeros_like(image))
     expected = np.zeros(80, bool)
     rows, columns = np.indices(image.shape)
-    for n in np.flatnonzero(judged):
+    for n in range(80):
         j, i = rows - y[n], columns - x[n]
         inner = min(np.ceil(radius[n]), 12) + 2
         ring = (i**2 + j**2 > inner**2) & (i**2 + j**2 <= (inner + 8) ** 2) & np.isfinite(image)
@@ -157,13 +160,11 @@ def test_clutter_against_its_definition():
         median = np.sort(image[ring])[ring.sum() // 2]
         fourth = np.sort(tops)[4] - median
         expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
-    found = find_clutter(image, level, UNFILTERED, x, y, radius, judged, *ring_pixels(), 4.0, 2.0, 80)
+    rings = ring_pixels()
+    space = ring_space(UNFILTERED, rings[0])
+    found = [is_clutter(image, level, UNFILTERED, x[n], y[n], radius[n], *rings, 4.0, 2.0, space) for n in range(80)]
     assert np.array_equal(found, expected)
     assert 5 < expected.sum() < 75
-    few = find_clutter(image, level, UNFILTERED, x, y, radius, judged, *ring_pixels(), 4.0, 2.0, 20)
-    last = np.flatnonzero(~expected)[19]
-    assert np.array_equal(few[: last + 1], expected[: last + 1])
-    assert not few[last + 1 :].any()
 
 
 def a_table(count=60):
