@@ -51,6 +51,8 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 _FEWEST = 4
 _SHORTEST_MOTION_PX = 5.0
 """These lines were fitted, each above the noise as a whole: shorter ones than those of bare objects mean something."""
+_WHOLE_PX = 25.0
+"""Objects shorter than this are whole streaks; longer streaks come in pieces, of which a bank of lines makes more."""
 _SWEEPS = 2
 _FREE_SNR = 30.0
 _WORST_CHI2 = 3.0
@@ -113,8 +115,8 @@ def find_streaks(
     saturation_dn, gain_e_per_dn : float, optional
         Saturated pixels are left out; the gain tells the photon noise.
     known : array, shape (N, 4), optional
-        Middle x and y and half the length along x and y of streaks found before, brightest first: then none are looked
-        for. Where it is empty, they are.
+        Middle x and y and half the length along x and y of streaks found before, brightest first, which tell the motion
+        if they can. Those shorter than 25 px are measured as they are, longer ones looked for anew.
 
     Returns
     -------
@@ -135,18 +137,17 @@ def find_streaks(
     residual = np.where(np.isfinite(pixels), pixels - background.level, np.float32(np.nan))
     full = np.zeros(pixels.shape, np.bool_) if saturation_dn is None else pixels >= saturation_dn
     frame = _Frame(residual, background.noise, full, 0.0 if gain_e_per_dn is None else 1.0 / gain_e_per_dn)
-    if known is not None and len(known):
-        found = _motion(frame, known[:_FITTED], sigma, given is None)
-        return None if found is None else _streaks(frame, known[:, :2], *found, settings)
+    lines = np.empty((0, 4)) if known is None else known
+    found = _motion(frame, lines[:_FITTED], sigma, given is None)
+    if found is not None and 2.0 * np.median(np.hypot(*lines[:, 2:].T)) < _WHOLE_PX:
+        return _streaks(frame, lines[:, :2], *found, settings)
     unit = max(1, math.ceil(max(pixels.shape) / _LARGEST_MAP_PX))
     bins = bin_residual(pixels, background.level, background.noise, 2 * unit)
     if min(bins.shape) < 2.0 * SHORTEST_PX:
         return None
     bins /= _excess(bins)
-    lines = candidate_lines(bins, unit)
-    if len(lines) < _FEWEST:
-        return None
-    found = _motion(frame, lines[:_FITTED], sigma, given is None)
+    if found is None:
+        found = _motion(frame, candidate_lines(bins, unit)[:_FITTED], sigma, given is None)
     if found is None:
         return None
     motion, sigma = found
