@@ -70,8 +70,8 @@ def part_blends(
     level: FloatImage,
     noise: FloatImage,
     saturation: float,
-) -> NDArray[np.float64]:
-    """Table of objects in which those with several peaks are replaced by one object a peak.
+) -> tuple[NDArray[np.float64], int]:
+    """Table of objects in which those with several peaks are replaced by one object a peak, and how many were.
 
     A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight way
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
@@ -131,7 +131,7 @@ def part_blends(
             following[candidate] = head[peak_object[candidate]]
             head[peak_object[candidate]] = candidate
     if not several.any():
-        return table
+        return table, 0
     parts = np.zeros((peaks, COLUMNS))
     for index in range(len(runs)):
         if not several[number[index]]:
@@ -153,4 +153,4 @@ def part_blends(
     for peak in range(peaks):
         if parts[peak, PIXELS] > 0 and parts[peak, PEAK_RESIDUAL] > signal[peak]:
             parts[peak, PIXELS] = 0.0
-    return np.concatenate((table[~several], parts[parts[:, PIXELS] > 0]))
+    return np.concatenate((table[~several], parts[parts[:, PIXELS] > 0])), int(np.sum(several))

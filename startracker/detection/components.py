@@ -26,6 +26,9 @@ _CONTRAST = 2.0
 _MOST_LEVELS = 24
 _LOOKED_AT = 30
 _FEWEST_LONG = 3
+_WHOLE_PIXELS, _PARTED_SHARE, _PIECES_RATIO = 12, 0.25, 1.5
+"""Where such a share of objects of so many pixels was parted, they may be streaks of soft images, in pieces because the
+noise of their photons makes them uneven: then they need only be longer than broad by this ratio."""
 _LONGEST = 5
 """A streak may have this many times `max_pixels`."""
 
@@ -46,8 +49,9 @@ def find_components(
     it by less than a factor 2 is structure of something extended, and left out. Objects with several peaks and
     distinct valleys between them are parted (`startracker.detection.blends`).
 
-    Where three of the brightest objects are streaks, the frame may be smeared: it is searched again at half the
-    threshold, and if the streaks fit one motion of the camera (`startracker.detection.smear`), these are the stars.
+    Where three of the brightest objects are streaks, or many were parted, the frame may be smeared: it is searched
+    again at half the threshold, and if the streaks fit one motion of the camera (`startracker.detection.smear`),
+    these are the stars.
 
     Parameters
     ----------
@@ -74,16 +78,19 @@ def find_components(
         runs, signal, _ = scan_rows(
             pixels, background.level_plane, background.noise_plane, UNFILTERED, np.float32(threshold), pixels.size + 1
         )
-        table = measure_found(runs, signal, pixels, background, threshold, settings.max_pixels, saturation)
+        table, _ = measure_found(runs, signal, pixels, background, threshold, settings.max_pixels, saturation)
         return select_spots(table, settings, known, pixels, background)
     half = filter_half(settings.psf_sigma_px)
     runs, signal, excess = search_filtered(pixels, background, half, threshold)
-    table = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
-    if _looks_smeared(table, settings):
+    table, parted = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
+    whole = np.count_nonzero(table[:, PIXELS] >= _WHOLE_PIXELS) - parted
+    in_pieces = parted >= max(_FEWEST_LONG, _PARTED_SHARE * whole)
+    if in_pieces or _looks_smeared(table, settings):
         runs, signal, _ = search_filtered(pixels, background, half, 0.5 * threshold)
         longest = _LONGEST * settings.max_pixels
-        objects = measure_found(runs, signal, pixels, background, 0.5 * excess * threshold, longest, saturation, 1)
-        spots = select_smeared(objects, settings, known, background, excess)
+        objects, _ = measure_found(runs, signal, pixels, background, 0.5 * excess * threshold, longest, saturation, 1)
+        ratio = _PIECES_RATIO if in_pieces else settings.max_axis_ratio
+        spots = select_smeared(objects, settings, known, background, excess, ratio)
         if spots is not None:
             return spots
     return select_spots(table, settings, known, pixels, background, half, excess)
@@ -103,20 +110,21 @@ def measure_found(
     max_pixels: int,
     saturation: np.float32,
     levels: int = _MOST_LEVELS,
-) -> NDArray[np.float64]:
-    """Table of the components of the runs, measured in the image, oversized ones taken apart.
+) -> tuple[NDArray[np.float64], int]:
+    """Table of the components of the runs, measured in the image, oversized ones taken apart; how many were parted.
 
     `signal` is what the runs were found in, above `threshold`; `levels` is the number of thresholds, each twice the one
     before; with one, nothing is parted.
     """
     level, noise = background.level_plane, background.noise_plane
-    tables = []
+    tables, parted = [], 0
     for depth in range(levels):
         number, count = join_runs(runs)
         table = measure_objects(runs, number, count, image, level, saturation)
         oversized = table[:, PIXELS] > max_pixels
         if levels > 1:
-            table = part_blends(runs, number, table, max_pixels, image, level, noise, saturation)
+            table, several = part_blends(runs, number, table, max_pixels, image, level, noise, saturation)
+            parted += several
         fits = table[:, PIXELS] <= max_pixels
         if depth > 0:
             at_peak = noise[table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)]
@@ -126,4 +134,4 @@ def measure_found(
             break
         threshold *= _RAISE
         runs, signal = cut_runs(runs, signal, oversized[number], noise, np.float32(threshold))
-    return np.concatenate(tables)
+    return np.concatenate(tables), parted

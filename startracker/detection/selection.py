@@ -141,7 +141,12 @@ def _note(rejected: dict[str, int], reason: str, number: int) -> None:
 
 
 def select_smeared(
-    table: FloatArray, settings: DetectionSettings, saturation_known: bool, background: Background, excess: float
+    table: FloatArray,
+    settings: DetectionSettings,
+    saturation_known: bool,
+    background: Background,
+    excess: float,
+    axis_ratio: float,
 ) -> Spots | None:
     """Stars of a smeared frame: objects that are long and fit the one motion; None where there is no such motion.
 
@@ -150,12 +155,14 @@ def select_smeared(
     table, settings, saturation_known, background, excess
         As for `select_spots`; the objects found at half the threshold, which faint streaks fall apart above. In
         exchange an object needs 12 pixels and, as a whole, twice the threshold.
+    axis_ratio : float
+        Of the second moments, from which an object is long.
     """
     at_peak = table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)
     noise = excess * background.noise_plane[*at_peak]
     strong = table[:, FLUX] > 2.0 * settings.threshold_sigma * noise * np.sqrt(table[:, PIXELS])
     table = table[strong & (table[:, PIXELS] >= _STREAK_PIXELS)]
-    forms = measure_forms(table, settings.max_axis_ratio)
+    forms = measure_forms(table, axis_ratio)
     whole = np.flatnonzero(forms.long & (table[:, EDGE] == 0))
     order = whole[np.lexsort((table[whole, X_PEAK], table[whole, Y_PEAK], -table[whole, FLUX]))]
     middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)
