@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
+from simulator.light import Light, Seen, near_image
 from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
 from simulator.optics.disk import add_disk
@@ -88,35 +87,6 @@ class Exposure:
         return float(self.background_e) if np.ndim(self.background_e) == 0 else None
 
 
-class _Seen(NamedTuple):
-    """Sources whose light reaches the detector: their rows, and what was found on the way."""
-
-    rows: IntArray
-    in_camera: FloatArray
-    xy: FloatArray
-    electrons: FloatArray
-
-
-class _Light(NamedTuple):
-    """Sources of one exposure with what drawing them needs; columns of equal length N."""
-
-    sources: TrueSources
-    in_camera: FloatArray
-    radius_rad: FloatArray
-    lit: FloatArray
-    sun_angle_rad: FloatArray
-
-    @classmethod
-    def joined(cls, first: _Light, second: _Light) -> _Light:
-        """One after the other."""
-        columns = [np.concatenate(pair) for pair in zip(first[1:], second[1:], strict=True)]
-        sources = {
-            column.name: np.concatenate([getattr(light.sources, column.name) for light in (first, second)])
-            for column in fields(TrueSources)
-        }
-        return cls(TrueSources(**sources), *columns)
-
-
 class FocalPlane:
     """Camera, response and point spread functions of one scenario, built once.
 
@@ -185,9 +155,8 @@ class FocalPlane:
         light = self._sources(scene)
         stray_e, excluded = self._stray_light(scene)
         background_e = self._diffuse_e(scene) + stray_e + self._tether_e(scene)
-        mean_e = np.full(
-            (detector.height, detector.width), background_e, dtype=float
-        )  # once through the memory of the image
+        # once through the memory of the image
+        mean_e = np.full((detector.height, detector.width), background_e, dtype=float)
         self._draw(mean_e, light, scene)
         self._draw_ghosts(mean_e, light.sources)
         if detector.shutter == "frame_transfer":
@@ -203,7 +172,7 @@ class FocalPlane:
         return Exposure(light.sources, mean_e, background_e, excluded)
 
     # ------------------------------------------------------------------ sources
-    def _sources(self, scene: Scene) -> _Light:
+    def _sources(self, scene: Scene) -> Light:
         """Every source whose light reaches the detector, at mid-exposure."""
         camera, pointing, bodies = self.true_camera, scene.pointing, scene.bodies
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * self.scenario.detector.exposure_s
@@ -225,9 +194,9 @@ class FocalPlane:
             np.zeros(len(near)),
             bodies.angular_radius_rad + streak_rad,
         )
-        return _Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
+        return Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
 
-    def _of_stars(self, scene: Scene, seen: _Seen) -> _Light:
+    def _of_stars(self, scene: Scene, seen: Seen) -> Light:
         catalog, rows, none = scene.catalog, scene.rows[seen.rows], np.zeros(len(seen.rows))
         sources = TrueSources(
             id=catalog.id[rows],
@@ -240,9 +209,9 @@ class FocalPlane:
             electrons=seen.electrons,
             variable=catalog.variable[rows],
         )
-        return _Light(sources, seen.in_camera, none, none + 1.0, none)
+        return Light(sources, seen.in_camera, none, none + 1.0, none)
 
-    def _of_bodies(self, scene: Scene, bodies: Bodies, seen: _Seen) -> _Light:
+    def _of_bodies(self, scene: Scene, bodies: Bodies, seen: Seen) -> Light:
         bodies = bodies.select(seen.rows)
         angles = [
             sun_angle_rad(self.true_camera, scene.pointing.camera, u, scene.sun_direction) for u in bodies.direction
@@ -261,7 +230,7 @@ class FocalPlane:
             variable=np.zeros(len(bodies), dtype=bool),
         )
         lit = bodies.illuminated_fraction if self.sky.phases else np.ones(len(bodies))
-        return _Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
+        return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
 
     def _reaching(
         self,
@@ -271,7 +240,7 @@ class FocalPlane:
         b_v: FloatArray,
         giant: FloatArray,
         extent_rad: float | FloatArray,
-    ) -> _Seen:
+    ) -> Seen:
         """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
         free."""
         camera, scenario = self.true_camera, self.scenario
@@ -281,12 +250,12 @@ class FocalPlane:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
-        rows = _near_image(xy, extent_px, camera.width, camera.height)
+        rows = near_image(xy, extent_px, camera.width, camera.height)
         if self.sky.earth:
             rows = rows[~occulted(direction[rows], scene.r_km)]
-        return _Seen(rows, in_camera[rows], xy[rows], electrons[rows])
+        return Seen(rows, in_camera[rows], xy[rows], electrons[rows])
 
-    def _paths(self, light: _Light, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _paths(self, light: Light, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions (N, K, 2) over the exposure, weights (K,), and electrons (N,) gathered in it."""
         camera, detector, sources = self.true_camera, self.scenario.detector, light.sources
         directions = light.in_camera
@@ -308,7 +277,7 @@ class FocalPlane:
         xy, weights = star_paths(camera, directions, rate, detector.exposure_s, feature_px, margin_px, scene.jitter)
         return xy, weights, sources.electrons
 
-    def _draw(self, mean_e: FloatArray, light: _Light, scene: Scene) -> None:
+    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> None:
         """Stars and small bodies through their PSFs, large bodies as disks."""
         camera, sources = self.true_camera, light.sources
         xy, weights, electrons = self._paths(light, scene)
@@ -392,15 +361,3 @@ class FocalPlane:
         )
         excluded = self.baffle.within_exclusion(names, boresight, directions)
         return rate * detector.exposure_s, tuple(excluded)
-
-
-@njit(cache=True, error_model="numpy")
-def _near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
-    """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
-    rows, count = np.empty(len(xy), np.int64), 0
-    for n in range(len(xy)):
-        x, y = xy[n, 0], xy[n, 1]
-        if max(-x, x - width) <= extent_px[n] and max(-y, y - height) <= extent_px[n]:
-            rows[count] = n
-            count += 1
-    return rows[:count]

@@ -98,14 +98,16 @@ def refine(
         if free_focal:
             stars = used[:, 0]
             camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
-        scale = _robust_scale(used, xy, camera.project(reference @ matrix.T), sigma, known)
         if same:
             break
+        scale = _robust_scale(used, xy, camera.project(reference @ matrix.T), sigma, known)
         index, _, places = guide.in_field(matrix, 3.0, camera)
         fitting, same = _matched_again(xy, places, REJECT_SIGMAS * scale * sigma, index, used)
         if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
             break
         used = fitting
+        if same and not free_focal:  # nor would the next fit be another
+            break
     stars, reference = used[:, 0], guide.directions[used[:, 1]]
     measured, sigma = xy[stars], sigma[stars]
     vectors = camera.unproject(measured) if free_focal else directions[stars]

@@ -39,6 +39,7 @@ from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.trace import Step, Steps
+from startracker.whole_field import MISFIT_PX, is_whole, misfit_px
 
 __all__ = ["StarTracker"]
 
@@ -50,14 +51,6 @@ IMAGE_FLOOR_PX = 0.1
 """Added to the centroids' errors for identification alone: what camera model and blends may add."""
 WORST_PX = 5.0
 """A centroid with a larger error says nothing worth knowing."""
-MISFIT_PX = 3.0
-"""Centroids of an image that are off by more than this are not those of stars."""
-BRIGHTEST, LEAST_SEEN, BORDER_PX = 8, 0.6, 12.0
-"""Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
-seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
-LEAST_MATCHED = 0.4
-"""Share of the bright spots that the stars of a field make where nothing else is the matter with the frame: of those as
-bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
 _AXES = math.sqrt(3.0)
 
 
@@ -249,7 +242,7 @@ class StarTracker:
                 return solution, drawn, steps
             steps = (*steps, *solution.steps, *spots.steps)
         solution = solve(spots)
-        if solution.solved and _is_whole(solution, spots.flux, guide):
+        if solution.solved and is_whole(solution, spots.flux, guide):
             return solution, spots, steps
         if not spots.smeared:
             drawn = streaks()
@@ -257,8 +250,8 @@ class StarTracker:
                 again = solve(drawn)
                 if again.solved or not solution.solved:
                     return again, drawn, (*steps, *solution.steps, *drawn.steps)
-        if solution.solved and (drawn is not None or _misfit_px(solution) > MISFIT_PX):
-            within = f"they fit within {_misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
+        if solution.solved and (drawn is not None or misfit_px(solution) > MISFIT_PX):
+            within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
             solution = replace(refused, steps=solution.steps)
         return solution, spots, steps
@@ -361,25 +354,6 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
-
-
-def _is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool:
-    """Whether spots of such a flux are where the solution puts its stars, many of the bright ones are stars, and most
-    of the brightest stars of the field are among them."""
-    assert solution.attitude is not None
-    stars = solution.stars
-    half = len(stars) // 2
-    as_bright = np.count_nonzero(flux >= np.partition(stars.flux, half)[half])
-    if _misfit_px(solution) > MISFIT_PX or len(stars) - half < LEAST_MATCHED * as_bright:
-        return False
-    index, _, _ = guide.in_field(solution.attitude.as_matrix(), -BORDER_PX, solution.camera)
-    brightest = set(guide.catalog.id[index[:BRIGHTEST]].tolist())
-    return len(brightest.intersection(stars.catalog_id.tolist())) >= LEAST_SEEN * len(brightest)
-
-
-def _misfit_px(solution: Solution) -> float:
-    """Root mean square distance of the stars from where the solution puts them."""
-    return float(np.linalg.norm(solution.stars.residual_px)) / math.sqrt(len(solution.stars))
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:

@@ -23,8 +23,10 @@ _FRACTION_SHIFT, _UNIT = np.uint64(11), 2.0**-53
 
 
 def draw_key(rng: np.random.Generator) -> Key:
-    """Key of a counter-based stream: two numbers of 32 bits from the stream `rng`, (2,) uint64."""
-    return rng.integers(0, 2**32, size=2, dtype=np.uint64)
+    """Key of a counter-based stream: the halves, the lower one first, of the next 64 bits of the stream `rng`, (2,)
+    uint64. Of a stream that nothing was drawn from these are its first two `integers` of 32 bits."""
+    bits: int = rng.bit_generator.random_raw()
+    return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
 
 @numba.njit(inline="always")

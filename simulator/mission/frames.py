@@ -9,6 +9,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.interpolation import Nodes
 from simulator.mission.clock import Clock
 
 FloatArray = NDArray[np.float64]
@@ -18,7 +19,8 @@ def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) from GCRS into the true equator and equinox of date.
 
     Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``); what the model leaves out of the pole's
-    motion (free core nutation) is below 0.4 mas, 1.5 cm at 800 km. The matrix of a single instant is read-only.
+    motion (free core nutation) is below 0.4 mas, 1.5 cm at 800 km. The matrix of a single instant is interpolated to
+    1e-3 µas (`simulator.interpolation`), and read-only.
     """
     if np.ndim(t_s) == 0:
         return _matrix(*clock.tt_jd(float(t_s)))
@@ -26,11 +28,14 @@ def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     return matrices
 
 
-@functools.lru_cache(maxsize=4)  # orbit and statistics ask for the same instant in turn; it takes 20 µs
+@functools.lru_cache(maxsize=4)  # orbit and statistics ask for the same instant in turn
 def _matrix(jd1: float, jd2: float) -> FloatArray:
-    matrix: FloatArray = erfa.ufunc.pnm06a(jd1, jd2)
+    matrix: FloatArray = _PRECESSION_NUTATION.at(jd1, jd2).reshape(3, 3)
     matrix.flags.writeable = False
     return matrix
+
+
+_PRECESSION_NUTATION = Nodes(lambda jd1, jd2: erfa.ufunc.pnm06a(jd1, jd2).ravel())
 
 
 def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatArray) -> FloatArray:

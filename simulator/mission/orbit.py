@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
@@ -128,20 +129,39 @@ class J2Orbit:
 
     def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
-        single = np.ndim(t_s) == 0
-        t = float(t_s) if single else np.asarray(t_s, dtype=float)  # type: ignore[arg-type]  # as just seen
+        t = np.asarray(t_s, dtype=float)
         cos_i, sin_i = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
         node = self.elements.raan_rad + self.nodal_rate_rad_s * t
         u = self.elements.argument_of_latitude_rad + self._latitude_rate * t
-        cos, sin = (math.cos, math.sin) if single else (np.cos, np.sin)
-        cos_n, sin_n, cos_u, sin_u = cos(node), sin(node), cos(u), sin(u)
-        radial = [cos_n * cos_u - sin_n * cos_i * sin_u, sin_n * cos_u + cos_n * cos_i * sin_u, sin_i * sin_u]
-        ahead = [-cos_n * sin_u - sin_n * cos_i * cos_u, -sin_n * sin_u + cos_n * cos_i * cos_u, sin_i * cos_u]
         radius = self.elements.semi_major_axis_km
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
-        matrix = true_of_date(self.clock, t)
-        r, v = (np.array(axes) if single else np.stack(axes, axis=-1) for axes in (radial, ahead))
-        return _to_gcrs(matrix, radius * r), _to_gcrs(matrix, speed * v)
+        r_km, v_km_s = np.empty((t.size, 3)), np.empty((t.size, 3))
+        matrices = true_of_date(self.clock, t).reshape(-1, 3, 3)
+        _on_circle(r_km, v_km_s, node.ravel(), u.ravel(), (cos_i, sin_i), (radius, speed), matrices)
+        return r_km.reshape(*t.shape, 3), v_km_s.reshape(*t.shape, 3)
+
+
+@njit(cache=True, error_model="numpy")
+def _on_circle(
+    r_km: FloatArray,
+    v_km_s: FloatArray,
+    node: FloatArray,
+    u: FloatArray,
+    tilt: tuple[float, float],
+    size: tuple[float, float],
+    matrices: FloatArray,
+) -> None:
+    """Kernel: states (N, 3) in GCRS on a circle of radius and speed `size`, at angles `u` (N,) from its `node` (N,) on
+    the equator of date, to which `matrices` (N, 3, 3) lead; `tilt`: cosine and sine of the inclination."""
+    cos_i, sin_i = tilt
+    for n in range(len(u)):
+        cos_n, sin_n, cos_u, sin_u = math.cos(node[n]), math.sin(node[n]), math.cos(u[n]), math.sin(u[n])
+        radial = (cos_n * cos_u - sin_n * cos_i * sin_u, sin_n * cos_u + cos_n * cos_i * sin_u, sin_i * sin_u)
+        ahead = (-cos_n * sin_u - sin_n * cos_i * cos_u, -sin_n * sin_u + cos_n * cos_i * cos_u, sin_i * cos_u)
+        for axis in range(3):
+            x, y, z = matrices[n, 0, axis], matrices[n, 1, axis], matrices[n, 2, axis]
+            r_km[n, axis] = size[0] * (radial[0] * x + radial[1] * y + radial[2] * z)
+            v_km_s[n, axis] = size[1] * (ahead[0] * x + ahead[1] * y + ahead[2] * z)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.frames import true_of_date
@@ -263,14 +264,65 @@ def _level_rate(orbital_rate_rad_s: float) -> FloatArray:
 def _pointing(section: PointingSection, nominal: Attitude, level_rate: FloatArray, draws: FloatArray) -> Pointing:
     """Pointing around a nominal body attitude (ICRS → body), of a reference that turns at `level_rate` (3,) in its own
     axes, from three numbers uniform in [−1, 1)."""
-    error = Attitude.from_rotation_vector(math.radians(section.error_deg) * draws, "body", "body")
     mounting = mounting_of(section)
-    rate_body = error.apply(_offset(section).apply(level_rate)) + np.radians(section.rate_deg_s)
-    body = error @ nominal
+    turned, rate_rad_s = _turned(
+        nominal.quat,
+        math.radians(section.error_deg) * draws,
+        _offset(section).quat,
+        mounting.quat,
+        level_rate,
+        np.radians(section.rate_deg_s),
+    )
     return Pointing(
-        body=body,
-        camera=mounting @ body,
-        prior=mounting @ nominal,
+        body=Attitude(turned[0], nominal.source, mounting.source),
+        camera=Attitude(turned[1], nominal.source, mounting.target),
+        prior=Attitude(turned[2], nominal.source, mounting.target),
         mounting=mounting,
-        rate_camera_rad_s=mounting.apply(rate_body),
+        rate_camera_rad_s=rate_rad_s,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(
+    nominal: FloatArray,
+    error_rad: FloatArray,
+    offset: FloatArray,
+    mounting: FloatArray,
+    level_rate: FloatArray,
+    rate_rad_s: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Kernel of `_pointing`: quaternions (3, 4) of body, camera and prior, and the rate (3,) in camera axes."""
+    angle = math.sqrt(error_rad[0] ** 2 + error_rad[1] ** 2 + error_rad[2] ** 2)
+    share = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    error = np.array([error_rad[0] * share, error_rad[1] * share, error_rad[2] * share, math.cos(0.5 * angle)])
+    out = np.empty((3, 4))
+    _then(error, nominal, out[0])
+    _then(mounting, out[0], out[1])
+    _then(mounting, nominal, out[2])
+    rate = _applied(error, _applied(offset, level_rate)) + rate_rad_s
+    return out, _applied(mounting, rate)
+
+
+@njit(cache=True, error_model="numpy")
+def _then(second: FloatArray, first: FloatArray, out: FloatArray) -> None:
+    """Quaternion of `first` and then `second`, as `startracker.attitude.quat_multiply`."""
+    x1, y1, z1, w1 = second
+    x2, y2, z2, w2 = first
+    out[0] = w1 * x2 + x1 * w2 - y1 * z2 + z1 * y2
+    out[1] = w1 * y2 + y1 * w2 - z1 * x2 + x1 * z2
+    out[2] = w1 * z2 + z1 * w2 - x1 * y2 + y1 * x2
+    out[3] = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
+
+
+@njit(cache=True, error_model="numpy")
+def _applied(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """Vector (3,) in the target's axes of a unit quaternion: v − 2 w q × v + 2 q × (q × v)."""
+    x, y, z, w = quat
+    a, b, c = y * vector[2] - z * vector[1], z * vector[0] - x * vector[2], x * vector[1] - y * vector[0]
+    return np.array(
+        [
+            vector[0] + 2.0 * (y * c - z * b - w * a),
+            vector[1] + 2.0 * (z * a - x * c - w * b),
+            vector[2] + 2.0 * (x * b - y * a - w * c),
+        ]
     )

@@ -242,26 +242,23 @@ def _convolve(
         disk = disk * (13.0 / 12.0) - (np.roll(disk, 1, axis) + np.roll(disk, -1, axis)) / 24.0
     half_x, half_y = min(reach_x, _CORE_HALF_PX), min(reach_y, _CORE_HALF_PX)
     rows, columns = (cells // fine for cells in disk.shape)
-    image = np.zeros((rows + 2 * half_y, columns + 2 * half_x))
-    for b in range(fine):
-        for a in range(fine):
-            offset = ((a + 0.5) / fine - 0.5, (b + 0.5) / fine - 0.5)
-            core = _stamp(psf, electrons, half_x, half_y, offset)
-            image += _convolved(disk[b::fine, a::fine], core)
-    _add(mean_e, np.maximum(image, 0.0), left - half_x, top - half_y)
+    offsets = [((a + 0.5) / fine - 0.5, (b + 0.5) / fine - 0.5) for b in range(fine) for a in range(fine)]
+    cores = np.stack([_stamp(psf, electrons, half_x, half_y, offset) for offset in offsets])
+    parts = disk.reshape(rows, fine, columns, fine).transpose(1, 3, 0, 2).reshape(-1, rows, columns)
+    _add(mean_e, np.maximum(_convolved(parts, cores), 0.0), left - half_x, top - half_y)
     if reach_x > half_x or reach_y > half_y:
         wings = _stamp(psf, electrons, reach_x, reach_y, (0.0, 0.0))
         wings[reach_y - half_y : reach_y + half_y + 1, reach_x - half_x : reach_x + half_x + 1] = 0.0
         whole = disk.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
-        _add(mean_e, np.maximum(_convolved(whole, wings), 0.0), left - reach_x, top - reach_y)
+        _add(mean_e, np.maximum(_convolved(whole[None], wings[None]), 0.0), left - reach_x, top - reach_y)
 
 
 def _convolved(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Full convolution of two images by Fourier transforms, as ``scipy.signal.fftconvolve`` does it; to import that
-    takes a fifth of a cold start."""
-    rows, columns = (a + b - 1 for a, b in zip(first.shape, second.shape, strict=True))
+    """Sum of the full convolutions of pairs of images (N, ., .) by Fourier transforms, as
+    ``scipy.signal.fftconvolve`` does one; to import that takes a fifth of a cold start."""
+    rows, columns = (a + b - 1 for a, b in zip(first.shape[1:], second.shape[1:], strict=True))
     size = [fft.next_fast_len(n, real=True) for n in (rows, columns)]
-    product = fft.rfft2(first, size) * fft.rfft2(second, size)
+    product = np.einsum("nij,nij->ij", fft.rfft2(first, size), fft.rfft2(second, size))
     return np.asarray(fft.irfft2(product, size)[:rows, :columns])
 
 

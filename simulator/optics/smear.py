@@ -105,11 +105,12 @@ def star_paths(
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
     if jitter is None:
         nodes, weights = exposure_nodes(streak_px, feature_px)
-        return _positions(camera, directions, _rotations(turn, nodes / 2.0), limit_rad), weights
+        return _places(camera, _turning(directions, turn, nodes / 2.0, math.cos(limit_rad)), len(nodes)), weights
     wander_px = wander_length_px(camera, jitter, exposure_s, limit_rad)
     nodes, weights = exposure_nodes(streak_px + wander_px, feature_px, jitter.max_hz * exposure_s)
     shaking = rotation_matrices(-jitter.at(nodes * exposure_s / 2.0))
-    return _positions(camera, directions, shaking @ _rotations(turn, nodes / 2.0), limit_rad), weights
+    vectors = _turned(directions, shaking @ _rotations(turn, nodes / 2.0), math.cos(limit_rad))
+    return _places(camera, vectors, len(nodes)), weights
 
 
 def path_limit_rad(camera: Camera, margin_px: float) -> float:
@@ -136,9 +137,14 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
         return 0.0
     # of a turn by θ a chord misses θ²/24 of its arc: few suffice for the small turns of most exposures
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
-    moments = np.arange(-chords, chords + 1, 2) / (2.0 * chords)
-    xy = _positions(camera, directions, _rotations(turn, moments), limit_rad)
-    return float(_longest(xy))
+    vectors = _turning(directions, turn, _ends(chords), math.cos(limit_rad))
+    return float(_longest(_places(camera, vectors, chords + 1)))
+
+
+@functools.lru_cache(maxsize=64)
+def _ends(chords: int) -> FloatArray:
+    """Moments between which so many chords of an exposure lie, −1/2 to 1/2."""
+    return np.arange(-chords, chords + 1, 2) / (2.0 * chords)
 
 
 @njit(cache=True, error_model="numpy")
@@ -156,10 +162,16 @@ def _longest(xy: FloatArray) -> float:
     return longest
 
 
-def _positions(camera: Camera, directions: FloatArray, rotations: FloatArray, limit_rad: float) -> FloatArray:
-    """(N, K, 2) pixels of directions (N, 3) turned by matrices (K, 3, 3)."""
-    vectors = _turned(directions, rotations, math.cos(limit_rad))
-    return camera.project(vectors).reshape(len(directions), len(rotations), 2)
+def _places(camera: Camera, vectors: FloatArray, moments: int) -> FloatArray:
+    """(N, K, 2) pixels of vectors (N K, 3), those of a star's K moments one after the other."""
+    return camera.project(vectors).reshape(-1, moments, 2)
+
+
+@njit(cache=True, error_model="numpy")
+def _turning(directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float) -> FloatArray:
+    """Kernel: `_turned` by the rotation vectors `moments` × `turn`."""
+    turned: FloatArray = _turned(directions, _rotations(turn, moments), least_z)
+    return turned
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulator.interpolation import Nodes
 from startracker.constants import AU_KM
 from startracker.errors import InputError
 
@@ -86,10 +87,13 @@ class Ephemeris(NamedTuple):
 def tdb_jd(tt_jd1: float, tt_jd2: float) -> tuple[float, float]:
     """Two-part Julian date TDB of one in TT.
 
-    ERFA's ``eraDtdb`` (Fairhead & Bretagnon 1990) for the geocentre: good to 3 ns; what the spacecraft's place adds,
-    up to 2 µs, moves the Moon by 2 mm.
+    ERFA's ``eraDtdb`` (Fairhead & Bretagnon 1990) for the geocentre, interpolated (`simulator.interpolation`): good to
+    3 ns; what the spacecraft's place adds, up to 2 µs, moves the Moon by 2 mm.
     """
-    return tt_jd1, tt_jd2 + float(erfa.ufunc.dtdb(tt_jd1, tt_jd2, 0.0, 0.0, 0.0, 0.0)) / _SECONDS_PER_DAY
+    return tt_jd1, tt_jd2 + float(_TDB_LESS_TT_S.at(tt_jd1, tt_jd2)[0]) / _SECONDS_PER_DAY
+
+
+_TDB_LESS_TT_S = Nodes(lambda jd1, jd2: np.array([erfa.ufunc.dtdb(jd1, jd2, 0.0, 0.0, 0.0, 0.0)]))
 
 
 def state(target: int, jd: tuple[float, float]) -> tuple[FloatArray, FloatArray]:

@@ -20,6 +20,7 @@ from simulator.study.bounds import attitude_bound_deg, matched_sources
 from simulator.study.statistics import CAMERA_AXES, WRONG_FACTOR
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.identification.verification import solve_symmetric
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 
@@ -124,10 +125,7 @@ def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray 
     if covariance_rad2 is None or not np.isfinite(error_deg).all():
         return math.nan
     error = np.radians(error_deg)
-    try:
-        return float(error @ np.linalg.solve(covariance_rad2, error))
-    except np.linalg.LinAlgError:
-        return math.nan
+    return float(error @ solve_symmetric(covariance_rad2, error))
 
 
 def galactic_latitude_deg(attitude: Attitude) -> float:

@@ -213,11 +213,19 @@ def _triples(n: int) -> tuple[IntArray, IntArray]:
     """Triples (T, 3) of the brightest few of n stars, and of all the others, as many as are ever looked up."""
     few = np.array(list(combinations(range(min(n, _BRIGHT)), 3)), dtype=np.int64)
     few = few[np.argsort(few[:, 2], kind="stable")]
-    rest = np.array([(i, j, k) for k in range(_BRIGHT, n) for j in range(1, k) for i in range(j)], dtype=np.int64)
+    pairs = np.stack(np.tril_indices(n, -1), axis=1, dtype=np.int64)  # (j, i) by j, i < j
+    rest = np.concatenate(
+        [np.empty((0, 3), np.int64), *(_third(pairs[: k * (k - 1) // 2], k) for k in range(_BRIGHT, n))]
+    )
     most = _MOST_TRIPLES if n > _CROWDED else _FEWER_TRIPLES
     if len(rest) > most:  # the brighter may all be false: any of them, the same every time
         rest = rest[np.sort(np.random.default_rng(n).permutation(len(rest))[:most])]
     return few, rest.reshape(-1, 3)
+
+
+def _third(pairs: IntArray, k: int) -> IntArray:
+    """Triples (P, 3) of pairs (P, 2), the larger number first, and a star beyond them."""
+    return np.stack([pairs[:, 1], pairs[:, 0], np.full(len(pairs), k)], axis=1)
 
 
 class _Triangles:

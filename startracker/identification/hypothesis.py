@@ -128,7 +128,7 @@ def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) 
     seen = np.flatnonzero(guide_of >= 0)
     pairs = np.empty((len(seen), 2), np.int64)
     pairs[:, 0], pairs[:, 1] = seen, guide_of[seen]
-    return Hypothesis(matrix, pairs, log_b, scale, in_field, math.exp(focal))
+    return Hypothesis(matrix, pairs, float(log_b), float(scale), int(in_field), math.exp(focal))
 
 
 def too_few(observed: Observed, least: int) -> Identification:
@@ -244,8 +244,8 @@ class Bench:
 
 
 def _describe(hypothesis: Hypothesis) -> str:
-    z = hypothesis.matrix[2]
-    ra, dec = math.degrees(math.atan2(z[1], z[0])) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, float(z[2])))))
+    x, y, z = hypothesis.matrix[2].tolist()
+    ra, dec = math.degrees(math.atan2(y, x)) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, z))))
     return (
         f"hypothesis at RA {ra:.3f}°, Dec {dec:+.3f}°: {len(hypothesis.pairs)} stars fit within "
         f"{hypothesis.scale:g} stated errors, {hypothesis.in_field} guide stars expected; "

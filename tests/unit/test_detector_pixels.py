@@ -102,3 +102,9 @@ def test_layouts_that_do_not_fit_are_refused():
 def test_an_empty_image():
     out = np.empty((0, 4))
     walk(np.empty((0, 4)), [Step(SHOT_NOISE, rng=stream(1, "n"))], out)
+
+
+def test_key_is_the_first_two_integers_of_its_stream():
+    for stage in range(20):
+        first = stream(1, str(stage)).integers(0, 2**32, size=2, dtype=np.uint64)
+        np.testing.assert_array_equal(draw_key(stream(1, str(stage))), first)

@@ -1,0 +1,55 @@
+"""Whether a solution explains a whole field, or only pieces of streaks that lie near its stars."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.catalog.guide import GuideDatabase
+from startracker.solution import Solution
+
+__all__ = ["MISFIT_PX", "is_whole", "misfit_px"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MISFIT_PX = 3.0
+"""Centroids of an image that are off by more than this are not those of stars."""
+_BRIGHTEST, _LEAST_SEEN, _BORDER_PX = 8, 0.6, 12.0
+"""Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
+seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
+_LEAST_MATCHED = 0.4
+"""Share of the bright spots that the stars of a field make where nothing else is the matter with the frame: of those as
+bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
+
+
+def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool:
+    """Whether spots of such a flux are where the solution puts its stars, many of the bright ones are stars, and most
+    of the brightest stars of the field are among them."""
+    assert solution.attitude is not None
+    stars = solution.stars
+    if misfit_px(solution) > MISFIT_PX or not _many_bright(flux, stars.flux):
+        return False
+    index, _, _ = guide.in_field(solution.attitude.as_matrix(), -_BORDER_PX, solution.camera)
+    brightest = set(guide.catalog.id[index[:_BRIGHTEST]].tolist())
+    return len(brightest.intersection(stars.catalog_id.tolist())) >= _LEAST_SEEN * len(brightest)
+
+
+def misfit_px(solution: Solution) -> float:
+    """Root mean square distance of the stars from where the solution puts them."""
+    residual = solution.stars.residual_px.ravel()
+    return math.sqrt(float(residual @ residual) / len(solution.stars))
+
+
+@njit(cache=True, error_model="numpy")
+def _many_bright(spots: FloatArray, stars: FloatArray) -> bool:
+    """Whether enough of the spots that are as bright as the brighter half of the stars are these."""
+    half = len(stars) // 2
+    faintest, as_bright = np.sort(stars)[half], 0
+    for flux in spots:
+        if flux >= faintest:
+            as_bright += 1
+    return len(stars) - half >= _LEAST_MATCHED * as_bright
