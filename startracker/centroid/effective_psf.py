@@ -139,7 +139,7 @@ def build_effective_psf(
         for number, frame in enumerate(prepared):
             rows = np.flatnonzero(stars[:, 1] == number)
             fits[rows] = fit_stars(
-                frame.image, frame.level, frame.noise, psf.table, psf.axes, psf.oversampling, np.arange(len(rows)),
+                frame.image, frame.level, frame.noise, *psf.samples, np.arange(len(rows)),
                 stars[rows, 2].copy(), stars[rows, 3].copy(), np.full(len(rows), half), np.full(len(rows), np.inf),
                 frame.inverse_gain, 0.0, True,
             )  # fmt: skip

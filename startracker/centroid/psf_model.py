@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ _SAMPLES_A_SIGMA = 7.0
 _UNROTATED = 0.02
 """Correlation below which an ellipse counts as upright: the frame does not tell it, positions do not feel it."""
 _FORMAT = 1
+_NO_AXES = np.empty((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +49,18 @@ class PsfModel:
     table: FloatArray
     oversampling: int
     shape: tuple[float, float, float]
-    axes: FloatArray = field(default_factory=partial(np.empty, (0, 0)))
+    axes: FloatArray = field(default_factory=lambda: _NO_AXES)
 
     @property
     def radius_px(self) -> float:
         """Half width of the table; p counts as zero beyond it."""
-        return float((self.table.shape[0] - 1) / 2 / self.oversampling)
+        points = self.axes.shape[1] or self.table.shape[0]
+        return float((points - 1) / 2 / self.oversampling)
+
+    @property
+    def samples(self) -> tuple[FloatArray, FloatArray, int]:
+        """Table, axes and points a pixel, for kernels, which read the table only where there are no axes."""
+        return _NO_AXES if len(self.axes) else self.table, self.axes, self.oversampling
 
     @cached_property
     def noise_area_px(self) -> float:
@@ -109,6 +116,18 @@ class PsfModel:
             )
 
 
+class _UprightPsf(PsfModel):
+    """A product of two axes; most fits need no more, so that the table is drawn when it is first asked for."""
+
+    def __init__(self, axes: FloatArray, oversampling: int, shape: tuple[float, float, float]) -> None:
+        self.__dict__.update(axes=axes, oversampling=oversampling, shape=shape)
+
+    @cached_property
+    def table(self) -> FloatArray:
+        """See `PsfModel`."""
+        return np.asarray(self.axes[1][:, None] * self.axes[0])
+
+
 def load_psf(path: str | Path) -> PsfModel:
     """A star image saved by `PsfModel.save`; kept in memory until the file changes.
 
@@ -160,19 +179,19 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
     wanted = 2 * math.ceil(0.5 * _SAMPLES_A_SIGMA / narrow)
     oversampling = min(max(wanted, _LEAST_OVERSAMPLING), _MOST_OVERSAMPLING)
     middle = math.ceil(radius_px * oversampling) + 2
-    grid = np.arange(-middle, middle + 1) / oversampling
     if abs(xy) < _UNROTATED * math.sqrt(xx * yy):
-        along_x = ndtr((grid + 0.5) / math.sqrt(xx)) - ndtr((grid - 0.5) / math.sqrt(xx))
-        along_y = ndtr((grid + 0.5) / math.sqrt(yy)) - ndtr((grid - 0.5) / math.sqrt(yy))
-        return PsfModel(along_y[:, None] * along_x, oversampling, (xx, yy, xy), np.stack([along_x, along_y]))
+        half = oversampling // 2
+        borders = np.arange(-middle - half, middle + half + 1) / oversampling
+        before = ndtr(borders / np.array([[math.sqrt(xx)], [math.sqrt(yy)]]))
+        return _UprightPsf(before[:, oversampling:] - before[:, :-oversampling], oversampling, (xx, yy, xy))
     # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]
     points = np.exp((xy * fine * down - 0.5 * (yy * fine**2 + xx * down**2)) / determinant)
     points /= 2.0 * math.pi * math.sqrt(determinant)
     table = _over_pixel(_over_pixel(points, oversampling).T, oversampling).T
-    cut = (table.shape[0] - len(grid)) // 2
-    table = table[cut : cut + len(grid), cut : cut + len(grid)]
+    cut = (table.shape[0] - 2 * middle - 1) // 2
+    table = table[cut : cut + 2 * middle + 1, cut : cut + 2 * middle + 1]
     return PsfModel(np.ascontiguousarray(table), oversampling, (xx, yy, xy))
 
 

@@ -72,7 +72,7 @@ def fill(
 ) -> None:
     """Light of a star at (x, y) in pixels (px, py), and its derivatives by dx and dy, to the rows of `out` (3, N).
 
-    Where the table is the product of two `axes` (x, y), its interpolation is the product of theirs.
+    Where the table is the product of two `axes` (x, y), its interpolation is the product of theirs, and it is not read.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def fill(
     weights, lines : array
         Working space, of the shapes (2, 8) and (4, L).
     """
-    size = table.shape[0]
+    size = axes.shape[1] if len(axes) else table.shape[0]
     first_x = interpolate(size, oversampling, -x, weights, 0)
     first_y = interpolate(size, oversampling, -y, weights, 1)
     if not len(axes):

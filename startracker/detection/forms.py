@@ -103,7 +103,7 @@ def brightest_first(table: FloatArray, fewest: int, largest: int) -> tuple[NDArr
     index = index[np.argsort(-table[index, FLUX], kind="mergesort")]
     for last in range(1, count):
         n, place = index[last], last
-        while place > 0 and _comes_before(table[n], table[index[place - 1]]):
+        while place > 0 and _comes_before(table, n, index[place - 1]):
             index[place] = index[place - 1]
             place -= 1
         index[place] = n
@@ -111,11 +111,12 @@ def brightest_first(table: FloatArray, fewest: int, largest: int) -> tuple[NDArr
 
 
 @njit(cache=True, error_model="numpy")
-def _comes_before(row: FloatArray, other: FloatArray) -> bool:
+def _comes_before(table: FloatArray, n: int, other: int) -> bool:
     """Of two objects of the same flux, the first in reading order."""
-    if row[FLUX] != other[FLUX]:
+    if table[n, FLUX] != table[other, FLUX]:
         return False
-    return bool(row[Y_PEAK] < other[Y_PEAK] or (row[Y_PEAK] == other[Y_PEAK] and row[X_PEAK] < other[X_PEAK]))
+    y, x = table[n, Y_PEAK] - table[other, Y_PEAK], table[n, X_PEAK] - table[other, X_PEAK]
+    return bool(y < 0.0 or (y == 0.0 and x < 0.0))
 
 
 @njit(cache=True, error_model="numpy")

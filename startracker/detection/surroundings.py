@@ -18,9 +18,13 @@ __all__ = ["is_clutter", "ring_pixels", "ring_space"]
 
 _RING_PX = 8
 _LARGEST_RADIUS_PX = 12
+_INFINITE_BITS = np.float32(np.inf).view(np.int32)
+_NOT_MADE = 1
 
 FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+Masks = NDArray[np.int32]
+RingSpace = tuple[FloatImage, FloatImage, FloatImage, Masks]
 
 
 @cache
@@ -46,10 +50,33 @@ def ring_pixels() -> tuple[IntArray, IntArray]:
 
 
 @njit(cache=True, error_model="numpy")
-def ring_space(half: FloatImage, offsets: IntArray) -> tuple[FloatImage, FloatImage, FloatImage]:
+def ring_space(half: FloatImage, offsets: IntArray) -> RingSpace:
     """Working space of `is_clutter`."""
     pixels = stamp_pitch(half, _LARGEST_RADIUS_PX + 2 + _RING_PX) ** 2
-    return np.empty(pixels, np.float32), np.empty(2 * pixels, np.float32), np.empty(offsets.shape[1] + 1, np.float32)
+    masks = np.empty((len(offsets), pixels), np.int32)
+    masks[:, 0] = _NOT_MADE
+    sample = np.empty(offsets.shape[1] + 1, np.float32)
+    return np.empty(pixels, np.float32), np.empty(2 * pixels, np.float32), sample, masks
+
+
+@njit(cache=True, error_model="numpy")
+def _is_calm(stamp: FloatImage, mask: Masks, quiet: float) -> bool:
+    """Whether the median of a ring exceeds its highest value less `quiet`, and all its values are finite.
+
+    Seen at once for all of a stamp, of which `mask` keeps the bits of the ring's pixels. The bits of numbers that are
+    not negative are in the order of the numbers, so that integers tell the highest.
+    """
+    bits, top, pixels, below = stamp.view(np.int32), np.int32(0), np.int32(0), np.int32(0)
+    for i in range(len(mask)):
+        top = max(top, np.int32(bits[i] & mask[i]))
+    if top >= _INFINITE_BITS:
+        return False
+    bits[0] = top  # the corner belongs to no ring
+    limit = np.float32(np.float64(stamp[0]) - quiet)
+    for i in range(len(mask)):
+        pixels = np.int32(pixels - mask[i])
+        below = np.int32(below - (mask[i] if stamp[i] <= limit else np.int32(0)))
+    return bool(below <= pixels // 2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -64,7 +91,7 @@ def is_clutter(
     ends: IntArray,
     quiet: float,
     isolation: float,
-    space: tuple[FloatImage, FloatImage, FloatImage],
+    space: RingSpace,
 ) -> bool:
     """Whether a candidate fails to stand out of the ring around it.
 
@@ -75,14 +102,22 @@ def is_clutter(
     All this is asked of the image after the filter `half`, see `startracker.detection.scan`; `offsets` and `ends` are
     the `ring_pixels`.
     """
-    stamp, work, sample = space
+    stamp, work, sample, masks = space
     ring = min(math.ceil(radius), _LARGEST_RADIUS_PX)
     outer = ring + 2 + _RING_PX
     pitch = stamp_pitch(half, outer)
     filter_stamp(image, level, half, x, y, outer, work, stamp)
     middle = outer * pitch + outer
+    places, mask = offsets[ring], masks[ring][: (2 * outer + 1) * pitch]
+    if mask[0] == _NOT_MADE:
+        mask[:] = 0
+        for k in range(ends[ring, 7]):
+            mask[middle + places[k, 0] * pitch + places[k, 1]] = -1
+    # most rings have nothing in them, which needs no sectors
+    if _is_calm(stamp[: len(mask)], mask, quiet):
+        return False
     # numbers without a sign as indices: one that may be negative costs a comparison each time
-    places, n, count = offsets[ring], np.uint64(0), np.uint64(0)
+    n, count = np.uint64(0), np.uint64(0)
     highest = np.zeros(8, np.float32)
     for sector in range(8):
         top, end = np.float32(0.0), np.uint64(ends[ring, sector])

@@ -113,7 +113,7 @@ def _sample_statistics(sample: NDArray[np.float32], count: int, step: float) -> 
 
 @njit(cache=True, error_model="numpy")
 def _count(
-    tile: Image, stride: int, phase: int, step: float, origin: float, bins: NDArray[np.int32]
+    tile: Image, stride: int, phase: int, step: float, origin: float, bins: NDArray[np.int16]
 ) -> tuple[int, int, bool]:
     """Count a tile's sample into bins; returns how many are below them and in all, and whether all are on the lattice.
 
@@ -133,7 +133,7 @@ def _count(
                 # one comparison tells what is below or above the bins
                 place = np.uint64(np.int64(row[x]) - first_bin)
                 if place < size:
-                    bins[place] += np.int32(1)
+                    bins[place] += np.int16(1)
                 else:
                     below += int(np.int64(row[x]) < first_bin)
                 count += 1
@@ -144,7 +144,7 @@ def _count(
             if 0.0 <= value < len(bins):
                 k = np.uint64(value)
                 on_lattice &= value == k
-                bins[k] += np.int32(1)
+                bins[k] += np.int16(1)
                 count += 1
             elif abs(value) < np.inf:
                 below += int(value < 0.0)
@@ -155,7 +155,7 @@ def _count(
 
 @njit(cache=True, error_model="numpy")
 def _counted_statistics(
-    tile: Image, stride: int, phase: int, step: float, around: float, bins: NDArray[np.int32]
+    tile: Image, stride: int, phase: int, step: float, around: float, bins: NDArray[np.int16]
 ) -> tuple[float, float, float]:
     """The same numbers of a tile's sample by counting the values of a lattice of width `step` about `around`.
 
@@ -214,7 +214,7 @@ def tile_statistics(
     size = ((height + rows - 1) // rows) * ((width + columns - 1) // columns)
     stride = max(1, size // _SAMPLES)
     sample = np.empty(size // stride + 2 * ((height + rows - 1) // rows) + 2, np.float32)
-    bins = np.zeros(_BINS, np.int32)
+    bins = np.zeros(_BINS, np.int16)
     median = np.nan
     for tile_row in range(rows):
         y0, y1 = tile_row * height // rows, (tile_row + 1) * height // rows

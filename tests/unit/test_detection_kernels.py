@@ -140,10 +140,11 @@ def test_stamp_of_the_filtered_image(x, y, sigma):
     np.testing.assert_allclose(out.reshape(19, pitch)[:, :19], expected[y : y + 19, x : x + 19], atol=3e-5)
 
 
-def test_clutter_against_its_definition():
+@pytest.mark.parametrize("missing", [0.02, 0.0])
+def test_clutter_against_its_definition(missing):
     image = rng(13).normal(0, 1, (120, 130)).astype(np.float32)
     image[40:90, 40:90] += 6 * (rng(14).random((50, 50)) < 0.05)
-    image[rng(15).random(image.shape) < 0.02] = np.nan
+    image[rng(15).random(image.shape) < missing] = np.nan
     places = rng(16).integers(0, 120, (80, 2))
     x, y = places.T.copy()
     image[y, x] = 12.0
