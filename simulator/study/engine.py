@@ -112,12 +112,13 @@ def run_trials(
     store = PartStore(scenario, folder, resume)
     blocks = Blocks(store.missing(trials), pool.workers if pool else workers)
     done = taken_over = trials - blocks.left
-    here = bool(blocks) and dask is None and blocks.workers == 1
-    runner = TrialRunner(scenario) if here else None
     if progress:
         progress(done, trials)
     with stop_on_signal() as stop:
-        with contextlib.closing(_results(scenario, blocks, dask, pool, runner, stop)) as results:
+        here = dask is None and blocks.workers == 1
+        runner = TrialRunner(scenario) if here and blocks else None
+        found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, pool, stop)
+        with contextlib.closing(found) as results:
             for result in results:
                 store.put(result.block, result.table)
                 done += len(result.block)
@@ -127,20 +128,13 @@ def run_trials(
     return Trials(store, done, taken_over, trials, interrupted, blocks.workers, runner)
 
 
-def _results(
-    scenario: Scenario,
-    blocks: Blocks,
-    dask: str | None,
-    pool: WorkerPool | None,
-    runner: TrialRunner | None,
-    stop: threading.Event,
+def _run_elsewhere(
+    scenario: Scenario, blocks: Blocks, dask: str | None, pool: WorkerPool | None, stop: threading.Event
 ) -> Generator[Result, None, None]:
     if dask is not None:
         from simulator.study.dask_pool import run_on_cluster
 
         return run_on_cluster(scenario, blocks, dask, stop)
-    if runner is not None:
-        return _run_here(runner, blocks, stop)
     return run_in_pool(scenario, blocks, pool, stop) if pool else _run_in_own_pool(scenario, blocks, stop)
 
 
@@ -149,9 +143,9 @@ def _run_in_own_pool(scenario: Scenario, blocks: Blocks, stop: threading.Event) 
         yield from run_in_pool(scenario, blocks, pool, stop)
 
 
-def _run_here(runner: TrialRunner, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:
+def _run_here(runner: TrialRunner | None, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:
     """Trials in this process; a stop ends after the trial under way, and keeps what its block has."""
-    while blocks and not stop.is_set():
+    while runner and blocks and not stop.is_set():
         result = run_block(runner.run, blocks.take(), stop.is_set)
         if result.block:
             blocks.finished(result)
