@@ -158,6 +158,7 @@ def find_stars(
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
     steps.append(partial(centroid_step, found))
     variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
+    lines = _lines(spots)
     return FoundStars(
         found.xy,
         found.flux,
@@ -168,14 +169,14 @@ def find_stars(
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
-        smeared=_looks_smeared(spots),
-        lines=_lines(spots),
+        smeared=len(lines) > 0 or _left_out_streaks(spots),
+        lines=lines,
     )
 
 
-def _looks_smeared(spots: Spots) -> bool:
-    """Whether the detector took streaks for stars, or left out so many that they may be the stars."""
-    return bool(len(_lines(spots))) or spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
+def _left_out_streaks(spots: Spots) -> bool:
+    """Whether the detector left out so many streaks that they may be the stars."""
+    return spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
 
 
 def _lines(spots: Spots) -> FloatArray:

@@ -43,8 +43,10 @@ def error_function(x: float) -> float:
     point = int(size * _PER_UNIT + 0.5)
     d = size - point / _PER_UNIT
     c, d2 = _SERIES[point], d * d
-    value = c[0] + d * c[1] + d2 * (c[2] + d * c[3] + d2 * (c[4] + d * c[5] + d2 * (c[6] + d * c[7] + d2 * c[8])))
-    return value if x >= 0.0 else -value  # type: ignore[no-any-return]
+    value: float = (
+        c[0] + d * c[1] + d2 * (c[2] + d * c[3] + d2 * (c[4] + d * c[5] + d2 * (c[6] + d * c[7] + d2 * c[8])))
+    )
+    return value if x >= 0.0 else -value
 
 
 @njit(cache=True, error_model="numpy")
