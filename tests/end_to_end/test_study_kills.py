@@ -206,3 +206,17 @@ def test_results_of_an_earlier_run_stand_until_the_new_ones_do(tmp_path, runner,
     assert study.summary["trials"] == 60
     assert study.columns["index"].tolist() == list(range(60))
     assert study.trials.num_rows == 60
+
+
+def test_resuming_a_finished_run_starts_nothing(tmp_path, runner, monkeypatch):
+    scenario = Scenario.load("sunsat")
+    first = engine.run_trials(scenario, 3, folder=tmp_path)
+    assert first.finished == 3
+
+    def started(*_args):
+        raise AssertionError("nothing is left to run")
+
+    monkeypatch.setattr(engine, "WorkerPool", started)
+    monkeypatch.setattr(engine, "TrialRunner", started)
+    again = engine.run_trials(scenario, 3, folder=tmp_path, resume=True)
+    assert (again.finished, again.taken_over) == (3, 3)
