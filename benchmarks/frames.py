@@ -31,7 +31,7 @@ from simulator.scenario import Scenario
 from simulator.sky.observer import observe
 from simulator.sky.solar_system import solar_system
 from simulator.study.statistics import wilson_interval
-from simulator.study.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker.attitude import Attitude
 from startracker.tracker import StarTracker
 

@@ -16,7 +16,7 @@ _RUN = """
 import json, resource, sys, tempfile, time
 from pathlib import Path
 from benchmarks.speed.workload import small_scenario
-from simulator.study.engine import run_trials
+from simulator.study.trials.engine import run_trials
 workers, trials = int(sys.argv[1]), int(sys.argv[2])
 seen = []
 with tempfile.TemporaryDirectory() as folder:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed.workload import SIZES, STARS, even_scenario, expose, renderer, scene
-from simulator.study.trial import TrialRunner, build_tracker
+from simulator.study.trials.trial import TrialRunner, build_tracker
 from startracker import TrackingSession
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS

@@ -9,8 +9,8 @@ from benchmarks.database import megabytes
 from benchmarks.scenes import SceneMaker
 from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
 from simulator import Scenario
-from simulator.study.blocks import run_block
-from simulator.study.trial import TrialRunner
+from simulator.study.trials.blocks import run_block
+from simulator.study.trials.trial import TrialRunner
 from startracker import StarTracker, TrackingSession, load_catalog
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS

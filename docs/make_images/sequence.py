@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from simulator import Scenario
-from simulator.study.animation import pictures, view_of
-from simulator.study.sequence import run_sequence
-from simulator.study.sequence_frames import SequenceRunner
+from simulator.study.sequence.animation import pictures, view_of
+from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.run import run_sequence
 
 OUT = Path(__file__).parents[1] / "images" / "sequence.png"
 SHOWN = 50

@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from simulator.checks import load_scenario
-from simulator.study.coverage import coverage
-from simulator.study.design import design
-from simulator.study.design_plot import design_plot
+from simulator.study.coverage.maps import coverage_map
+from simulator.study.coverage.survey import coverage
+from simulator.study.design.plot import design_plot
+from simulator.study.design.search import design
 from simulator.study.plots import save_bytes
-from simulator.study.sky_maps import coverage_map
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 

@@ -14,9 +14,9 @@ from rich.table import Table
 from simulator.cli.solve_command import parse_size
 from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
-from simulator.study.c_build import Build, compile_export, native_compiler
-from simulator.study.centroid_lists import centroid_list, list_text
-from simulator.study.yee1999.catalogue import SubCatalog, sub_catalog
+from simulator.study.exported_c.build import Build, compile_export, native_compiler
+from simulator.study.exported_c.centroid_lists import centroid_list, list_text
+from simulator.theses.yee1999.catalogue import SubCatalog, sub_catalog
 from startracker.errors import InputError
 from startracker.fixed_point.export_c import CExport, export_c
 from startracker.identification.integer_solution import MAX_STARS, MAX_TRIADS, integer_tables

@@ -19,9 +19,9 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     InputError
         Where the folder holds no run, or a file cannot be read or written.
     """
-    from simulator.study.columns import Columns
-    from simulator.study.pdf import pdf_of
-    from simulator.study.report import build_report, html_of
+    from simulator.study.report.page import build_report, html_of
+    from simulator.study.report.pdf import pdf_of
+    from simulator.study.trials.columns import Columns
 
     files = {name: folder / name for name in ("summary.json", "trials.parquet", "scenario.resolved.yaml")}
     if missing := [name for name, path in files.items() if not path.is_file()]:

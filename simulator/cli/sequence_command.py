@@ -12,8 +12,8 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.terminal import open_console, progress_bar
 from simulator.paths import make_folder
-from simulator.study.animation import find_ffmpeg
-from simulator.study.sequence import Sequence, run_sequence
+from simulator.study.sequence.animation import find_ffmpeg
+from simulator.study.sequence.run import Sequence, run_sequence
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from startracker.errors import InputError
 

@@ -19,8 +19,8 @@ from simulator.cli.thesis_command import greyling1995_study, yee1999_study
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from simulator.study.coverage import Coverage
-    from simulator.study.design import Design, Verification
+    from simulator.study.coverage.survey import Coverage
+    from simulator.study.design.search import Design, Verification
 
 __all__ = ["STUDIES", "study_app"]
 
@@ -76,9 +76,9 @@ def coverage_study(
     """Stars in the field over the whole sky or along the path: map, minima, availability."""
     from simulator.checks import load_scenario
     from simulator.paths import make_folder
-    from simulator.study.boresights import Exclusion
-    from simulator.study.coverage import baffle_exclusion, coverage
-    from simulator.study.coverage_files import RESULT_FILES, write_coverage
+    from simulator.study.coverage.boresights import Exclusion
+    from simulator.study.coverage.files import RESULT_FILES, write_coverage
+    from simulator.study.coverage.survey import baffle_exclusion, coverage
 
     loaded = load_scenario(scenario, set_values)
     baffle = baffle_exclusion(loaded)
@@ -132,8 +132,8 @@ def design_study(
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.paths import make_folder
-    from simulator.study.design import design, verify
-    from simulator.study.design_files import write_design
+    from simulator.study.design.files import write_design
+    from simulator.study.design.search import design, verify
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
@@ -178,8 +178,8 @@ def budget_study(
 
     from simulator.checks import load_scenario
     from simulator.paths import make_folder, write_atomically
-    from simulator.study.budget import budget
-    from simulator.study.budget_plot import budget_figure
+    from simulator.study.budget.error_budget import budget
+    from simulator.study.budget.plot import budget_figure
     from simulator.study.plots import save_bytes
 
     loaded = load_scenario(scenario, set_values)
@@ -261,7 +261,7 @@ def _print_coverage(result: Coverage, console: Console) -> None:
 
 
 def _print_design(result: Design, console: Console) -> None:
-    from simulator.study.design import PARAMETERS
+    from simulator.study.design.search import PARAMETERS
     from simulator.study.statistics import BODY_AXES, deg_text
 
     title, unit, _ = PARAMETERS[result.parameter]

@@ -16,10 +16,10 @@ from simulator.cli.checks import at_least, processes
 from simulator.cli.terminal import open_console
 from simulator.paths import make_folder, write_atomically
 from simulator.study.statistics import BODY_AXES
-from simulator.study.sweep_files import RESULT_FILES
+from simulator.study.sweep.files import RESULT_FILES
 
 if TYPE_CHECKING:
-    from simulator.study.sweep import Plan, Point, Sweep
+    from simulator.study.sweep.run import Plan, Point, Sweep
 
 _WIDTH = 130  # columns of the tables where the output is no terminal
 MOST_ROWS = 60
@@ -39,7 +39,7 @@ def run_sweep_command(
     dask: str | None = None,
 ) -> int:
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
-    from simulator.study.sweep import plan_sweep, run_sweep
+    from simulator.study.sweep.run import plan_sweep, run_sweep
 
     at_least(1, trials=trials, lhs=lhs)
     at_least(0, seed=seed)
@@ -90,7 +90,7 @@ class SweepProgress:
         self.bar.stop()
 
     def tell(self, done: int, total: int, point: Point) -> None:
-        """Take note of progress, as `simulator.study.sweep.run_sweep` tells it."""
+        """Take note of progress, as `simulator.study.sweep.run.run_sweep` tells it."""
         if self.done_before is None:
             self.done_before, self.started_s = done, self.clock()
         left_s = time_left_s(done, self.done_before, total, self.clock() - self.started_s)
@@ -110,7 +110,7 @@ class SweepProgress:
 
 
 def _print(sweep: Sweep, console: Console) -> None:
-    from simulator.study.sweep_page import interval_text, percent_text, value_text
+    from simulator.study.sweep.page import interval_text, percent_text, value_text
 
     table = sweep.table
     done = [point for point in table["points"] if "statistics" in point]
@@ -143,9 +143,9 @@ def _print(sweep: Sweep, console: Console) -> None:
 
 def compare_runs(folders: list[str], out: Path) -> int:
     """Compare runs; prints a table and writes the page."""
-    from simulator.study.compare import compare
-    from simulator.study.compare_page import comparison_page
-    from simulator.study.sweep_page import interval_text, percent_text, value_text
+    from simulator.study.sweep.compare import compare
+    from simulator.study.sweep.compare_page import comparison_page
+    from simulator.study.sweep.page import interval_text, percent_text, value_text
 
     comparison = compare(folders)
     write_atomically(out, comparison_page(comparison))

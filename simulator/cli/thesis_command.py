@@ -11,7 +11,7 @@ import typer
 from simulator.cli.terminal import open_console
 
 if TYPE_CHECKING:
-    from simulator.study.printed import PrintedStudy
+    from simulator.theses.printed import PrintedStudy
 
 __all__ = ["greyling1995_study", "yee1999_study"]
 
@@ -27,7 +27,7 @@ OutFolder = Annotated[
 
 def greyling1995_study(section: SectionName = None, out: OutFolder = None) -> int:
     """Greyling 1995 (the microsatellite's star camera) again: each printed value beside the computed one."""
-    from simulator.study import greyling1995
+    from simulator.theses import greyling1995
 
     return finish(lambda progress: greyling1995.run(section, progress), out or Path("out") / "greyling1995")
 
@@ -94,7 +94,7 @@ def yee1999_study(
 ) -> int:
     """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
     from simulator.cli.yee_picture import PictureRequest, report, run_picture
-    from simulator.study import yee1999
+    from simulator.theses import yee1999
 
     request = PictureRequest(
         centroids=centroids,

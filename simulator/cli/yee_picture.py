@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from simulator.cli.checks import writable
 from simulator.cli.solve_command import parse_pixel, parse_size, read_centroids
 from simulator.paths import write_atomically
-from simulator.study.yee1999.catalogue import EDITIONS
-from simulator.study.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
+from simulator.theses.yee1999.catalogue import EDITIONS
+from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import FixedPointOverflow

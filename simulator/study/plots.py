@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.report_style import PICTURE_STYLE, new_figure
 from simulator.study.statistics import AXES, BODY_AXES
+from simulator.study.style import PICTURE_STYLE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
-from simulator.study.columns import Columns
-from simulator.study.engine import Progress, Trials, run_trials
-from simulator.study.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost
 from simulator.study.statistics import BODY_AXES, summarise
+from simulator.study.trials.columns import Columns
+from simulator.study.trials.engine import Progress, Trials, run_trials
+from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
 
 if TYPE_CHECKING:
-    from simulator.study.trial import TrialRunner
+    from simulator.study.trials.trial import TrialRunner
 
 RESULT_FILES = ("summary.json", "trials.parquet", "report.html", "scenario.resolved.yaml")
 
@@ -158,7 +158,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
 def _write_pages(
     scenario: Scenario, columns: Columns, summary: dict[str, Any], folder: Path, runner: TrialRunner | None
 ) -> None:
-    from simulator.study.report import report_html
+    from simulator.study.report.page import report_html
 
     write_atomically(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     header = "".join(f"# {name} {number}\n" for name, number in summary["versions"].items())

@@ -66,6 +66,9 @@ def first_moment(
     saturated star is measured over a window grown by its radius, uncorrected, with 0.05 px and a quarter of the
     difference of its two widths (bleeding) added.
 
+    Images drawn out by 3 to 5 px are no Gaussians, and a window of five pixels does not hold them: errors are up to
+    twice those stated. The fits of the star image know what they are.
+
     Parameters
     ----------
     image : array, shape (H, W)

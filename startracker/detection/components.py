@@ -25,10 +25,12 @@ _CONTRAST = 2.0
 """A star in an oversized object stands out this many times above the threshold that cuts it free."""
 _MOST_LEVELS = 24
 _LOOKED_AT = 30
-_FEWEST_LONG = 3
-_WHOLE_PIXELS, _PARTED_SHARE, _PIECES_RATIO = 12, 0.25, 1.5
+_FEWEST_LONG, _EARLIER = 3, 0.6
+"""Objects so long make one look for smear; at this share of the axis ratio from which single ones are left out, so that
+no star is before the smear is seen."""
+_WHOLE_PIXELS, _PARTED_SHARE = 12, 0.25
 """Where such a share of objects of so many pixels was parted, they may be streaks of soft images, in pieces because the
-noise of their photons makes them uneven: then they need only be longer than broad by this ratio."""
+noise of their photons makes them uneven."""
 _LONGEST = 5
 """A streak may have this many times `max_pixels`."""
 
@@ -84,13 +86,11 @@ def find_components(
     runs, signal, excess = search_filtered(pixels, background, half, threshold)
     table, parted = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
     whole = np.count_nonzero(table[:, PIXELS] >= _WHOLE_PIXELS) - parted
-    in_pieces = parted >= max(_FEWEST_LONG, _PARTED_SHARE * whole)
-    if in_pieces or _looks_smeared(table, settings):
+    if parted >= max(_FEWEST_LONG, _PARTED_SHARE * whole) or _looks_smeared(table, settings):
         runs, signal, _ = search_filtered(pixels, background, half, 0.5 * threshold)
         longest = _LONGEST * settings.max_pixels
         objects, _ = measure_found(runs, signal, pixels, background, 0.5 * excess * threshold, longest, saturation, 1)
-        ratio = _PIECES_RATIO if in_pieces else settings.max_axis_ratio
-        spots = select_smeared(objects, settings, known, background, excess, ratio)
+        spots = select_smeared(objects, settings, known, background, excess)
         if spots is not None:
             return spots
     return select_spots(table, settings, known, pixels, background, half, excess)
@@ -98,7 +98,8 @@ def find_components(
 
 def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:
     """Whether there are three long objects among the thirty brightest: then it is worth looking for a motion."""
-    return bool(are_long(table, _FEWEST_LONG, settings.min_pixels, _LOOKED_AT, settings.max_axis_ratio))
+    ratio = _EARLIER * settings.max_axis_ratio
+    return bool(are_long(table, _FEWEST_LONG, settings.min_pixels, _LOOKED_AT, ratio))
 
 
 def measure_found(

@@ -35,7 +35,7 @@ Flags = NDArray[np.bool_]
 
 _FLAT_TOP_PIXELS = 5
 """Pixels that share the highest value of a flat top; a star centred on a corner has four of them."""
-_STREAK_PIXELS = 12
+_STREAK_PIXELS, _STREAK_RATIO = 12, 1.5
 _LOOKED_AT = 6
 """Objects examined for each star asked for: the brightest; an image full of noise has thousands."""
 _QUIET_QUANTILE = 0.25
@@ -146,7 +146,6 @@ def select_smeared(
     saturation_known: bool,
     background: Background,
     excess: float,
-    axis_ratio: float,
 ) -> Spots | None:
     """Stars of a smeared frame: objects that are long and fit the one motion; None where there is no such motion.
 
@@ -154,15 +153,14 @@ def select_smeared(
     ----------
     table, settings, saturation_known, background, excess
         As for `select_spots`; the objects found at half the threshold, which faint streaks fall apart above. In
-        exchange an object needs 12 pixels and, as a whole, twice the threshold.
-    axis_ratio : float
-        Of the second moments, from which an object is long.
+        exchange an object needs 12 pixels and, as a whole, twice the threshold. To be a streak it need only be longer
+        than broad: the limit on the axis ratio, somewhere in which streaks of one length scatter, is for single ones.
     """
     at_peak = table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)
     noise = excess * background.noise_plane[*at_peak]
     strong = table[:, FLUX] > 2.0 * settings.threshold_sigma * noise * np.sqrt(table[:, PIXELS])
     table = table[strong & (table[:, PIXELS] >= _STREAK_PIXELS)]
-    forms = measure_forms(table, axis_ratio)
+    forms = measure_forms(table, _STREAK_RATIO)
     whole = np.flatnonzero(forms.long & (table[:, EDGE] == 0))
     order = whole[np.lexsort((table[whole, X_PEAK], table[whole, Y_PEAK], -table[whole, FLUX]))]
     middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from simulator.cli import app
 from simulator.randomness import stream
-from simulator.study.c_build import FLAGS, HOST, M68K, compile_export
-from simulator.study.centroid_lists import KINDS, centroid_list, list_text
-from simulator.study.yee1999.catalogue import sub_catalog
-from simulator.study.yee1999.picture import vega
+from simulator.study.exported_c.build import FLAGS, HOST, M68K, compile_export
+from simulator.study.exported_c.centroid_lists import KINDS, centroid_list, list_text
+from simulator.theses.yee1999.catalogue import sub_catalog
+from simulator.theses.yee1999.picture import vega
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.export_c import SOURCES, export_c

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from simulator.study.greyling1995 import SECTIONS
-from simulator.study.greyling1995.converter import converter_trial
-from simulator.study.greyling1995.holes import HOLES, SLOW_CLOCK_HZ, memory_image, scene, smear_share
-from simulator.study.greyling1995.prototype import defocus_radii_um, limits_of_brightness
+from simulator.theses.greyling1995 import SECTIONS
+from simulator.theses.greyling1995.converter import converter_trial
+from simulator.theses.greyling1995.holes import HOLES, SLOW_CLOCK_HZ, memory_image, scene, smear_share
+from simulator.theses.greyling1995.prototype import defocus_radii_um, limits_of_brightness
 
 
 @pytest.fixture(scope="module")

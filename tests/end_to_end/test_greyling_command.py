@@ -5,7 +5,7 @@ import json
 import pytest
 
 from simulator.cli import _run
-from simulator.study import greyling1995
+from simulator.theses import greyling1995
 
 
 @pytest.mark.parametrize("name", ["path", "photometry"])

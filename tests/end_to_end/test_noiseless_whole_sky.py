@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simulator import Renderer, Scenario
-from simulator.study.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker import Attitude
 
 LIMIT_ARCSEC = 1.0

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from simulator.scenario import Scenario
-from simulator.study.sequence import run_sequence
-from simulator.study.yee1999 import rendered_flight, rendered_vega, threshold_sweep
-from simulator.study.yee1999.catalogue import printed_rows
+from simulator.study.sequence.run import run_sequence
+from simulator.theses.yee1999 import rendered_flight, rendered_vega, threshold_sweep
+from simulator.theses.yee1999.catalogue import printed_rows
 from startracker.catalog import load_catalog
 from startracker.detection import estimate, find_clusters
 from startracker.settings import DetectionSettings

@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 
 from simulator.scenario import Scenario
-from simulator.study.pdf import pdf_of
-from simulator.study.report import build_report, html_of
+from simulator.study.report.page import build_report, html_of
+from simulator.study.report.pdf import pdf_of
 from simulator.study.run import run
 
 HERE = Path(__file__).parent

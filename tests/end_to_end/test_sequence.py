@@ -12,8 +12,8 @@ from PIL import Image
 
 from simulator import Scenario
 from simulator.cli import _run
-from simulator.study.sequence import run_sequence
-from simulator.study.sequence_frames import SequenceRunner
+from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.run import run_sequence
 from startracker.attitude import Attitude
 from startracker.errors import BoresightError, InputError
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from simulator import Scenario
-from simulator.study.sequence import run_sequence
-from simulator.study.sequence_frames import SequenceRunner
+from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.run import run_sequence
 from startracker.errors import InputError
 
 OVERRIDES = [

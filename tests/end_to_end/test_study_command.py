@@ -6,7 +6,7 @@ import pytest
 
 from simulator.cli import _run
 from simulator.cli.study_command import STUDIES
-from simulator.study.budget_effects import EFFECTS
+from simulator.study.budget.effects import EFFECTS
 
 SMALL = ["--set", "detector.width=256", "--set", "detector.height=256"]
 
@@ -63,7 +63,7 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
 
 
 def test_the_budget_is_written_for_the_report(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("simulator.study.budget.EFFECTS", EFFECTS[:2])  # each is a run of its own
+    monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:2])  # each is a run of its own
     out = tmp_path / "b"
     small = [*SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]
     assert _run(["study", "budget", "cubesat", *small, "--trials", "3", "--out", str(out)]) == 0

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from simulator.scenario import Scenario
-from simulator.study import dask_pool
-from simulator.study.blocks import run_block
-from simulator.study.engine import run_trials
-from simulator.study.sweep import plan_sweep, run_sweep
+from simulator.study.sweep.run import plan_sweep, run_sweep
+from simulator.study.trials import dask_pool
+from simulator.study.trials.blocks import run_block
+from simulator.study.trials.engine import run_trials
 from startracker.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,7 +84,7 @@ def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_pat
 def _fake_runner():
     import runpy
 
-    from simulator.study import engine, process_pool
+    from simulator.study.trials import engine, process_pool
 
     before = engine.TrialRunner
     try:

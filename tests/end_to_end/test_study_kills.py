@@ -15,10 +15,10 @@ import pytest
 
 from simulator import paths
 from simulator.scenario import Scenario
-from simulator.study import dask_pool, engine, parts, process_pool
 from simulator.study import run as run_module
-from simulator.study.blocks import run_block
 from simulator.study.run import RESULT_FILES, run
+from simulator.study.trials import dask_pool, engine, parts, process_pool
+from simulator.study.trials.blocks import run_block
 from startracker.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -153,8 +153,8 @@ class SmallDisk:
 
 def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed, runner, monkeypatch):
     monkeypatch.setattr(parts, "MERGE_EVERY", 3)
-    monkeypatch.setattr("simulator.study.blocks.MOST_TRIALS", 60)
-    monkeypatch.setattr("simulator.study.report.report_html", lambda *_, **__: "page" * 1000)
+    monkeypatch.setattr("simulator.study.trials.blocks.MOST_TRIALS", 60)
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page" * 1000)
     scenario = Scenario.load("cubesat")
     whole = SmallDisk(1 << 40)
     monkeypatch.setattr(paths.os, "fdopen", whole.fdopen)
@@ -191,7 +191,7 @@ def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed
 
 
 def test_results_of_an_earlier_run_stand_until_the_new_ones_do(tmp_path, runner, monkeypatch):
-    monkeypatch.setattr("simulator.study.report.report_html", lambda *_, **__: "page")
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
     scenario = Scenario.load("cubesat")
     run(scenario, 50, out=tmp_path)
     before = {name: (tmp_path / name).read_bytes() for name in RESULT_FILES}
@@ -200,7 +200,7 @@ def test_results_of_an_earlier_run_stand_until_the_new_ones_do(tmp_path, runner,
         run(scenario, 60, out=tmp_path)
     assert {name: (tmp_path / name).read_bytes() for name in RESULT_FILES} == before
     monkeypatch.undo()
-    monkeypatch.setattr("simulator.study.report.report_html", lambda *_, **__: "page")
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
     monkeypatch.setattr(engine, "TrialRunner", None)  # all 60 are there: no trial may be run
     study = run(scenario, 60, out=tmp_path, resume=True)
     assert study.summary["trials"] == 60

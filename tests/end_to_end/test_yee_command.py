@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulator.cli import _run
-from simulator.study.yee1999.picture import analyse, vega
+from simulator.theses.yee1999.picture import analyse, vega
 
 CAMERA = ["--size", "427x319", "--fov", "9.0130x6.9049"]
 

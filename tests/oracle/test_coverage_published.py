@@ -18,10 +18,10 @@ import pytest
 
 from simulator.checks import load_scenario
 from simulator.focal_plane import camera_of
-from simulator.study.boresights import along_path, whole_sky
-from simulator.study.coverage import count_stars
-from simulator.study.field_counts import circle, outline, solid_angle_sr
-from simulator.study.sensitivity import build_sensitivity
+from simulator.study.coverage.boresights import along_path, whole_sky
+from simulator.study.coverage.field_counts import circle, outline, solid_angle_sr
+from simulator.study.coverage.sensitivity import build_sensitivity
+from simulator.study.coverage.survey import count_stars
 from startracker.catalog import load_catalog
 
 

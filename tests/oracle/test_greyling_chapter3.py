@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.constants import c, h
 
-from simulator.study.greyling1995 import density, matrix, noise, path, photometry, starlight
+from simulator.theses.greyling1995 import density, matrix, noise, path, photometry, starlight
 
 
 def rows_of(section, where):

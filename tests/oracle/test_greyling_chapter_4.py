@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from simulator.study.greyling1995.blur import CRITERIA, airy_bias, airy_pattern, best_sigma, sigma_of_bias, spread
-from simulator.study.greyling1995.blur import section as blur_section
-from simulator.study.greyling1995.centroiding import section as centroiding_section
-from simulator.study.greyling1995.digits import compare_cut, cut_off
-from simulator.study.greyling1995.segmentation import mars_diameters_arcsec, success_rate, thesis_settings
-from simulator.study.greyling1995.segmentation import section as segmentation_section
-from simulator.study.greyling1995.star_images import (
+from simulator.theses.greyling1995.blur import CRITERIA, airy_bias, airy_pattern, best_sigma, sigma_of_bias, spread
+from simulator.theses.greyling1995.blur import section as blur_section
+from simulator.theses.greyling1995.centroiding import section as centroiding_section
+from simulator.theses.greyling1995.digits import compare_cut, cut_off
+from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec, success_rate, thesis_settings
+from simulator.theses.greyling1995.segmentation import section as segmentation_section
+from simulator.theses.greyling1995.star_images import (
     OFFSETS,
     distortion_errors,
     moments,

@@ -11,18 +11,18 @@ import math
 import numpy as np
 import pytest
 
-from simulator.study.greyling1995.guide_stars import guide_stars, lines, zone, zone_counts, zone_size_deg
-from simulator.study.greyling1995.guide_stars import section as guide_section
-from simulator.study.greyling1995.identification import (
+from simulator.theses.greyling1995.guide_stars import guide_stars, lines, zone, zone_counts, zone_size_deg
+from simulator.theses.greyling1995.guide_stars import section as guide_section
+from simulator.theses.greyling1995.identification import (
     draw_field,
     guide_database,
     region,
     thesis_identification,
     zone_lines,
 )
-from simulator.study.greyling1995.identification import section as identification_section
-from simulator.study.greyling1995.pitch import least_separation_deg, measured_pitch_errors_deg
-from simulator.study.greyling1995.pitch import section as pitch_section
+from simulator.theses.greyling1995.identification import section as identification_section
+from simulator.theses.greyling1995.pitch import least_separation_deg, measured_pitch_errors_deg
+from simulator.theses.greyling1995.pitch import section as pitch_section
 from startracker.catalog import load_catalog
 
 

@@ -13,7 +13,7 @@ from scipy.special import j1
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.bounds import (
+from simulator.study.trials.bounds import (
     attitude_bound_deg,
     fisher_of_place,
     matched_sources,

@@ -1,4 +1,4 @@
-"""Yee 1999, "Attitude from stellar images": her tables as printed (package data of `simulator.study.yee1999`).
+"""Yee 1999, "Attitude from stellar images": her tables as printed (package data of `simulator.theses.yee1999`).
 
 The printed numbers are held against what the study computes, at the precision at which the text lets them follow:
 every printed digit of Tables 2.1, 2.2 and 3.1; 29 of 30 of Table 3.2 (the thirtieth differs by one); Table 4.1's
@@ -14,12 +14,12 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-from simulator.study import yee1999
-from simulator.study.yee1999.catalogue import printed_rows, sub_catalog
-from simulator.study.yee1999.integers import crossover
-from simulator.study.yee1999.picture import Options, analyse, centred, vega
-from simulator.study.yee1999.subsets import mean_errors, subset_centers, triangle_areas
-from simulator.study.yee1999.video_field import cropped_field_deg, database_separations, field_deg
+from simulator.theses import yee1999
+from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.integers import crossover
+from simulator.theses.yee1999.picture import Options, analyse, centred, vega
+from simulator.theses.yee1999.subsets import mean_errors, subset_centers, triangle_areas
+from simulator.theses.yee1999.video_field import cropped_field_deg, database_separations, field_deg
 from startracker.errors import InputError
 from startracker.estimation import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -236,7 +236,7 @@ def test_verdicts_and_data(sections):
 
 @pytest.mark.parametrize("name", ["2_1", "2_2", "3_1", "3_2", "4_1", "4_2", "4_4", "4_5", "4_17", "d_1"])
 def test_printed_tables_name_their_source(name):
-    text = (files("simulator.study.yee1999") / "data" / f"table_{name}.csv").read_text(encoding="utf-8").splitlines()
+    text = (files("simulator.theses.yee1999") / "data" / f"table_{name}.csv").read_text(encoding="utf-8").splitlines()
     assert text[0].startswith("# S. Yee")
     assert f"Table {name.replace('_', '.').upper()}" in text[0]
     assert len({len(row) for row in csv.reader(text[1:])}) == 1

@@ -1,9 +1,10 @@
 """What the tracker reaches on frames of `cubesat.yaml` against the Cramér–Rao bound; whether its covariance is true.
 
-The bound (`simulator.study.bounds`, itself checked against brute force in tests/oracle/test_study_bounds.py) is of the
-star's image, flux, background and noise; so hot pixels, which spoil one star in 400, are switched off, and stars with a
-neighbour in reach of a window are left out. The rms of N errors on two axes is good to 1/√(4N) of itself; limits are
-those of the specification plus three of these. The normalised error squared of an attitude has mean 3 and variance 6.
+The bound (`simulator.study.trials.bounds`, itself checked against brute force in tests/oracle/test_study_bounds.py) is
+of the star's image, flux, background and noise; so hot pixels, which spoil one star in 400, are switched off, and stars
+with a neighbour in reach of a window are left out. The rms of N errors on two axes is good to 1/√(4N) of itself; limits
+are those of the specification plus three of these. The normalised error squared of an attitude has mean 3 and
+variance 6.
 """
 
 import functools
@@ -13,8 +14,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from simulator import Scenario
-from simulator.study.bounds import attitude_bound_deg, matched_sources, star_information
-from simulator.study.trial import TrialRunner, solve_frame
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, star_information
+from simulator.study.trials.trial import TrialRunner, solve_frame
 
 FRAMES = 150
 REACH_PX, FAINTER_MAG = 12.0, 5.0

@@ -14,7 +14,7 @@ from simulator.detector.intensifier import multiply
 from simulator.detector.video import video_signal
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection, IntensifierSection, VideoSection
-from simulator.study.bounds import pixel_variance_e2
+from simulator.study.trials.bounds import pixel_variance_e2
 
 SIDE = 240
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from simulator import Scenario
-from simulator.study.sequence import run_sequence
+from simulator.study.sequence.run import run_sequence
 
 SMALL = [
     "detector.width=384",

@@ -9,8 +9,8 @@ from simulator import Renderer, Scenario
 from simulator.detector.fixed_pattern import FixedPattern
 from simulator.optics.smear import _longest, _rotations, _turned, star_paths
 from simulator.optics.splat import add_gaussians
-from simulator.study import bounds
-from simulator.study.trial import TrialRunner
+from simulator.study.trials import bounds
+from simulator.study.trials.trial import TrialRunner
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.distortion import Distortion, distort

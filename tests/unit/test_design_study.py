@@ -9,9 +9,9 @@ import pytest
 
 from simulator.checks import load_scenario
 from simulator.focal_plane import camera_of
-from simulator.study.boresights import whole_sky
-from simulator.study.design import PARAMETERS, changed, design, predict, verify
-from simulator.study.design_files import write_design
+from simulator.study.coverage.boresights import whole_sky
+from simulator.study.design.files import write_design
+from simulator.study.design.search import PARAMETERS, changed, design, predict, verify
 from startracker.errors import InputError
 
 SMALL = ["detector.width=256", "detector.height=256", "optics.focal_length_mm=8", "optics.aperture_mm=6"]

@@ -145,6 +145,18 @@ def test_sharp_stars_drawn_out_by_a_few_pixels_are_kept(shift):
     assert np.allclose(np.abs(spots.streak), np.abs(shift), atol=0.7)
 
 
+@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0, 1.4])
+def test_streaks_about_the_limit_of_the_axis_ratio_are_kept(sigma):
+    """Where a line's variance, L²/12, is five times the image's across, the axis ratios scatter about 6: those above
+    it were taken for all stars of the frame, bright ones left out."""
+    for seed, share in enumerate((0.9, 1.0, 1.1)):
+        length = share * np.sqrt(60.0 * (sigma**2 + 1.0 / 12.0))
+        shift = (0.8 * length, 0.6 * length)
+        image, places, _ = field(seed, sigma=sigma, count=40, faintest=3000.0, line=lambda x, y, shift=shift: shift)
+        found, _ = matched(find_components(image.astype(np.float32), estimate(image), ALL, None), places)
+        assert found.all()
+
+
 def test_streaks_are_whole_where_the_noise_of_their_light_makes_them_uneven():
     """Each streak fell into two halves 7 px apart: a field solved with an error of half that and none stated."""
     pieces, stars = 0, 0

@@ -17,7 +17,7 @@ from scipy.special import erf
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.centroid.streaks import Streaks, find_streaks

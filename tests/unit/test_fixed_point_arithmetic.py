@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from simulator.randomness import stream
-from simulator.study.centroid_lists import centroid_list
-from simulator.study.yee1999.catalogue import sub_catalog
-from simulator.study.yee1999.picture import vega
+from simulator.study.exported_c.centroid_lists import centroid_list
+from simulator.theses.yee1999.catalogue import sub_catalog
+from simulator.theses.yee1999.picture import vega
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import FixedPointOverflow, integers
 from startracker.fixed_point.wide import WideArithmetic

@@ -5,9 +5,9 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from simulator.study.c_build import HOST, M68K, Target, compile_export
-from simulator.study.yee1999 import SECTIONS
-from simulator.study.yee1999.integer_build import attitude_differences
+from simulator.study.exported_c.build import HOST, M68K, Target, compile_export
+from simulator.theses.yee1999 import SECTIONS
+from simulator.theses.yee1999.integer_build import attitude_differences
 from startracker import Camera
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
@@ -27,7 +27,7 @@ def test_attitudes_are_those_of_floating_point():
 
 
 def test_section(monkeypatch):
-    module = import_module("simulator.study.yee1999.integer_build")  # the package has a function of that name
+    module = import_module("simulator.theses.yee1999.integer_build")  # the package has a function of that name
     monkeypatch.setattr(module, "M68K", Target("none", "no-such-gcc"))  # its instructions are counted below
     section = SECTIONS["build"]()
     rows = {row.quantity: row for row in section.rows}

@@ -6,7 +6,7 @@ import json
 import pytest
 from rich.console import Console
 
-from simulator.study.printed import PrintedStudy, Row, Section, compare, new_figure, run_sections, verdict_of
+from simulator.theses.printed import PrintedStudy, Row, Section, compare, new_figure, run_sections, verdict_of
 from startracker.errors import InputError
 
 

@@ -7,14 +7,14 @@ import pytest
 
 from simulator.cli import main
 from simulator.scenario import Scenario
-from simulator.study.pdf import pdf_of
-from simulator.study.report import build_report, html_of
-from simulator.study.report_content import content_of, outlier_positions, percent_text
-from simulator.study.report_frames import chosen_trials
-from simulator.study.report_plots import panels
+from simulator.study.report.content import content_of, outlier_positions, percent_text
+from simulator.study.report.figures import panels
+from simulator.study.report.frames import chosen_trials
+from simulator.study.report.page import build_report, html_of
+from simulator.study.report.pdf import pdf_of
 from simulator.study.run import run
 from simulator.study.statistics import AXES, BODY_AXES, summarise
-from simulator.study.trial import TrialRunner
+from simulator.study.trials.trial import TrialRunner
 from startracker.catalog import load_catalog
 
 SPECIFICATION = {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}
@@ -181,7 +181,7 @@ def test_nothing_solved_still_makes_a_report(scenario):
 def test_runner_of_the_run_is_used_again(scenario, monkeypatch):
     runner = TrialRunner(scenario)
     columns = trials(n=3)
-    monkeypatch.setattr("simulator.study.report_frames.TrialRunner", None)  # a second one would fail
+    monkeypatch.setattr("simulator.study.report.frames.TrialRunner", None)  # a second one would fail
     assert len(build_report(scenario, summary_of(columns), columns, runner=runner).frames) == 3
 
 

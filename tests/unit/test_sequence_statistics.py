@@ -7,7 +7,7 @@ import pytest
 
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.scenario.schema import GyroSection
-from simulator.study.sequence_statistics import effective_number, longest_run, nees_test
+from simulator.study.sequence.statistics import effective_number, longest_run, nees_test
 
 
 @pytest.mark.parametrize(("text", "longest"), [("", 0), ("...", 0), ("##.#", 2), (".###", 3), ("#.####.##", 4)])

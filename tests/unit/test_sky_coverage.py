@@ -12,10 +12,10 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.randomness import stream
 from simulator.scene import SceneBuilder
 from simulator.sky.earth import occulted
-from simulator.study.boresights import Exclusion, along_path, sky_grid, whole_sky
-from simulator.study.coverage import count_stars, coverage
-from simulator.study.coverage_files import RESULT_FILES, write_coverage
-from simulator.study.field_counts import accumulate_information, circle, outline, solid_angle_sr
+from simulator.study.coverage.boresights import Exclusion, along_path, sky_grid, whole_sky
+from simulator.study.coverage.field_counts import accumulate_information, circle, outline, solid_angle_sr
+from simulator.study.coverage.files import RESULT_FILES, write_coverage
+from simulator.study.coverage.survey import count_stars, coverage
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog

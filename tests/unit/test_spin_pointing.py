@@ -9,8 +9,8 @@ from simulator.mission.pointing import mounting_of, point_spinning, round_s
 from simulator.mission.spin import spin_attitude
 from simulator.renderer import render
 from simulator.scenario import Scenario
-from simulator.study.boresights import along_path
-from simulator.study.sensitivity import nominal_rate_rad_s
+from simulator.study.coverage.boresights import along_path
+from simulator.study.coverage.sensitivity import nominal_rate_rad_s
 
 
 @pytest.fixture(scope="module")

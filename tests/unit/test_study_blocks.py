@@ -1,7 +1,7 @@
 """How the trials are cut into blocks."""
 
-from simulator.study import blocks
-from simulator.study.blocks import Blocks, Result
+from simulator.study.trials import blocks
+from simulator.study.trials.blocks import Blocks, Result
 
 
 def finish(todo, block, trial_s):

@@ -9,10 +9,10 @@ import pytest
 
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
-from simulator.study import budget as module
-from simulator.study.budget import budget
-from simulator.study.budget_effects import CLASSES, EFFECTS, effective
-from simulator.study.budget_plot import budget_figure
+from simulator.study.budget import error_budget as module
+from simulator.study.budget.effects import CLASSES, EFFECTS, effective
+from simulator.study.budget.error_budget import budget
+from simulator.study.budget.plot import budget_figure
 from simulator.study.statistics import AXES
 from startracker.errors import BoresightError, InputError
 

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.scenario import Scenario
-from simulator.study import parts
-from simulator.study.columns import Columns
-from simulator.study.parts import PartStore, discard_parts
+from simulator.study.trials import parts
+from simulator.study.trials.columns import Columns
+from simulator.study.trials.parts import PartStore, discard_parts
 from startracker.errors import BoresightError, InputError
 
 
@@ -143,7 +143,7 @@ def test_columns_are_read_when_asked_for(scenario, tmp_path, monkeypatch):
         assert columns.table().equals(table)
         with pytest.raises(ValueError, match="read-only"):
             columns["value"][0] = 1
-    monkeypatch.setattr("simulator.study.columns.CACHE_BYTES", 1000)
+    monkeypatch.setattr("simulator.study.trials.columns.CACHE_BYTES", 1000)
     columns = Columns(tmp_path / "t.parquet")
     assert columns["value"] is columns["value"]
     first = columns["index"]

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
-from simulator.study.trial import (
+from simulator.study.trials.trial import (
     TrialRunner,
     argument_of_latitude_deg,
     galactic_latitude_deg,

@@ -10,9 +10,9 @@ import pytest
 from simulator.checks import load_scenario
 from simulator.cli.sweep_command import time_left_s
 from simulator.scenario import ScenarioError
-from simulator.study.engine import run_trials
-from simulator.study.sweep import plan_sweep, run_sweep
-from simulator.study.sweep_files import point_file
+from simulator.study.sweep.files import point_file
+from simulator.study.sweep.run import plan_sweep, run_sweep
+from simulator.study.trials.engine import run_trials
 from startracker.errors import InputError
 
 # the smallest camera that ships; 31 mm at 15.09 mm would be f/0.487

@@ -1,0 +1,293 @@
+"""What makes up the error: the same trials again with one effect switched off at a time.
+
+Every run has the same seed, hence the same attitudes and, for what is still on, the same noise: differences between
+runs are those of the effect. The sums of their classes are measured too, with all effects of a class off at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario import Scenario
+from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect, changed, effective
+from simulator.study.intervals import moment_intervals, plain, wilson_interval
+from simulator.study.statistics import CAMERA_AXES
+from simulator.study.trials.engine import Progress, run_trials
+from startracker.errors import BoresightError, InputError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one effect, or class, adds to the error.
+
+    Parameters
+    ----------
+    name, kind : str
+        Effect and class.
+    rms_off_deg : dict
+        Rms error by camera axis without it, degrees.
+    added_deg2 : dict
+        Mean square that it adds, by axis, degrees²: that with it less that without, over the trials that both solve.
+        Negative where the error is larger without.
+    interval_deg2 : dict
+        95 % bootstrap interval of these, of the paired trials; None at an end for too few.
+    trials : int
+        Trials that both solve rightly.
+    solved : int
+        Trials solved rightly without it.
+    """
+
+    name: str
+    kind: str
+    rms_off_deg: dict[str, float]
+    added_deg2: dict[str, float]
+    interval_deg2: dict[str, list[float | None]]
+    trials: int
+    solved: int
+
+    def added_rms_deg(self, axis: str) -> float:
+        """Square root of what it adds, with the sign of that."""
+        return _root(self.added_deg2[axis])
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Error budget of a scenario.
+
+    Parameters
+    ----------
+    scenario : str
+        Its name.
+    seed, trials : int
+        Seed and number of trials of every run.
+    solved : int
+        Trials solved rightly with everything on.
+    rms_deg : dict
+        Rms error by camera axis with everything on, degrees.
+    mean_deg : dict
+        Mean error: the bias.
+    effects, classes : tuple of Contribution
+        One effect off; all effects of a class off.
+    remainder : Contribution or None
+        All effects off at once: its `rms_off_deg` is what the algorithms alone leave. None where nothing is on.
+    interrupted : bool
+        Whether it was stopped before all runs were done; what is there is complete.
+    """
+
+    scenario: str
+    seed: int
+    trials: int
+    solved: int
+    rms_deg: dict[str, float]
+    mean_deg: dict[str, float]
+    effects: tuple[Contribution, ...]
+    classes: tuple[Contribution, ...]
+    remainder: Contribution | None
+    interrupted: bool = False
+
+    def table(self) -> str:
+        """The budget as text: an effect a line, arcseconds, the largest about the first axis first."""
+        head = f"{'':34}" + "".join(f"{axis.replace('_', ' '):>26}" for axis in CAMERA_AXES)
+        lines = [
+            f"Error budget of {self.scenario}: {self.trials} trials, seed {self.seed}",
+            "rms in arcseconds, in brackets 95 % intervals",
+            head,
+            f"{'everything on':34}" + "".join(f"{self.rms_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES),
+        ]
+        for title, rows in (("added by each effect", self.effects), ("added by each class", self.classes)):
+            lines.append(title)
+            lines += [_line(row) for row in sorted(rows, key=lambda row: -row.added_deg2[CAMERA_AXES[0]])]
+        if self.remainder is not None:
+            left = "".join(f"{self.remainder.rms_off_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES)
+            lines.append(f"{'everything off':34}{left}")
+        lines.append(
+            "Added: the root of the mean square with the effect less that without; with a minus sign where the error "
+            "grows without it. Effects need not add up: weights and star counts change with them."
+        )
+        if self.interrupted:
+            lines.append("Interrupted: effects that are not listed were not run.")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The budget as JSON holds it; angles in degrees."""
+        return {
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "trials": self.trials,
+            "solved": self.solved,
+            "solved_interval95": list(wilson_interval(self.solved, self.trials)),
+            "rms_deg": self.rms_deg,
+            "mean_deg": self.mean_deg,
+            "effects": [_entry(row) for row in self.effects],
+            "classes": [_entry(row) for row in self.classes],
+            "remainder": None if self.remainder is None else _entry(self.remainder),
+            "interrupted": self.interrupted,
+        }
+
+
+def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress | None = None) -> Budget:
+    """Error budget of a scenario: one Monte Carlo run for everything, each effect, each class, and nothing.
+
+    An effect that the scenario does not have is passed over.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; its seed is that of every run.
+    trials : int
+        Trials of each run, at least 2.
+    workers : int
+        Processes on this machine.
+    progress : callable, optional
+        Called with (trials finished, trials in all), over all runs.
+
+    Raises
+    ------
+    InputError
+        For too few trials or no workers.
+    BoresightError
+        When it is interrupted before the first comparison stands, or solves nothing.
+    """
+    if trials < 2:
+        raise InputError(f"trials: an error budget takes at least 2 a run, not {trials}")
+    effects = [(effect, changes) for effect in EFFECTS if (changes := effective(scenario, effect.off(scenario)))]
+    groups = {kind: [pair for pair in effects if pair[0].kind == kind] for kind in CLASSES}
+    groups = {kind: members for kind, members in groups.items() if members}
+    runs: list[tuple[str, str, Changes]] = [("everything on", "", {})]
+    runs += [(effect.name, effect.kind, changes) for effect, changes in effects]
+    runs += [(CLASSES[kind], kind, _joined(members)) for kind, members in groups.items() if len(members) > 1]
+    if effects:
+        runs.append(("everything", "", _joined(effects)))
+
+    done: list[tuple[FloatArray, NDArray[np.bool_]]] = []
+    interrupted = False
+    for k, (_, _, changes) in enumerate(runs):
+        found = run_trials(
+            changed(scenario, changes),
+            trials,
+            workers=workers,
+            progress=_shifted(progress, k * trials, len(runs) * trials),
+        )
+        if found.interrupted:
+            interrupted = True
+            break
+        done.append(_errors(found.table))
+    if len(done) < min(2, len(runs)):
+        raise BoresightError("interrupted before the first effect was compared: nothing to report")
+
+    base, right = done[0]
+    if not right.any():
+        raise BoresightError("no trial is solved with everything on: there is no error to divide up")
+    rows = [
+        _contribution(name, kind, base, right, *result, scenario.seed)
+        for (name, kind, _), result in zip(runs[1:], done[1:], strict=False)
+    ]
+    singles = rows[: len(effects)]
+    many = rows[len(effects) : len(runs) - 2] if effects else []
+    of_class = {row.kind: row for row in many} | {
+        kind: row
+        for kind, members in groups.items()
+        if len(members) == 1
+        for row in singles
+        if row.name == members[0][0].name
+    }
+    return Budget(
+        scenario.name,
+        scenario.seed,
+        trials,
+        int(right.sum()),
+        _by_axis(np.sqrt(np.mean(base[right] ** 2, axis=0))),
+        _by_axis(base[right].mean(axis=0)),
+        tuple(singles),
+        tuple(_renamed(of_class[kind], CLASSES[kind]) for kind in CLASSES if kind in of_class),
+        rows[-1] if effects and len(done) == len(runs) else None,
+        interrupted,
+    )
+
+
+def _joined(members: list[tuple[Effect, Changes]]) -> Changes:
+    joined: Changes = {}
+    for _, changes in members:
+        joined |= changes
+    return joined
+
+
+def _shifted(progress: Progress | None, before: int, total: int) -> Progress | None:
+    return None if progress is None else lambda finished, _: progress(before + finished, total)
+
+
+def _errors(table: Any) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Errors (n, 3) about the camera's axes, degrees, and which trials are solved and not wrong."""
+    errors = np.stack([table[f"error_{axis}_deg"].to_numpy() for axis in CAMERA_AXES], axis=1)
+    solved = np.array([status == "solved" for status in table["status"].to_pylist()], dtype=bool)
+    return errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool)
+
+
+def _contribution(
+    name: str,
+    kind: str,
+    base: FloatArray,
+    base_right: NDArray[np.bool_],
+    errors: FloatArray,
+    right: NDArray[np.bool_],
+    seed: int,
+) -> Contribution:
+    both = base_right & right
+    difference = base[both] ** 2 - errors[both] ** 2
+    added = difference.mean(axis=0) if both.any() else np.full(3, math.nan)
+    intervals = moment_intervals(difference, seed)["mean"]
+    off = np.sqrt(np.mean(errors[right] ** 2, axis=0)) if right.any() else np.full(3, math.nan)
+    return Contribution(
+        name,
+        kind,
+        _by_axis(off),
+        _by_axis(added),
+        {axis: plain(None if intervals is None else intervals[k]) for k, axis in enumerate(CAMERA_AXES)},
+        int(both.sum()),
+        int(right.sum()),
+    )
+
+
+def _by_axis(values: FloatArray) -> dict[str, float]:
+    return {axis: float(v) for axis, v in zip(CAMERA_AXES, values, strict=True)}
+
+
+def _renamed(row: Contribution, name: str) -> Contribution:
+    return replace(row, name=name)
+
+
+def _root(square: float) -> float:
+    return math.copysign(math.sqrt(abs(square)), square)
+
+
+def _line(row: Contribution) -> str:
+    cells = []
+    for axis in CAMERA_AXES:
+        low, high = (None if v is None else _root(v) * 3600 for v in row.interval_deg2[axis])
+        ends = "" if low is None or high is None else f" ({low:.3f} to {high:.3f})"
+        cells.append(f"{f'{row.added_rms_deg(axis) * 3600:.3f}{ends}':>26}")
+    return f"  {row.name:32}" + "".join(cells)
+
+
+def _entry(row: Contribution) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "class": row.kind,
+        "trials": row.trials,
+        "solved": row.solved,
+        "axes": {
+            axis: {
+                "rms_off_deg": plain([row.rms_off_deg[axis]])[0],
+                "added_rms_deg": plain([row.added_rms_deg(axis)])[0],
+                "added_rms_interval95_deg": [None if v is None else _root(v) for v in row.interval_deg2[axis]],
+            }
+            for axis in CAMERA_AXES
+        },
+    }

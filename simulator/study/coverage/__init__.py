@@ -1,0 +1,1 @@
+"""Stars in the field over the sky or along the path."""

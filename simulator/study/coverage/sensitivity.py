@@ -1,0 +1,253 @@
+"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well placed.
+
+The star's image (PSF, smear, pixels) and the noise of its pixels give the signal-to-noise ratio of the detection and
+the Cramér–Rao bound of the centroid. Left out: stray light, ghosts, jitter, cosmic rays, hot pixels, errors of the
+catalogue and of the calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.detector.readout import gain_e_per_dn, highest_dn
+from simulator.focal_plane import FocalPlane
+from simulator.mission.orbit import build_orbit
+from simulator.mission.pointing import mounting_of
+from simulator.mission.spin import spin_rate_rad_s
+from simulator.optics.illumination import star_illumination
+from simulator.optics.smear import star_paths
+from simulator.scenario import Scenario
+from simulator.scenario.schema import DetectorSection
+from simulator.sky.background import sky_brightness_s10
+from simulator.sky.photometry import Photometer
+from simulator.study.coverage.boresights import sky_grid
+from simulator.study.trials.bounds import fisher_of_place, image_slopes, mean_dark_e, pixel_variance_e2
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.errors import InputError
+
+__all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "nominal_rate_rad_s"]
+
+FloatArray = NDArray[np.float64]
+
+_PLACES = 16
+"""Places in the field, each at another phase within its pixel, over which images and bounds are averaged."""
+
+_HALF_WIDTHS, _LEAST_HALF = 4.0, 4
+"""An image reaches so many σ, or pixels, to either side of the star's path."""
+
+_ELECTRONS = np.geomspace(10.0, 1e9, 65)
+_B_V = 0.6
+"""Colour of the star that magnitude limits hold for."""
+
+
+@dataclass(frozen=True)
+class Pixel:
+    """A pixel without a star.
+
+    Parameters
+    ----------
+    sky_e, dark_e : float
+        Mean electrons of the diffuse sky and of the dark current.
+    noise_e : float
+        Standard deviation, electrons.
+    top_e : float
+        Electrons at which it saturates.
+    """
+
+    sky_e: float
+    dark_e: float
+    noise_e: float
+    top_e: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What the camera of a scenario detects, and the error of its centroids.
+
+    Parameters
+    ----------
+    camera : Camera
+        The calibrated camera.
+    pixel : Pixel
+        Background and noise of a pixel without a star.
+    photometer : Photometer
+        Electrons a second of stars in the middle of the field.
+    gathered_s : float
+        Exposure times the mean illumination of the field against its middle.
+    snr_per_electron : float
+        Signal-to-noise ratio of the detection for each electron of a star.
+    least_snr : float
+        Ratio from which on a star counts as detected.
+    electrons, sigma_px : (K,) arrays
+        Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels.
+    """
+
+    camera: Camera
+    pixel: Pixel
+    photometer: Photometer
+    gathered_s: float
+    snr_per_electron: float
+    least_snr: float
+    electrons: FloatArray
+    sigma_px: FloatArray
+
+    @property
+    def least_electrons(self) -> float:
+        """Electrons of the faintest star that is detected."""
+        return self.least_snr / self.snr_per_electron
+
+    @property
+    def magnitude_limit(self) -> float:
+        """V of the faintest star (of B−V = 0.6) that is detected: one in two of its kind is."""
+        at_zero = float(self.electrons_of(np.zeros(1), np.array([_B_V]))[0])
+        return 2.5 * math.log10(at_zero / self.least_electrons)
+
+    def electrons_of(self, v_mag: FloatArray, b_v: FloatArray, giant: FloatArray | None = None) -> FloatArray:
+        """Electrons (N,) of stars in an exposure, the mean over the field; arguments as `Photometer` takes them."""
+        return self.photometer.electrons_per_s(v_mag, b_v, giant) * self.gathered_s
+
+    def sigma_rad(self, electrons: FloatArray) -> FloatArray:
+        """Error of the direction of stars along each of two axes, radians; infinite where nothing is left of a star."""
+        logarithm = np.interp(np.log(np.maximum(electrons, 1e-300)), np.log(self.electrons), np.log(self.sigma_px))
+        return np.asarray(np.exp(logarithm) * self.camera.pixel_rad)
+
+
+def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
+    """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
+    pointing = scenario.pointing
+    rate = np.radians(pointing.rate_deg_s)
+    offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
+    if pointing.spin.rate_deg_s:
+        rate = rate + offset.apply(spin_rate_rad_s(pointing.spin, 0.0))
+    elif pointing.target is None:
+        orbital = 2.0 * math.pi / build_orbit(scenario.orbit, scenario.epoch).period_s
+        rate = rate + offset.apply(np.array([0.0, -orbital, 0.0]))
+    return np.asarray(mounting_of(pointing).apply(rate))
+
+
+def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivity:
+    """Sensitivity of a scenario's camera.
+
+    A star is detected where its signal-to-noise ratio reaches `snr`. With the tracker's matched filter that is
+    F √(Σ p²)/σ, p the shares of its light in the pixels and σ the noise of a pixel; without it F p_k/σ, p_k the share
+    of the k-th brightest pixel, k = `min_pixels`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    snr : float, optional
+        Least ratio; left out, the tracker's ``detection.threshold_sigma``.
+
+    Raises
+    ------
+    InputError
+        For a ratio that is not positive, or names in the scenario that cannot be used.
+    """
+    detection = scenario.tracker.detection
+    least = detection.threshold_sigma if snr is None else snr
+    if not (math.isfinite(least) and least > 0):
+        raise InputError(f"snr: must be positive, not {least}")
+    plane = FocalPlane(scenario)
+    images = _images(scenario, plane)
+    pixel = _pixel(scenario, plane)
+    if detection.matched_filter:
+        share = np.sqrt(np.sum(images[0] ** 2, axis=(1, 2)))
+    else:
+        falling = -np.sort(-images[0].reshape(len(images[0]), -1), axis=1)
+        share = falling[:, min(detection.min_pixels, falling.shape[1]) - 1]
+    sigma = [
+        math.sqrt(float(np.mean(centroid_bound_px(images, float(e), pixel, scenario.detector) ** 2)))
+        for e in _ELECTRONS
+    ]
+    return Sensitivity(
+        camera=plane.camera,
+        pixel=pixel,
+        photometer=plane.photometer,
+        gathered_s=scenario.detector.exposure_s * _mean_illumination(scenario, plane),
+        snr_per_electron=float(np.mean(share)) / pixel.noise_e,
+        least_snr=least,
+        electrons=_ELECTRONS,
+        sigma_px=np.array(sigma),
+    )
+
+
+def centroid_bound_px(
+    images: tuple[FloatArray, FloatArray, FloatArray], electrons: float, pixel: Pixel, detector: DetectorSection
+) -> FloatArray:
+    """Cramér–Rao bound (P, 2) of a star's place along columns and rows, pixels: the inverse of
+    `simulator.study.trials.bounds.fisher_of_place`, infinite where saturation leaves nothing.
+
+    Parameters
+    ----------
+    images : three (P, M, M) arrays
+        Share of the light in each pixel for P places, and its slopes (`simulator.study.trials.bounds.image_slopes`).
+    electrons : float
+        Electrons of the star.
+    pixel : Pixel
+        Of a pixel without a star.
+    detector : DetectorSection
+        The detector.
+    """
+    signal = electrons * images[0]
+    light = pixel.sky_e + signal
+    variance = pixel_variance_e2(light, pixel.dark_e, signal, detector)
+    variance = np.where(light + pixel.dark_e < pixel.top_e, variance, np.inf)
+    information = fisher_of_place(*images, np.full(len(signal), electrons), variance)
+    xx, yy, xy = information[:, 0, 0], information[:, 1, 1], information[:, 0, 1]
+    determinant = xx * yy - xy * xy
+    known = determinant > 1e-12 * xx * yy
+    inverse = np.stack([yy, xx]) / np.where(known, determinant, 1.0)
+    return np.sqrt(np.where(known, inverse, np.inf)).T
+
+
+def _images(scenario: Scenario, plane: FocalPlane) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Smeared images (P, H, W) of a star at places spread over the field, and their derivatives along x and y."""
+    camera, detector = plane.camera, scenario.detector
+    k = np.arange(_PLACES)
+    # at the rms distance from the centre, so that a roll draws streaks of the rms length
+    azimuth = 2.0 * math.pi * k / _PLACES
+    x = 0.5 * (camera.width - 1) + camera.width / math.sqrt(6.0) * np.cos(azimuth)
+    y = 0.5 * (camera.height - 1) + camera.height / math.sqrt(6.0) * np.sin(azimuth)
+    places = np.stack([np.floor(x) + (k + 0.5) / _PLACES, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
+    psf = plane.psfs.psf(_B_V)
+    paths, weights = star_paths(
+        camera, camera.unproject(places), nominal_rate_rad_s(scenario), detector.exposure_s, psf.feature_px
+    )
+    if not np.isfinite(paths).all():
+        raise InputError("the lens model gives no direction at the rms distance from the centre of the image")
+    local = paths - np.rint(places)[:, None, :]
+    sigma = max(psf.sigma_px, psf.sigma_y_px)
+    half = max(_LEAST_HALF, psf.core_half_px, math.ceil(_HALF_WIDTHS * sigma)) + math.ceil(float(np.abs(local).max()))
+    return image_slopes(psf, local, weights, half)
+
+
+def _pixel(scenario: Scenario, plane: FocalPlane) -> Pixel:
+    detector, camera = scenario.detector, plane.camera
+    directions = sky_grid(200)
+    s10 = sky_brightness_s10(directions, -directions[0], plane.sky)
+    each = plane.photometer.background_e_s_pixel(1.0, 1.0 / (camera.fx * camera.fy)) * detector.exposure_s
+    sky_e = float(np.median(s10)) * each
+    dark_e = mean_dark_e(detector)
+    none = np.zeros(1)
+    noise_e = math.sqrt(max(float(pixel_variance_e2(none + sky_e, dark_e, none, detector)[0]), 1e-12))
+    highest = highest_dn(detector)
+    top_e = detector.full_well_e
+    if highest is not None:
+        top_e = min(top_e, (highest - detector.offset_dn) * gain_e_per_dn(detector))
+    return Pixel(sky_e, dark_e, noise_e, top_e)
+
+
+def _mean_illumination(scenario: Scenario, plane: FocalPlane) -> float:
+    """Mean light of a star over the field against one in the middle: vignetting."""
+    camera = plane.camera
+    if plane.illumination is None:
+        return 1.0
+    x, y = np.meshgrid((np.arange(16) + 0.5) / 16 * camera.width, (np.arange(16) + 0.5) / 16 * camera.height)
+    seen = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1) - 0.5)
+    return float(np.nanmean(star_illumination(camera, scenario.optics.vignetting, seen)))

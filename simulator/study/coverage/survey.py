@@ -1,0 +1,290 @@
+"""Sky coverage: how many stars a field holds, over the whole sky or along a mission's path.
+
+Each attitude of `simulator.study.coverage.boresights` is looked at once; from the counts follow minima, percentiles and
+the availability, the share of the sky or of the time with at least k stars.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from simulator.focal_plane import camera_of
+from simulator.mission.clock import Clock
+from simulator.scenario import Scenario
+from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
+from simulator.study.coverage.field_counts import circle, count_by_level, outline, solid_angle_sr
+from simulator.study.coverage.sensitivity import build_sensitivity
+from startracker._version import __version__
+from startracker.catalog import load_catalog
+from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.field_shape import FieldShape
+from startracker.catalog.guide import RESOLVED_PX
+from startracker.catalog.stars import StarCatalog
+from startracker.catalog.voxels import voxel_grid
+from startracker.errors import InputError
+
+__all__ = ["Coverage", "baffle_exclusion", "count_stars", "coverage"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+PERCENTILES = (0.1, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
+MOST_STARS_ASKED = 12
+_MINIMA_LISTED = 20
+_CURVE_STEP_MAG = 0.25
+_BLEND_MAG = 0.8
+"""Two equal stars that merge are 0.75 mag brighter than one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Stars in a field at many attitudes.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario.
+    boresights : Boresights
+        The attitudes, N of them.
+    shape : FieldShape
+        The field.
+    magnitude_limit : float
+        Faintest star counted.
+    limit_reason : str
+        Where that limit comes from.
+    counts : (N,) int
+        Stars in the field.
+    limits : (L,) array
+        Magnitude limits of the curve, rising.
+    curve : (N, L) int
+        Stars in the field down to each of them.
+    sky_stars : int
+        Stars down to `magnitude_limit` over the whole sky.
+    """
+
+    name: str
+    boresights: Boresights
+    shape: FieldShape
+    magnitude_limit: float
+    limit_reason: str
+    counts: IntArray
+    limits: FloatArray
+    curve: IntArray
+    sky_stars: int
+
+    @property
+    def allowed_counts(self) -> IntArray:
+        """Counts of the attitudes that break no exclusion angle."""
+        return self.counts[self.boresights.allowed]
+
+    def availability(self, stars: int) -> float:
+        """Share of the sky or of the time with at least so many stars and no exclusion angle broken."""
+        return float(np.mean((self.counts >= stars) & self.boresights.allowed))
+
+    def poorest(self) -> IntArray:
+        """Attitudes with the fewest stars among those that break no exclusion angle."""
+        allowed = np.flatnonzero(self.boresights.allowed)
+        return allowed[self.counts[allowed] == self.counts[allowed].min()] if len(allowed) else allowed
+
+    def summary(self) -> dict[str, Any]:
+        """What ``coverage.json`` holds."""
+        looks, counts = self.boresights, self.allowed_counts
+        area = solid_angle_sr(self.shape)
+        poorest = self.poorest()
+        ra, dec, roll = looks.ra_deg, looks.dec_deg, looks.roll_deg
+        listed = poorest[:: max(1, math.ceil(len(poorest) / _MINIMA_LISTED))]
+        some = len(counts) > 0
+        return {
+            "name": self.name,
+            "version": __version__,
+            "over": "time along the mission's path" if looks.kind == "path" else "the whole sky",
+            "attitudes": len(looks),
+            "rolls_per_direction": looks.rolls,
+            "field_sr": area,
+            "field_deg2": area / math.radians(1.0) ** 2,
+            "magnitude_limit": self.magnitude_limit,
+            "magnitude_limit_from": self.limit_reason,
+            "stars_over_sky": self.sky_stars,
+            "stars_if_spread_evenly": self.sky_stars * area / (4.0 * math.pi),
+            "excluded_share": {body: float(np.mean(broken)) for body, broken in looks.excluded.items()},
+            "excluded_share_any": float(np.mean(~looks.allowed)),
+            "stars": {
+                "mean": float(counts.mean()) if some else None,
+                "std": float(counts.std(ddof=1)) if len(counts) > 1 else None,
+                "min": int(counts.min()) if some else None,
+                "max": int(counts.max()) if some else None,
+                "percentiles": {
+                    f"p{p:g}": float(np.percentile(counts, p, method="inverted_cdf")) if some else None
+                    for p in PERCENTILES
+                },
+            },
+            "poorest_attitudes": len(poorest),
+            "poorest": [
+                {
+                    "ra_deg": round(float(ra[i]), 4),
+                    "dec_deg": round(float(dec[i]), 4),
+                    "roll_deg": round(float(roll[i]), 4),
+                }
+                for i in listed
+            ],
+            "availability": {str(k): self.availability(k) for k in range(1, MOST_STARS_ASKED + 1)},
+            "availability_where_allowed": {
+                str(k): float(np.mean(counts >= k)) if some else None for k in range(1, MOST_STARS_ASKED + 1)
+            },
+            "magnitude_curve": [
+                {"magnitude_limit": float(limit), **_curve_point(self.curve[looks.allowed, j])}
+                for j, limit in enumerate(self.limits)
+            ],
+        }
+
+    def to_table(self, scenario: Scenario) -> pa.Table:
+        """A row an attitude: ``coverage.parquet``."""
+        looks = self.boresights
+        columns: dict[str, Any] = {"index": np.arange(len(looks))}
+        if looks.kind == "path":
+            clock = Clock(scenario.epoch)
+            columns |= {"t_s": looks.t_s, "utc": [clock.isot(float(t)) for t in looks.t_s]}
+        columns |= {"ra_deg": looks.ra_deg, "dec_deg": looks.dec_deg, "roll_deg": looks.roll_deg, "stars": self.counts}
+        columns |= {f"excluded_{body}": broken for body, broken in looks.excluded.items()}
+        return pa.table(columns)
+
+
+def count_stars(
+    stars: StarCatalog, shape: FieldShape, boresights: Boresights, limits: FloatArray, epoch_jyear: float = 2000.0
+) -> IntArray:
+    """Stars in the field down to each of some rising magnitude limits; (N, L).
+
+    Parameters
+    ----------
+    stars : StarCatalog
+        Any catalogue; stars fainter than the last limit do not count.
+    shape : FieldShape
+        Outline of the field.
+    boresights : Boresights
+        N attitudes.
+    limits : (L,) array
+        V, rising.
+    epoch_jyear : float
+        To which the stars are moved.
+    """
+    chosen = stars.brighter_than(float(limits[-1]))
+    if len(chosen) == 0:
+        return np.zeros((len(boresights), len(limits)), np.int64)
+    directions = chosen.directions(epoch_jyear)
+    by_level = count_by_level(
+        boresights.matrices,
+        directions,
+        voxel_grid(directions),
+        shape,
+        np.searchsorted(limits, chosen.v_mag),
+        len(limits),
+        np.ascontiguousarray(boresights.nadir),
+        boresights.limb_cosine,
+    )
+    return np.asarray(np.cumsum(by_level, axis=1))
+
+
+def coverage(
+    scenario: Scenario,
+    count: int = 10_000,
+    *,
+    path: bool = False,
+    rolls: int = 1,
+    magnitude_limit: float | None = None,
+    snr: float | None = None,
+    circle_deg: float | None = None,
+    exclusion: Exclusion | None = None,
+) -> Coverage:
+    """Stars in a scenario's field over the sky or along its path.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its camera is the field, its tracker's catalogue the stars, doubles closer than two pixels merged.
+    count : int
+        Directions over the sky, or instants along the path.
+    path : bool
+        Along the mission's path, at the instants of its trials, in place of the whole sky.
+    rolls : int
+        Over the sky: rolls tried at each direction.
+    magnitude_limit : float, optional
+        Faintest V counted; left out, the faintest that the tracker knows and the camera detects
+        (`simulator.study.coverage.sensitivity`).
+    snr : float, optional
+        Signal-to-noise ratio from which on the camera detects a star; left out, the tracker's threshold.
+    circle_deg : float, optional
+        A circular field of this radius in place of the camera's.
+    exclusion : Exclusion, optional
+        Exclusion angles; left out, the baffle's where the scenario has one.
+
+    Raises
+    ------
+    InputError
+        For numbers that cannot be, or a path that is not there.
+    """
+    if circle_deg is not None and not 0.0 < circle_deg <= 180.0:
+        raise InputError(f"circle: the radius must be above 0 and at most 180 degrees, not {circle_deg:g}")
+    if magnitude_limit is not None and not math.isfinite(magnitude_limit):
+        raise InputError(f"magnitude limit: must be a number, not {magnitude_limit}")
+    camera = camera_of(scenario)
+    angles = exclusion or baffle_exclusion(scenario)
+    looks = along_path(scenario, count, angles) if path else whole_sky(count, rolls, scenario, angles)
+    limit, reason = _limit(scenario, magnitude_limit, snr)
+    every = load_catalog(scenario.tracker.catalog)
+    top = _CURVE_STEP_MAG * math.ceil(max(limit + 1.0, 6.0) / _CURVE_STEP_MAG)
+    deep = every.brighter_than(top + _BLEND_MAG)
+    stars = merge_doubles(deep, min(RESOLVED_PX * camera.pixel_rad, 0.1)) if len(deep) else deep
+    shape = outline(camera) if circle_deg is None else circle(circle_deg)
+    grid = np.arange(2.0, top + 0.5 * _CURVE_STEP_MAG, _CURVE_STEP_MAG)
+    limits = np.unique(np.append(grid, limit))
+    counts = count_stars(stars, shape, looks, limits, float(Clock(scenario.epoch).jyear(0.0)))
+    return Coverage(
+        name=scenario.name,
+        boresights=looks,
+        shape=shape,
+        magnitude_limit=limit,
+        limit_reason=reason,
+        counts=counts[:, int(np.searchsorted(limits, limit))],
+        limits=limits,
+        curve=counts,
+        sky_stars=len(stars.brighter_than(limit)),
+    )
+
+
+def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[float, str]:
+    """Magnitude limit, and where it comes from."""
+    if given is not None:
+        return given, "given"
+    detected = build_sensitivity(scenario, snr).magnitude_limit
+    known = scenario.tracker.magnitude_limit
+    if detected < known:
+        return detected, "the faintest star that the camera detects"
+    return known, f"tracker.magnitude_limit (the camera detects stars to V = {detected:.2f})"
+
+
+def baffle_exclusion(scenario: Scenario) -> Exclusion:
+    """Exclusion angles of the baffle; none where the scenario has no baffle."""
+    baffle = scenario.optics.baffle
+    if baffle.pst is None:
+        return Exclusion()
+    return Exclusion(baffle.sun_exclusion_deg, baffle.moon_exclusion_deg, baffle.earth_exclusion_deg)
+
+
+def _curve_point(counts: IntArray) -> dict[str, float | int | None]:
+    if len(counts) == 0:
+        return dict.fromkeys(("mean", "min", "p0.1", "p1", "max"))
+    low, one = np.percentile(counts, [0.1, 1.0], method="inverted_cdf")
+    return {
+        "mean": float(counts.mean()),
+        "min": int(counts.min()),
+        "p0.1": float(low),
+        "p1": float(one),
+        "max": int(counts.max()),
+    }

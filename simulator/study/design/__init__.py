@@ -1,0 +1,1 @@
+"""The smallest camera that will do."""

@@ -1,0 +1,346 @@
+"""Design helper: the smallest aperture, field or exposure that meets a scenario's specification and an availability.
+
+Nothing is rendered: the light of each star gives the error of its centroid (`simulator.study.coverage.sensitivity`),
+the stars of each field the covariance of its attitude, P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, and thousands of boresights the
+answer. A Monte Carlo run of the value found can stand beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from simulator.mission.clock import Clock
+from simulator.mission.pointing import mounting_of
+from simulator.scenario import Scenario
+from simulator.scenario.fields import flatten
+from simulator.sky.colours import spectral_coordinates
+from simulator.study.coverage.boresights import Boresights, along_path, whole_sky
+from simulator.study.coverage.field_counts import accumulate_information, outline
+from simulator.study.coverage.sensitivity import build_sensitivity
+from simulator.study.run import run
+from simulator.study.statistics import BODY_AXES
+from startracker._version import __version__
+from startracker.catalog import load_catalog
+from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.guide import RESOLVED_PX
+from startracker.catalog.voxels import voxel_grid
+from startracker.errors import InputError
+
+__all__ = ["PARAMETERS", "Design", "Point", "Verification", "design", "predict", "verify"]
+
+FloatArray = NDArray[np.float64]
+
+Progress = Callable[[int], None]
+"""Called with the number of values reckoned."""
+
+_TOLERANCE = 0.005
+"""The value is found to this share of itself."""
+
+_BLEND_MAG = 0.8
+_LEAST_STARS = 2
+"""Fewer determine no attitude."""
+
+
+def _focal_length(scenario: Scenario, field_deg: float) -> dict[str, Any]:
+    """Keys that give the detector's width this field, edge to edge."""
+    if not 0.0 < field_deg < 170.0:
+        raise InputError(f"field: must be above 0 and below 170 degrees, not {field_deg:g}")
+    half_mm = 0.5 * scenario.detector.width * scenario.detector.pitch_um[0] * 1e-3
+    half = math.radians(field_deg) / 2.0
+    reach = {"pinhole": math.tan(half), "equisolid": 2.0 * math.sin(half / 2.0)}.get(scenario.optics.projection, half)
+    return {"optics.focal_length_mm": half_mm / reach}
+
+
+PARAMETERS: dict[str, tuple[str, str, Callable[[Scenario, float], dict[str, Any]]]] = {
+    "optics.aperture_mm": ("aperture", "mm", lambda scenario, value: {"optics.aperture_mm": value}),
+    "field": ("field across the width", "°", _focal_length),
+    "detector.exposure_s": ("exposure", "s", lambda scenario, value: {"detector.exposure_s": value}),
+}
+"""What can be chosen: its title, its unit, and the keys that a value sets. ``field`` changes the focal length, not the
+aperture and the detector."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One value of the parameter and what it gives.
+
+    Parameters
+    ----------
+    value : float
+        Of the parameter, in its unit.
+    impossible : str
+        Why no camera can be so; then nothing else is known.
+    magnitude_limit : float
+        Faintest star counted, V: what the camera detects or the tracker knows.
+    stars_mean, stars_min : float
+        Stars used in a field.
+    availability : float
+        Share of the attitudes with enough stars.
+    three_sigma_deg : dict
+        Predicted 3σ about roll, pitch and yaw: three times the root mean square over the attitudes with enough stars,
+        as ``boresight run`` has it.
+    met : bool
+        Whether specification and availability are met.
+    """
+
+    value: float
+    impossible: str = ""
+    magnitude_limit: float | None = None
+    stars_mean: float | None = None
+    stars_min: int | None = None
+    availability: float | None = None
+    three_sigma_deg: dict[str, float | None] = field(default_factory=dict)
+    met: bool = False
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A Monte Carlo run of the value found beside its prediction, 3σ in degrees."""
+
+    trials: int
+    solved: int
+    wrong: int
+    three_sigma_deg: dict[str, float | None]
+    predicted_deg: dict[str, float | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The trade of one parameter.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario.
+    parameter : str
+        A key of `PARAMETERS`.
+    over : str
+        ``sky`` or ``path``.
+    attitudes : int
+        Boresights looked at.
+    least_stars : int
+        Stars that an attitude needs.
+    least_availability : float
+        Share of the attitudes that must have them.
+    specification_deg : dict
+        3σ about each body axis.
+    points : tuple of Point
+        By rising value.
+    best : Point, optional
+        The smallest value that meets everything; None where none does.
+    """
+
+    name: str
+    parameter: str
+    over: str
+    attitudes: int
+    least_stars: int
+    least_availability: float
+    specification_deg: dict[str, float]
+    points: tuple[Point, ...]
+    best: Point | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``design.json`` holds."""
+        return {**asdict(self), "version": __version__}
+
+
+def changed(scenario: Scenario, parameter: str, value: float) -> Scenario:
+    """The scenario with another value of a parameter; `InputError` where no such camera can be."""
+    return _with(scenario, PARAMETERS[parameter][2](scenario, value))
+
+
+def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
+    """What a scenario's camera sees and how well it measures, at the given attitudes; `value` is 0.
+
+    A star counts where the tracker knows it and the camera detects it, by its own electrons; as many as the tracker
+    takes (`tracker.detection.max_stars`), the brightest first.
+    """
+    sensitivity = build_sensitivity(scenario)
+    camera = sensitivity.camera
+    known = scenario.tracker.magnitude_limit
+    every = load_catalog(scenario.tracker.catalog).brighter_than(known + _BLEND_MAG)
+    if len(every) == 0:
+        return Point(0.0, impossible=f"no star of the catalogue is brighter than {known:g}")
+    stars = merge_doubles(every, min(RESOLVED_PX * camera.pixel_rad, 0.1)).brighter_than(known)
+    b_v, giant = spectral_coordinates(stars.b_v, stars.spectral_type)
+    electrons = sensitivity.electrons_of(stars.v_mag, b_v, giant)
+    rows = np.argsort(-electrons, kind="stable")
+    rows = rows[electrons[rows] >= sensitivity.least_electrons]
+    directions = stars.directions(float(Clock(scenario.epoch).jyear(0.0)))[rows]
+    counts, information = accumulate_information(
+        looks.matrices,
+        directions,
+        voxel_grid(directions),
+        outline(camera),
+        1.0 / sensitivity.sigma_rad(electrons[rows]) ** 2,
+        scenario.tracker.detection.max_stars,
+        np.ascontiguousarray(looks.nadir),
+        looks.limb_cosine,
+    )
+    enough = (counts >= max(least_stars, _LEAST_STARS)) & looks.allowed
+    three_sigma: dict[str, float | None] = dict.fromkeys(BODY_AXES)
+    if enough.any():
+        to_body = mounting_of(scenario.pointing).inverse.as_matrix()
+        covariance = to_body @ np.linalg.inv(information[enough]).mean(axis=0) @ to_body.T
+        three = np.degrees(3.0 * np.sqrt(np.diag(covariance)))
+        three_sigma = {axis: float(v) for axis, v in zip(BODY_AXES, three, strict=True)}
+    return Point(
+        value=0.0,
+        magnitude_limit=min(sensitivity.magnitude_limit, known),
+        stars_mean=float(counts.mean()),
+        stars_min=int(counts.min()),
+        availability=float(enough.mean()),
+        three_sigma_deg=three_sigma,
+    )
+
+
+def design(
+    scenario: Scenario,
+    parameter: str,
+    low: float,
+    high: float,
+    *,
+    steps: int = 12,
+    least_stars: int = 5,
+    least_availability: float = 0.999,
+    count: int = 5000,
+    path: bool = False,
+    progress: Progress | None = None,
+) -> Design:
+    """The smallest value of a parameter that meets the specification and the availability.
+
+    The values low … high are tried at equal ratios; between the first that meets everything and the one before it the
+    limit is found by halving, to 0.5 %.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Everything else, the specification included.
+    parameter : str
+        A key of `PARAMETERS`.
+    low, high : float
+        Range searched, in the parameter's unit.
+    steps : int
+        Values of the table, at least 2.
+    least_stars : int
+        Stars an attitude needs to count as available.
+    least_availability : float
+        Share of the sky (or of the time along the path) that must have them, 0 to 1.
+    count : int
+        Attitudes.
+    path : bool
+        Along the mission's path in place of the whole sky.
+    progress : callable, optional
+        Told after every value.
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter or numbers that cannot be.
+    """
+    if parameter not in PARAMETERS:
+        raise InputError(f"--over: there is no parameter {parameter!r} to design; there are {', '.join(PARAMETERS)}")
+    if not (math.isfinite(high) and 0.0 < low < high):
+        raise InputError(f"--from and --to: must be 0 < from < to, not {low:g} and {high:g}")
+    if steps < 2:
+        raise InputError(f"--steps: must be at least 2, not {steps}")
+    if least_stars < 1:
+        raise InputError(f"--stars: must be at least 1, not {least_stars}")
+    if not 0.0 <= least_availability <= 1.0:
+        raise InputError(f"--availability: must be from 0 to 1, not {least_availability:g}")
+    looks = along_path(scenario, count) if path else whole_sky(count)
+    specification = {axis: float(getattr(scenario.specification, f"{axis}_deg")) for axis in BODY_AXES}
+    points: dict[float, Point] = {}
+
+    def reckon(value: float) -> Point:
+        if value not in points:
+            points[value] = _point(scenario, parameter, value, looks, least_stars, least_availability, specification)
+            if progress:
+                progress(len(points))
+        return points[value]
+
+    grid = [float(f"{value:.6g}") for value in np.geomspace(low, high, steps)]
+    met = [reckon(value).met for value in grid]
+    best = None
+    if any(met):
+        first = met.index(True)
+        best = points[grid[first]]
+        if first > 0:
+            fails = grid[first - 1]
+            while best.value - fails > _TOLERANCE * best.value:
+                middle = float(f"{math.sqrt(fails * best.value):.6g}")
+                point = reckon(middle)
+                best, fails = (point, fails) if point.met else (best, middle)
+    return Design(
+        name=scenario.name,
+        parameter=parameter,
+        over=looks.kind,
+        attitudes=len(looks),
+        least_stars=least_stars,
+        least_availability=least_availability,
+        specification_deg=specification,
+        points=tuple(points[value] for value in sorted(points)),
+        best=best,
+    )
+
+
+def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) -> Verification:
+    """Run trials of the value found: over the whole sky, or along the path, as the prediction was made.
+
+    Raises
+    ------
+    InputError
+        Where no value was found, or for fewer than one trial.
+    """
+    if result.best is None:
+        raise InputError("--verify: no value meets the specification, so there is nothing to verify")
+    chosen = changed(scenario, result.parameter, result.best.value)
+    if result.over == "sky":
+        chosen = _with(chosen, {"study.sampling": "sky", "pointing.target": None})
+    summary = run(chosen, trials, workers=workers).summary
+    return Verification(
+        trials=trials,
+        solved=summary["solved"],
+        wrong=summary["wrong"],
+        three_sigma_deg={axis: summary["errors_deg"][axis]["three_sigma"] for axis in BODY_AXES},
+        predicted_deg=dict(result.best.three_sigma_deg),
+    )
+
+
+def _point(
+    scenario: Scenario,
+    parameter: str,
+    value: float,
+    looks: Boresights,
+    least_stars: int,
+    least_availability: float,
+    specification: dict[str, float],
+) -> Point:
+    try:
+        chosen = changed(scenario, parameter, value)
+    except InputError as error:
+        return Point(value, impossible=str(error))
+    point = predict(chosen, looks, least_stars)
+    accurate = all(
+        (reached := point.three_sigma_deg.get(axis)) is not None and reached <= limit
+        for axis, limit in specification.items()
+    )
+    met = accurate and point.availability is not None and point.availability >= least_availability
+    return Point(**(asdict(point) | {"value": value, "met": met}))
+
+
+def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
+    """The scenario with other values of keys, checked as a file is; `InputError` where no such camera can be."""
+    try:
+        return scenario.changed(flatten(scenario) | keys)
+    except ValidationError as error:
+        told = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
+        raise InputError("; ".join(" ".join(text.split()) for text in told)) from error

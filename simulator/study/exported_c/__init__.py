@@ -1,0 +1,1 @@
+"""The exported C, compiled and measured, and centroid lists to try it with."""

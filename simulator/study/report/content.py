@@ -1,0 +1,338 @@
+"""What the report says: the answer, the tables and the sentences, the same for the page and the PDF.
+
+Everything is taken from ``summary.json`` and ``trials.parquet``; what an older run did not measure is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario import Scenario
+from simulator.study.intervals import wilson_interval
+from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
+
+Columns = Mapping[str, NDArray[Any]]
+MOST_OUTLIERS = 20
+RENDER_COMMAND = "boresight render scenario.resolved.yaml --index I --preview trial-I.png"
+"""How any trial is seen again from the folder of the results."""
+AT_THE_BOUND = 1.1
+"""A ratio of error to bound up to this is called the bound."""
+AXIS_NAMES = {axis: axis.replace("_", " ").replace("about boresight", "about the boresight") for axis in AXES}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Headings and rows of text; columns in `words` are read, not compared, and stand to the left."""
+
+    headings: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    words: tuple[int, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """First lines of the report: is the specification met, with what margin, how often, and what limits it."""
+
+    met: bool
+    verdict: str
+    margin: str
+    axes: Table
+    rates: Table
+    limits: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All text of a report."""
+
+    answer: Answer
+    accuracy: Table
+    outliers: Table
+    budget: Table
+    how: str
+    notes: tuple[str, ...] = field(default=())
+
+
+def content_of(
+    scenario: Scenario, summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None = None
+) -> Content:
+    """Text of the report.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    summary : mapping
+        As in ``summary.json``.
+    columns : dict of arrays
+        As in ``trials.parquet``.
+    budget : mapping, optional
+        As in ``budget.json``, where ``boresight study budget`` has been run.
+    """
+    notes = [f"Unphysical, and allowed by the scenario: {reason}" for reason in summary["unphysical"]]
+    if summary["interrupted"]:
+        notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are in it.")
+    return Content(
+        answer=_answer(summary, columns, budget),
+        accuracy=_accuracy(summary),
+        outliers=_outliers(summary, columns),
+        budget=_budget(budget),
+        how=_how(scenario, summary),
+        notes=tuple(notes),
+    )
+
+
+def angle_text(value_deg: float | None) -> str:
+    """Angle for people, with the digits that tell it from the ends of its interval even after many trials."""
+    if value_deg is None or not math.isfinite(value_deg):
+        return "–"
+    if abs(value_deg) >= 0.1:
+        return f"{value_deg:.4f}°"
+    arcsec = value_deg * 3600
+    digits = next((digits for limit, digits in ((10.0, 2), (1.0, 3)) if abs(arcsec) >= limit), 4)
+    return f"{arcsec:.{digits}f}″"
+
+
+def interval_text(interval: Any, text: Callable[[float | None], str] = angle_text) -> str:
+    """``low to high`` of an interval, the unit once where it is one; empty where there is none, – for an open end."""
+    if interval is None or all(end is None for end in interval):
+        return ""
+    low, high = (text(end) for end in interval)
+    return f"{low[:-1] if low[-1] == high[-1] == '″' else low} to {high}"
+
+
+def percent_text(share: float | None) -> str:
+    """A share in percent, with the digits that tell it from 0 and 100."""
+    if share is None:
+        return "–"
+    away = min(share, 1.0 - share)
+    digits = 2 if away == 0.0 or away >= 1e-4 else min(6, math.ceil(-math.log10(100 * away) - 1e-9))
+    return f"{100 * share:.{digits}f} %"
+
+
+def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None) -> Answer:
+    n, solved, wrong = summary["trials"], summary["solved"], summary["wrong"]
+    rows, factors, doubtful = [], {}, []
+    for axis in BODY_AXES:
+        entry = summary["specification"][axis]
+        three_sigma, limit = entry["three_sigma_deg"], entry["specified_deg"]
+        interval = interval_of(summary, axis, "three_sigma")
+        factor = limit / three_sigma if three_sigma else None
+        factors[axis] = factor
+        if interval and None not in interval and interval[0] <= limit < interval[1]:
+            doubtful.append(axis)
+        rows.append((
+            axis,
+            angle_text(three_sigma),
+            interval_text(interval) or "–",
+            angle_text(limit),
+            f"{factor:.3g} ×" if factor else "–",
+            "met" if entry["met"] else "not met",
+        ))  # fmt: skip
+    missed = [axis for axis in BODY_AXES if not summary["specification"][axis]["met"]]
+    met = not missed and wrong == 0
+    if met:
+        verdict = "Yes: the specification is met about all three axes."
+    elif missed:
+        verdict = f"No: the specification is not met about {_listed(missed)}."
+    else:
+        verdict = f"No: the axes are within their specification, but {wrong} of the accepted attitudes are wrong."
+    known = {axis: factor for axis, factor in factors.items() if factor}
+    margin = "No frame was solved."
+    if known:
+        tight = min(known, key=lambda axis: known[axis])
+        margin = (
+            f"At the tightest axis, {tight}, the error could be {known[tight]:.3g} times as large."
+            if known[tight] >= 1
+            else f"At the worst axis, {tight}, the error is {1 / known[tight]:.3g} times what is allowed."
+        )
+    if doubtful:
+        margin += f" The specification lies inside the 95 % interval of {_listed(doubtful)}: more trials would tell."
+    right = solved - wrong
+    rates = []
+    for name, count in (("available (an attitude given)", solved), ("identified rightly", right), ("wrong", wrong)):
+        between = interval_text(wilson_interval(count, n), percent_text)
+        rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
+    return Answer(
+        met=met,
+        verdict=verdict,
+        margin=margin,
+        axes=Table(("axis", "3σ", "95 % interval", "specified", "factor", "verdict"), tuple(rows)),
+        rates=Table(("rate", "frames", "share", "95 % interval"), tuple(rates)),
+        limits=_limits(summary, columns, budget),
+    )
+
+
+def interval_of(summary: Mapping[str, Any], axis: str, key: str) -> list[float | None] | None:
+    """95 % interval of a statistic of ``errors_deg``, degrees; None where the run has none."""
+    interval: list[float | None] | None = summary["errors_deg"][axis].get(f"{key}_interval95")
+    return interval
+
+
+def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """Sentences on what limits the accuracy: the distance to the bound, the largest contributions, the stars."""
+    said = []
+    if bound := summary.get("bound_ratio"):
+        parts = []
+        for axis in CAMERA_AXES:
+            interval = interval_text(bound[axis]["interval95"], _ratio_text)
+            parts.append(
+                f"{_ratio_text(bound[axis]['ratio'])} {AXIS_NAMES[axis]}{f' ({interval})' if interval else ''}"
+            )
+        worst = max(bound[axis]["ratio"] for axis in CAMERA_AXES)
+        said.append(f"Error over the Cramér–Rao bound of the same stars: {', '.join(parts)}.")
+        said.append(
+            "So the light and the noise of these stars set the error; no other processing could do noticeably better."
+            if worst <= AT_THE_BOUND
+            else f"So up to {100 * (1 - 1 / worst):.0f} % of the error is not the noise of the light: it lies in the "
+            "processing, or in what the tracker's camera model leaves out."
+        )
+    if nees := summary.get("nees"):
+        low, high = nees["bounds95"]
+        finding = "tells the truth" if nees["inside"] else "is too large" if nees["mean"] < low else "is too small"
+        said.append(
+            f"The tracker's own covariance {finding}: mean normalised error squared {nees['mean']:.3f}, "
+            f"{low:.3f} to {high:.3f} expected of {nees['freedom']} axes."
+        )
+    if largest := _largest(budget):
+        said.append(f"Largest contributions to the mean square error across the boresight: {largest}.")
+    solved = np.asarray(columns["status"] == "solved")
+    if solved.any():
+        stars = np.asarray(columns["stars_matched"], dtype=float)[solved]
+        field_stars = np.asarray(columns["stars_in_field"], dtype=float)[solved]
+        residual = np.asarray(columns["residual_rms_px"], dtype=float)[solved]
+        said.append(
+            f"A frame gives {stars.mean():.1f} matched stars of {field_stars.mean():.1f} in the field "
+            f"({int(stars.min())} at least), whose places fit to {np.sqrt(np.nanmean(residual**2)):.3f} pixels."
+        )
+    return tuple(said)
+
+
+def _accuracy(summary: Mapping[str, Any]) -> Table:
+    rows = []
+    for axis in AXES:
+        e = summary["errors_deg"][axis]
+        cells = [AXIS_NAMES[axis]]
+        for key in ("mean", "std", "rms"):
+            interval = interval_text(interval_of(summary, axis, key))
+            cells.append(angle_text(e[key]) + (f" ({interval})" if interval else ""))
+        rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
+    note = (
+        "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
+        "included; 3σ is three times its root mean square. An attitude is called wrong when it is off by more than ten "
+        "times the specification about any body axis."
+    )
+    if any(interval_of(summary, axis, "rms") for axis in AXES):
+        note += " In brackets: 95 % intervals by bootstrap."
+    return Table(
+        ("axis", "mean", "std", "rms", "50 % below", "95 % below", "99.7 % below", "largest"), tuple(rows), note=note
+    )
+
+
+def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tuple[int, str]]:
+    """Positions of the trials to be looked at, and why: wrong, not solved, then those whose error stands out."""
+    index = np.asarray(columns["index"])
+    wrong = np.flatnonzero(np.asarray(columns["wrong"], dtype=bool))
+    failed = np.flatnonzero(np.asarray(columns["status"]) != "solved")
+    found = {int(i): "wrong" for i in wrong} | {int(i): str(columns["status"][i]) for i in failed}
+    for entry in summary.get("outliers", ()):
+        i = int(np.searchsorted(index, entry["index"]))  # the rows are in the order of their index
+        if i < len(index) and index[i] == entry["index"]:
+            found.setdefault(i, entry["why"])
+    return list(found.items())
+
+
+def _outliers(summary: Mapping[str, Any], columns: Columns) -> Table:
+    found = outlier_positions(columns, summary)
+    shown = [i for i, _ in found[:MOST_OUTLIERS]]
+    texts = [[why for _, why in found[:MOST_OUTLIERS]]]
+    if shown:  # a column at a time: each is read from its file
+        for name in ("index", "utc", "stars_matched", "reason"):
+            texts.append([str(value) or "–" for value in columns[name][shown]])
+        for axis in BODY_AXES:
+            texts.append([angle_text(float(value)) for value in columns[f"error_{axis}_deg"][shown]])
+    what, index, utc, stars, reason, *errors = texts if shown else [[]] * 8
+    rows = list(zip(index, utc, what, *errors, stars, reason, strict=True))
+    note = "" if found else "None: every frame was solved, none wrongly, and no error stands out. "
+    every = len(found) + max(0, summary.get("outliers_count", 0) - len(summary.get("outliers", ())))
+    if every > MOST_OUTLIERS:
+        note = f"The first {MOST_OUTLIERS} of {every}; all are in trials.parquet. "
+    note += "To see any trial again, in the folder of this report, with I its number:"
+    return Table(("trial", "UTC", "what", *BODY_AXES, "stars", "reason"), tuple(rows), (1, 2, 7), note)
+
+
+def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
+    sampling = {
+        "mission_year": "at times spread over a year of the mission",
+        "orbit": "spread over one turn" if scenario.pointing.spin.rate_deg_s else "spread over one orbit",
+        "sky": "at random attitudes over the whole sky",
+    }[scenario.study.sampling]
+    many = summary["workers"] > 1
+    return (
+        f"{summary['trials']} frames {sampling} were rendered from the scenario below and solved by the tracker, which "
+        "never sees the truth; the attitudes it gave were compared with the true ones. Every random number follows "
+        f"from the seed, {summary['seed']}, and the number of the trial. boresight {summary['version']}, "
+        f"{summary['trials_per_second']:.1f} trials a second on {summary['workers']} process{'es' if many else ''} "
+        f"(median {summary['median_ms']['render'] or 0:.1f} ms to render, {summary['median_ms']['solve'] or 0:.1f} ms "
+        "to solve)."
+    )
+
+
+def _ratio_text(ratio: float | None) -> str:
+    return "–" if ratio is None else f"{ratio:.3f}"
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _budget(budget: Mapping[str, Any] | None) -> Table:
+    """Rows of what each effect and each class adds, the largest first; of `Budget.to_dict`."""
+    if budget is None:
+        return Table()
+    rows = []
+    for what, entries in (("the effect", budget["effects"]), ("all of the class", budget["classes"])):
+        for entry in sorted(entries, key=_added_across, reverse=True):
+            rows.append((entry["name"], what, *(_added_text(entry["axes"][axis]) for axis in CAMERA_AXES)))
+    if budget["remainder"] is not None:
+        left = (angle_text(budget["remainder"]["axes"][axis]["rms_off_deg"]) for axis in CAMERA_AXES)
+        rows.append(("what is left", "everything", *left))
+    rows.append(("the error", "nothing", *(angle_text(budget["rms_deg"][axis]) for axis in CAMERA_AXES)))
+    note = (
+        f"From {budget['trials']} trials with each effect switched off in turn, the rest as it was (seed "
+        f"{budget['seed']}): the root of the mean square error that it adds, in brackets its 95 % interval; negative "
+        "where the error is larger without it. Classes as in ECSS-E-ST-60-20C. Effects need not add up."
+    )
+    names = tuple(AXIS_NAMES[axis] for axis in CAMERA_AXES)
+    return Table(("contribution", "switched off", *names), tuple(rows), (1,), note)
+
+
+def _added_text(of_axis: Mapping[str, Any]) -> str:
+    interval = interval_text(of_axis["added_rms_interval95_deg"])
+    return angle_text(of_axis["added_rms_deg"]) + (f" ({interval})" if interval else "")
+
+
+def _added_across(entry: Mapping[str, Any]) -> float:
+    """Mean square that an effect adds across the boresight, both axes together, degrees²."""
+    added = (entry["axes"][axis]["added_rms_deg"] or 0.0 for axis in CAMERA_AXES[:2])
+    return sum(math.copysign(rms * rms, rms) for rms in added)
+
+
+def _largest(budget: Mapping[str, Any] | None, most: int = 3) -> str:
+    """The effects that add most across the boresight, as shares of the mean square error; those that surely add."""
+    if budget is None:
+        return ""
+    whole = sum(budget["rms_deg"][axis] ** 2 for axis in CAMERA_AXES[:2])
+    sure = [
+        (_added_across(entry) / whole, entry["name"])
+        for entry in budget["effects"]
+        if all((entry["axes"][axis]["added_rms_interval95_deg"][0] or 0.0) > 0.0 for axis in CAMERA_AXES[:2])
+    ]
+    return ", ".join(f"{name} {100 * share:.0f} %" for share, name in sorted(sure, reverse=True)[:most])

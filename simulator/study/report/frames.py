@@ -1,0 +1,69 @@
+"""The frames of the report: the best, the median and the worst trial, and one that was not solved, made again."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario import Scenario
+from simulator.study.plots import draw_solution
+from simulator.study.statistics import BODY_AXES
+from simulator.study.style import Panel
+from simulator.study.trials.trial import TrialRunner, solve_frame
+
+Columns = Mapping[str, NDArray[Any]]
+
+
+def chosen_trials(columns: Columns, specification_deg: Mapping[str, float]) -> list[tuple[str, int]]:
+    """Trials worth a look, as (what it is, its index).
+
+    The best, the median and the worst by the largest error about any body axis as a share of its specification, and
+    the first that was not solved.
+    """
+    index = np.asarray(columns["index"])
+    solved = np.asarray(columns["status"]) == "solved"
+    found = []
+    if solved.any():
+        share = np.max(
+            [
+                np.abs(np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved]) / specification_deg[axis]
+                for axis in BODY_AXES
+            ],
+            axis=0,
+        )
+        order = index[solved][np.argsort(share, kind="stable")]
+        found = [("best", int(order[0])), ("median", int(order[(len(order) - 1) // 2])), ("worst", int(order[-1]))]
+    if not solved.all():
+        found.append(("first not solved", int(index[~solved][0])))
+    return found
+
+
+def frame_panels(
+    scenario: Scenario, columns: Columns, specification_deg: Mapping[str, float], runner: TrialRunner | None = None
+) -> list[tuple[Panel, int]]:
+    """Panels of the chosen trials with their indices; each frame is rendered and solved again, as it was in the run.
+
+    Parameters
+    ----------
+    runner : TrialRunner, optional
+        That of the run; one is built where there is none.
+    """
+    runner = runner or TrialRunner(scenario)
+    made: dict[int, Panel] = {}
+    for what, index in chosen_trials(columns, specification_deg):
+        if index in made:  # few trials: one frame may be two things
+            continue
+        frame = runner.renderer.frame(index)[0]  # its truth, an image of real numbers, is let go at once
+        solution = solve_frame(runner.tracker, frame)
+        height, width = frame.image.shape
+        made[index] = Panel(
+            f"Trial {index}, the {what}",
+            f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
+            functools.partial(draw_solution, image=frame.image, solution=solution, names=8, preview_px=512),
+            height_in=4.2 * min(1.3, height / width) + 0.35,
+        )
+    return [(panel, index) for index, panel in made.items()]

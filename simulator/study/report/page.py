@@ -1,0 +1,111 @@
+"""The report: one self-contained HTML page, the answer in its first lines; as PDF in `simulator.study.report.pdf`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from simulator.scenario import Scenario
+from simulator.study.html_page import render_page
+from simulator.study.report.content import Content, content_of
+from simulator.study.report.figures import Panels, panels
+from simulator.study.report.frames import frame_panels
+from simulator.study.statistics import BODY_AXES
+from simulator.study.style import Panel, inline_svg, style_variables
+from startracker.catalog import load_catalog
+
+if TYPE_CHECKING:
+    from simulator.study.trials.trial import TrialRunner
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report, told and drawn but not yet set in type.
+
+    Parameters
+    ----------
+    scenario, summary
+        What was run, and its ``summary.json``.
+    content : Content
+        Text and tables.
+    panels : Panels
+        Figures of the statistics.
+    frames : list of (Panel, int)
+        Example frames and the indices of their trials.
+    """
+
+    scenario: Scenario
+    summary: Mapping[str, Any]
+    content: Content
+    panels: Panels
+    frames: list[tuple[Panel, int]]
+
+
+def build_report(
+    scenario: Scenario,
+    summary: Mapping[str, Any],
+    columns: Mapping[str, NDArray[Any]],
+    *,
+    runner: TrialRunner | None = None,
+    budget: Mapping[str, Any] | None = None,
+) -> Report:
+    """Everything that a report says and shows.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    summary : mapping
+        As in ``summary.json``; where it says that the run was interrupted, the report says so too.
+    columns : mapping of arrays
+        As in ``trials.parquet``.
+    runner : TrialRunner, optional
+        That of the run, so that the example frames need no second one.
+    budget : mapping, optional
+        As in ``budget.json``.
+    """
+    specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+    return Report(
+        scenario,
+        summary,
+        content_of(scenario, summary, columns, budget),
+        panels(columns, specification, load_catalog(scenario.sky.catalog)),
+        frame_panels(scenario, columns, specification, runner),
+    )
+
+
+def html_of(report: Report) -> str:
+    """The report as one page: no script, no link to anything outside it, light and dark, for desk, phone and paper."""
+    from markupsafe import Markup
+
+    def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:
+        phone = Markup(inline_svg(panel, f"{key}n", narrow=True)) if panel.wide else ""
+        return {"panel": panel, "svg": Markup(inline_svg(panel, key)), "phone": phone, "anchor": anchor}
+
+    return render_page(
+        "report/report.html.j2",
+        scenario=report.scenario,
+        summary=report.summary,
+        content=report.content,
+        errors=[drawn(panel, f"e{i}") for i, panel in enumerate(report.panels.errors)],
+        trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
+        wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],
+        frames=[drawn(panel, f"f{i}", f"trial-{index}") for i, (panel, index) in enumerate(report.frames)],
+        colours=style_variables(),
+        resolved=report.scenario.to_yaml(),
+    )
+
+
+def report_html(
+    scenario: Scenario,
+    summary: Mapping[str, Any],
+    columns: Mapping[str, NDArray[Any]],
+    *,
+    runner: TrialRunner | None = None,
+    budget: Mapping[str, Any] | None = None,
+) -> str:
+    """`build_report` and `html_of` in one: the page alone."""
+    return html_of(build_report(scenario, summary, columns, runner=runner, budget=budget))

@@ -1,0 +1,224 @@
+"""The report as PDF, for signing and filing: A4 pages with the same text and the same figures as the page.
+
+Set by matplotlib alone, so that it needs no browser; the same report gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from simulator.study.report.content import RENDER_COMMAND
+from simulator.study.style import BACK, INK, LINE, NARROW_IN, SOFT, WIDE_IN, Panel, style
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+
+    from simulator.study.report.content import Table
+    from simulator.study.report.page import Report
+
+WIDTH_IN, HEIGHT_IN = 8.27, 11.69  # A4
+MARGIN_IN = 0.7
+_LINE_IN = 1.45 / 72  # a line of text, in inches for each point of its size
+_LETTER_IN = 0.56 / 72  # a letter of DejaVu Sans, on average and with a little to spare, in inches a point
+
+
+def pdf_of(report: Report) -> bytes:
+    """The report as the bytes of a PDF file.
+
+    Parameters
+    ----------
+    report : Report
+        As `simulator.study.report.page.build_report` makes it.
+    """
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    stream = io.BytesIO()
+    scenario, content = report.scenario, report.content
+    with (
+        style(),
+        PdfPages(stream, metadata={"Title": f"{scenario.name}: boresight study", "CreationDate": None}) as pages,
+    ):
+        paper = _Paper(pages, f"{scenario.name}, seed {scenario.seed}, boresight {report.summary['version']}")
+        paper.text(scenario.name, 18, weight="bold")
+        paper.text(scenario.description, 9, colour=SOFT)
+        paper.text(f"{content.answer.verdict} {content.answer.margin}", 11, weight="bold")
+        paper.table(content.answer.axes)
+        paper.table(content.answer.rates)
+        paper.text("What limits it. " + " ".join(content.answer.limits), 9)
+        for note in content.notes:
+            paper.text(note, 9, weight="bold")
+        paper.heading("Accuracy")
+        paper.table(content.accuracy)
+        paper.text(content.accuracy.note, 8, colour=SOFT)
+        paper.panels(report.panels.errors)
+        if report.panels.trends:
+            paper.heading("What the error depends on")
+            paper.panels(report.panels.trends)
+        if content.budget.rows:
+            paper.heading("Error budget")
+            paper.table(content.budget)
+            paper.text(content.budget.note, 8, colour=SOFT)
+        paper.heading("Over time, over the sky")
+        paper.panels(report.panels.wide)
+        paper.heading("Frames")
+        paper.panels([panel for panel, _ in report.frames])
+        paper.heading("Outliers")
+        paper.table(content.outliers)
+        paper.text(f"{content.outliers.note} {RENDER_COMMAND}", 8)
+        paper.heading("How it was made")
+        paper.text(content.how, 9)
+        paper.text(", ".join(f"{name} {number}" for name, number in report.summary["versions"].items()), 8, colour=SOFT)
+        paper.heading("The scenario with every default spelled out")
+        # without its comments, which take three pages and stand in scenario.resolved.yaml
+        paper.lines(
+            [line for line in scenario.to_yaml().splitlines() if line.strip() and not line.strip().startswith("#")]
+        )
+        paper.end()
+    return stream.getvalue()
+
+
+class _Paper:
+    """Sheets filled from top to bottom; a new one is begun where something does not fit any more."""
+
+    def __init__(self, pages: PdfPages, footer: str) -> None:
+        self.pages = pages
+        self.footer = footer
+        self.number = 0
+        self.sheet: Figure | None = None
+        self.top_in = 0.0  # of what comes next, from the upper edge
+
+    @property
+    def room_in(self) -> float:
+        return HEIGHT_IN - MARGIN_IN - self.top_in
+
+    def _need(self, height_in: float) -> Figure:
+        from matplotlib.figure import Figure
+
+        if self.sheet is None or height_in > self.room_in:
+            self.end()
+            self.number += 1
+            self.sheet = Figure(figsize=(WIDTH_IN, HEIGHT_IN), facecolor=BACK)
+            self.sheet.set_layout_engine("none")
+            self.top_in = MARGIN_IN
+            self._put(MARGIN_IN, HEIGHT_IN - 0.4, f"{self.footer}, page {self.number}", 7, color=SOFT)
+        return self.sheet
+
+    def end(self) -> None:
+        """Send off the sheet under way."""
+        if self.sheet is not None:
+            self.pages.savefig(self.sheet)  # type: ignore[no-untyped-call]  # matplotlib's has no types
+            self.sheet = None
+
+    def _put(self, x_in: float, y_in: float, text: str, size: float, **look: Any) -> None:
+        assert self.sheet is not None
+        look = dict[str, Any](va="top", ha="left", color=INK, parse_math=False) | look
+        self.sheet.text(x_in / WIDTH_IN, 1 - y_in / HEIGHT_IN, text, fontsize=size, **look)
+
+    def text(self, text: str, size: float, weight: str = "normal", colour: str = INK) -> None:
+        """A paragraph."""
+        wide = _LETTER_IN * size * (1.12 if weight == "bold" else 1.0)
+        lines = textwrap.wrap(text, int((WIDTH_IN - 2 * MARGIN_IN) / wide))
+        for line in lines:
+            self._need(_LINE_IN * size)
+            self._put(MARGIN_IN, self.top_in, line, size, weight=weight, color=colour)
+            self.top_in += _LINE_IN * size
+        self.top_in += 0.08 if lines else 0.0
+
+    def heading(self, text: str) -> None:
+        """A heading, which never stands last on a sheet."""
+        self._need(2.5)
+        self.top_in += 0.15
+        self.text(text, 13, weight="bold")
+
+    def lines(self, lines: list[str], size: float = 7.5) -> None:
+        """Lines as they are, in letters of one width."""
+        for line in lines:
+            self._need(_LINE_IN * size)
+            self._put(MARGIN_IN, self.top_in, line, size, family="monospace")
+            self.top_in += _LINE_IN * size
+
+    def table(self, table: Table, size: float = 7.5) -> None:
+        """A table; columns as wide as their longest cell where there is room, long cells broken into lines."""
+        from matplotlib.lines import Line2D
+
+        if not table.rows:
+            return
+        letters = [max(len(cell) for cell in column) for column in zip(table.headings, *table.rows, strict=True)]
+        room = (WIDTH_IN - 2 * MARGIN_IN) / (_LETTER_IN * size) - 2 * len(letters)
+        while sum(letters) > room:
+            letters[letters.index(max(letters))] -= 1
+        whole = (
+            (WIDTH_IN - 2 * MARGIN_IN) / (sum(letters) + 2 * len(letters))
+            if sum(letters) > 0.75 * room
+            else _LETTER_IN * size
+        )
+        edges, x_in = [], MARGIN_IN
+        for count in letters:
+            edges.append((x_in, x_in + count * whole))
+            x_in += (count + 2) * whole
+        for r, row in enumerate((table.headings, *table.rows)):
+            cells = [textwrap.wrap(cell, count) or [""] for cell, count in zip(row, letters, strict=True)]
+            height = (max(len(cell) for cell in cells) + 0.5) * _LINE_IN * size
+            sheet = self._need(height)
+            for c, (cell, (left, right)) in enumerate(zip(cells, edges, strict=True)):
+                words = c == 0 or c in table.words
+                for k, line in enumerate(cell):
+                    self._put(
+                        left if words else right,
+                        self.top_in + k * _LINE_IN * size,
+                        line,
+                        size,
+                        ha="left" if words else "right",
+                        weight="normal" if r else "bold",
+                    )
+            self.top_in += height
+            y = 1 - (self.top_in - 0.2 * _LINE_IN * size) / HEIGHT_IN
+            ends = [MARGIN_IN / WIDTH_IN, edges[-1][1] / WIDTH_IN]
+            sheet.add_artist(Line2D(ends, [y, y], color=LINE, linewidth=0.6))
+        self.top_in += 0.12
+
+    def panels(self, panels: list[Panel]) -> None:
+        """Figures, two beside each other, or one across the sheet where it is wide."""
+        row: list[Panel] = []
+        for panel in panels:
+            if panel.wide or len(row) == 2:
+                self._row(row)
+                row = []
+            row.append(panel)
+            if panel.wide:
+                self._row(row)
+                row = []
+        self._row(row)
+
+    def _row(self, row: list[Panel]) -> None:
+        if not row:
+            return
+        across = WIDTH_IN - 2 * MARGIN_IN
+        width = across if row[0].wide else (across - 0.3) / 2
+        scale = width / (WIDE_IN if row[0].wide else NARROW_IN)
+        heights = [panel.height_in * scale for panel in row]
+        notes = [textwrap.wrap(panel.note, int(width / (_LETTER_IN * 6.5))) for panel in row]
+        height = max(heights) + 0.28 + max(len(note) for note in notes) * _LINE_IN * 6.5 + 0.15
+        sheet = self._need(height)
+        for k, (panel, high, note) in enumerate(zip(row, heights, notes, strict=True)):
+            left = MARGIN_IN + k * (width + 0.3)
+            self._put(left, self.top_in, panel.title, 8.5, weight="bold")
+            top = self.top_in + 0.22
+            self._draw(sheet, panel, left, top, width, high)
+            for n, line in enumerate(note):
+                self._put(left, top + high + 0.04 + n * _LINE_IN * 6.5, line, 6.5, color=SOFT)
+        self.top_in += height
+
+    @staticmethod
+    def _draw(sheet: Figure, panel: Panel, left: float, top: float, width: float, height: float) -> None:
+        """Axes in their place on the sheet, with room about them for their labels, in letters of the sheet's size."""
+        from matplotlib import rc_context
+
+        before, below = 0.52, 0.58 if panel.wide else 0.4
+        place = (left + before, HEIGHT_IN - top - height + below, width - before - 0.05, height - below - 0.05)
+        with rc_context({"font.size": 7.0, "legend.fontsize": 6.0}):
+            x, y, w, h = place
+            panel.draw(sheet.add_axes((x / WIDTH_IN, y / HEIGHT_IN, w / WIDTH_IN, h / HEIGHT_IN)))

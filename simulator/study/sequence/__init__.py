@@ -1,0 +1,1 @@
+"""Sequences: frame after frame in tracking mode."""

@@ -1,0 +1,335 @@
+"""The frames of a sequence, one after the other: rendered along the true motion, tracked, compared with the truth."""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.frame import Frame, FrameTruth
+from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
+from simulator.mission.motion import MotionState, motion
+from simulator.mission.pointing import Pointing, hold, point, point_spinning
+from simulator.randomness import stream
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.sequence.operation import OperatedCamera
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_FACTOR
+from simulator.study.trials.trial import attitude_errors_deg, build_tracker, misidentified
+from startracker.attitude import Attitude
+from startracker.solution import Solution
+from startracker.tracking import GyroNoise, RateNoise, TrackingSession
+
+__all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
+
+FloatArray = NDArray[np.float64]
+
+MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
+"""How the attitude of a frame came about: windows; the whole frame around the prediction; the whole frame and the whole
+sky; not from this frame, predicted; not at all."""
+NO_FRAME = "no_frame"
+"""Status of a frame that did not come."""
+LEAST_PRIOR_DEG = 0.1
+_LEAST_WALK = 1e-6
+"""Least disturbance, rad/s/√s, that the filter is told of: a body that drifts freely."""
+_LAG_MARGIN = 3.0
+"""A steady acceleration is no white noise; told of this many times as much, the filter lags by less than its σ."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """One frame of a sequence.
+
+    Parameters
+    ----------
+    row : dict
+        Its row of ``sequence.parquet``.
+    frame : Frame, optional
+        The image; None where none came.
+    solution : Solution
+        What the session said.
+    window_xy, window_half_px : array (M, 2), int
+        Windows looked at.
+    """
+
+    row: dict[str, Any]
+    frame: Frame | None
+    solution: Solution
+    window_xy: FloatArray
+    window_half_px: int
+
+
+class SequenceRunner:
+    """Renders and tracks the frames of one scenario's ``sequence``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    single : bool
+        Solve every frame alone too, without prior.
+    """
+
+    def __init__(self, scenario: Scenario, *, single: bool = False) -> None:
+        self.scenario = scenario
+        self.single = single
+        self.renderer = Renderer(scenario)
+        self.tracker = build_tracker(scenario, self.renderer.camera)
+        self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
+        section = scenario.sequence
+        self.start = self._start()
+        self.states = motion(scenario.pointing, section, self.renderer.scenes.orbit, self.start, section.frames)
+        self.gyro: FloatArray | None = None
+        self.biases: FloatArray | None = None
+        if section.gyro.use:
+            cameras = [state.camera for state in self.states]
+            turns = [a.rotation_vector_to(b) for a, b in pairwise(cameras)]
+            samples = gyro_samples(
+                section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
+            )
+            self.gyro, self.biases = samples
+        self.noise = self._noise()
+        self.operated: OperatedCamera | None = None
+        """The camera under its rules of operation, once `frames` has begun; None where it has none."""
+
+    def _start(self) -> Pointing:
+        """Attitude at the first frame: as that of trial 0 at that time, without jitter."""
+        scenario, scenes = self.scenario, self.renderer.scenes
+        rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
+        if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
+            return point_spinning(scenario.pointing, start_s, rng)
+        if scenario.pointing.target is None:
+            return point(scenario.pointing, *scenes.orbit.state(start_s), rng)
+        streams = functools.partial(_stream, scenario.seed)
+        nominal = scenes.scene(0, streams, self.renderer.focal_plane.half_field_rad, start_s).pointing.prior
+        return hold(scenario.pointing, nominal, rng)
+
+    def _noise(self) -> GyroNoise | RateNoise:
+        """What the filter is told of the motion and of the gyro."""
+        section = self.scenario.sequence
+        walk = section.rate_walk_deg_s_sqrt_s
+        if walk == "auto":
+            rates = np.array([state.rate_camera_rad_s for state in self.states])
+            change = np.linalg.norm(np.diff(rates, axis=0), axis=1).max(initial=0.0) / section.step_s
+            acceleration = max(_LEAST_WALK, _LAG_MARGIN * change * math.sqrt(section.step_s))
+        else:
+            acceleration = math.radians(walk)
+        if not section.gyro.use:
+            return RateNoise(acceleration, math.radians(section.rate_sigma_deg_s))
+        gyro = section.gyro
+        return GyroNoise(
+            angle_random_walk=gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H,
+            rate_random_walk=gyro.bias_instability_deg_h * DEG_H * math.sqrt(2.0 / gyro.bias_time_s),
+            bias_sigma_rad_s=max(math.hypot(gyro.bias_deg_h, gyro.bias_instability_deg_h) * DEG_H, 1e-9),
+            acceleration=acceleration,
+        )
+
+    # ------------------------------------------------------------------ the frames
+    def frames(self) -> Iterator[TrackedFrame]:
+        """All frames in order; the same every time."""
+        scenario, section = self.scenario, self.scenario.sequence
+        session = TrackingSession(self.tracker, self.noise, exposure_s=scenario.detector.exposure_s)
+        if scenario.tracker.prior:  # uniform within its half width, about each axis
+            half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
+            session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
+        self.operated = OperatedCamera(scenario, self.renderer, self.tracker) if section.operation.use else None
+        for k, state in enumerate(self.states):
+            since_s = k * section.step_s
+            gyro = self.gyro[k - 1] if self.gyro is not None and k else None
+            if any(d.start_s <= since_s < d.start_s + d.duration_s for d in section.dropouts):
+                solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
+                row = self._row(k, state, state.camera, session, solution, math.nan, 0.0)
+                row |= {"status": NO_FRAME, "reason": "no frame came"} | self._alone(None, None)
+                row |= self.operated.dropped(solution, session) if self.operated else {}
+                yield TrackedFrame(row, None, solution, np.empty((0, 2)), 0)
+                continue
+            started = time.perf_counter()
+            taken = self._take(k, state, since_s, session)
+            rendered = time.perf_counter()
+            if self.operated is not None and self.operated.verdict.image is None:
+                yield self._refused(k, state, since_s, session, gyro, taken, (rendered - started) * 1e3)
+                continue
+            assert taken is not None
+            frame, truth = taken
+            image: NDArray[Any] = frame.image
+            if self.operated is not None and self.operated.verdict.image is not None:
+                image = self.operated.verdict.image
+            known: dict[str, Any] = {
+                "observer": frame.observer,
+                "saturation_dn": frame.saturation_dn,
+                "gain_e_per_dn": frame.gain_e_per_dn,
+            }
+            solution = session.update(image, since_s, gyro_rad_s=gyro, **known)
+            tracked = time.perf_counter()
+            times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
+            row = self._row(k, state, truth.attitude, session, solution, *times)
+            row |= self._counts(frame, truth, solution)
+            if self.single:
+                row |= self._alone(self.tracker.solve(image, **known), truth)
+            row |= self.operated.columns(frame, solution, session) if self.operated else {}
+            windows = session.state.window_xy
+            half = session.state.window_half_px
+            yield TrackedFrame(row, frame, solution, np.empty((0, 2)) if windows is None else windows, half)
+
+    def _take(
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession
+    ) -> tuple[Frame, FrameTruth] | None:
+        """Frame and truth; None while the sensor's own rules have it stand by."""
+        if self.operated is not None:
+            return self.operated.expose(k, state, since_s, session)
+        return self.renderer.frame(k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s)
+
+    def _refused(
+        self,
+        k: int,
+        state: MotionState,
+        since_s: float,
+        session: TrackingSession,
+        gyro: FloatArray | None,
+        taken: tuple[Frame, FrameTruth] | None,
+        render_ms: float,
+    ) -> TrackedFrame:
+        """A frame that the rules of operation do not give to the tracker, or that was not taken at all."""
+        assert self.operated is not None
+        solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
+        frame, truth = taken if taken is not None else (None, None)
+        true = truth.attitude if truth is not None else state.camera
+        row = self._row(k, state, true, session, solution, math.nan if frame is None else render_ms, 0.0)
+        if frame is not None and truth is not None:
+            row |= self._counts(frame, truth, solution)
+        row |= self._alone(None, None) | self.operated.columns(frame, solution, session) | self.operated.refused()
+        return TrackedFrame(row, frame, solution, np.empty((0, 2)), 0)
+
+    def _row(
+        self,
+        k: int,
+        state: MotionState,
+        true: Attitude,
+        session: TrackingSession,
+        solution: Solution,
+        render_ms: float,
+        track_ms: float,
+    ) -> dict[str, Any]:
+        mounting = self.start.mounting
+        estimate, covariance = session.filter_attitude, session.covariance
+        mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
+        innovation = session.state.innovation
+        row: dict[str, Any] = {
+            "index": k,
+            "elapsed_s": k * self.scenario.sequence.step_s,
+            "t_s": state.t_s,
+            "utc": self.renderer.scenes.clock.isot(state.t_s),
+            "mode": mode,
+            "status": str(solution.status),
+            "reason": solution.reason,
+            "wrong": False,
+        }
+        row |= _attitude_columns("true_", true) | _attitude_columns("", estimate)
+        errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
+        sigma = np.full(6, math.nan)
+        nees = math.nan
+        if estimate is not None and covariance is not None:
+            errors = attitude_errors_deg(true, estimate, mounting)
+            row["wrong"] = solution.solved and self._is_wrong(errors)
+            camera = covariance[:3, :3]
+            to_body = mounting.inverse.as_matrix()
+            sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))
+            vector = true.rotation_vector_to(estimate)
+            nees = float(vector @ np.linalg.solve(camera, vector))
+        row |= {f"error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
+        row |= {f"sigma_{axis}_deg": float(v) for axis, v in zip((*BODY_AXES, *CAMERA_AXES), sigma, strict=True)}
+        row["nees"] = nees
+        row |= self._rates(k, state, session)
+        row |= {
+            "innovation_distance2": innovation.distance2 if innovation else math.nan,
+            "innovation_freedom": innovation.freedom if innovation else 0,
+            "restarted": session.state.restarted,
+            "windows": session.state.windows,
+            "stars_expected": session.state.expected,
+            "stars_in_field": 0,
+            "bodies_in_field": 0,
+            "excluded": "",
+            "stars_detected": len(solution.centroids),
+            "stars_matched": session.state.matched,
+            "stars_misidentified": 0,
+            "render_ms": render_ms,
+            "track_ms": track_ms,
+        }
+        return row
+
+    def _rates(self, k: int, state: MotionState, session: TrackingSession) -> dict[str, float]:
+        """True and estimated rate, and with a gyro its bias, camera axes."""
+        section = self.scenario.sequence
+        rate, covariance = session.rate_rad_s, session.covariance
+        if rate is None or covariance is None or (section.gyro.use and k == 0):
+            rate, variance = np.full(3, math.nan), np.full(3, math.nan)
+        else:
+            variance = np.diag(covariance)[3:]
+            if section.gyro.use:
+                variance = variance + (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
+        sigma = np.sqrt(variance)
+        row: dict[str, float] = {}
+        for i, axis in enumerate("xyz"):
+            row[f"true_rate_{axis}_deg_s"] = math.degrees(state.rate_camera_rad_s[i])
+            row[f"rate_{axis}_deg_s"] = math.degrees(rate[i])
+            row[f"sigma_rate_{axis}_deg_s"] = math.degrees(sigma[i])
+        if self.biases is not None:
+            bias = session.bias_rad_s if session.bias_rad_s is not None else np.full(3, math.nan)
+            spread = np.sqrt(np.diag(covariance)[3:]) if covariance is not None else np.full(3, math.nan)
+            for i, axis in enumerate("xyz"):
+                row[f"true_bias_{axis}_deg_h"] = float(self.biases[k, i] / DEG_H)
+                row[f"bias_{axis}_deg_h"] = float(bias[i] / DEG_H)
+                row[f"sigma_bias_{axis}_deg_h"] = float(spread[i] / DEG_H)
+        return row
+
+    def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
+        sources = truth.sources
+        inside = frame.camera.contains(sources.xy)
+        star = sources.kind == "star"
+        return {
+            "stars_in_field": int(np.sum(inside & star & (sources.v_mag <= self.scenario.tracker.magnitude_limit))),
+            "bodies_in_field": int(np.sum(inside & ~star)),
+            "excluded": ", ".join(truth.excluded),
+            "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
+        }
+
+    def _alone(self, solution: Solution | None, truth: FrameTruth | None) -> dict[str, Any]:
+        """Columns of the frame solved alone; without a frame their empty values."""
+        if not self.single:
+            return {}
+        row: dict[str, Any] = {
+            "single_status": str(solution.status) if solution else NO_FRAME,
+            "single_matched": solution.matched if solution else 0,
+            "single_wrong": False,
+        }
+        errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
+        if solution is not None and truth is not None and solution.attitude is not None:
+            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+            row["single_wrong"] = self._is_wrong(errors)
+        row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
+        row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
+        return row
+
+    def _is_wrong(self, errors: dict[str, float]) -> bool:
+        limits = self.scenario.specification
+        return any(abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in BODY_AXES)
+
+
+def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
+    values = [math.nan] * 7
+    if attitude is not None:
+        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
+    return dict(
+        zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
+    )
+
+
+def _stream(seed: int, stage: str) -> np.random.Generator:
+    return stream(seed, stage, 0)

@@ -1,0 +1,78 @@
+"""Plots of the rules of operation: the exposure and where each rule acted, the map of blemishes, the magnitudes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION, Panel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["operation_panels"]
+
+Columns = dict[str, NDArray[Any]]
+
+_MARKS = {
+    "exposure": (VERMILION, "v", "over-exposed: discarded"),
+    "sun": (ORANGE, "*", "Sun: suspended"),
+    "moon": (GREEN, "o", "Moon: cleared"),
+}
+"""Rule to colour, marker and words."""
+
+
+def operation_panels(columns: Columns) -> list[Panel]:
+    """Panels of a sequence under the rules of operation."""
+    return [
+        Panel("Exposure", "Exposure of each frame, and where a rule acted.", lambda ax: _exposure(ax, columns)),
+        Panel("Blemished pixels", "Pixels in the map.", lambda ax: _blemishes(ax, columns), 2.2),
+        Panel(
+            "Magnitudes",
+            "Magnitude read from the image minus the catalogue's: mean of each frame, and its spread (rms).",
+            lambda ax: _magnitudes(ax, columns),
+        ),
+    ]
+
+
+def _exposure(ax: Axes, columns: Columns) -> None:
+    t, exposure = columns["elapsed_s"], columns["exposure_s"]
+    ax.step(t, exposure, where="mid", color=BLUE, linewidth=1.0, label="exposure")
+    for rule, (colour, marker, words) in _MARKS.items():
+        acted = columns["rule"] == rule
+        if acted.any():
+            ax.plot(t[acted], exposure[acted], marker, color=colour, markersize=4, linestyle="none", label=words)
+    ax.set_yscale("log")
+    ax.set_ylim(0.6 * float(exposure.min()), 4.0 * float(exposure.max()))
+    ax.set_yticks(np.unique(exposure), [f"{value:.3g}" for value in np.unique(exposure)])
+    ax.minorticks_off()
+    ax.set_ylabel("exposure [s]")
+    ax.legend(loc="upper center", ncols=2)
+    _time(ax, t)
+
+
+def _blemishes(ax: Axes, columns: Columns) -> None:
+    t = columns["elapsed_s"]
+    ax.step(t, columns["blemished_px"], where="mid", color=BLUE, linewidth=1.2)
+    ax.set_ylim(bottom=0, top=1.2 * max(1, int(columns["blemished_px"].max())))
+    ax.set_ylabel("pixels")
+    _time(ax, t)
+
+
+def _magnitudes(ax: Axes, columns: Columns) -> None:
+    t = columns["elapsed_s"]
+    measured = columns["magnitude_stars"] > 0
+    mean, rms = columns["magnitude_error_mean"][measured], columns["magnitude_error_rms"][measured]
+    spread = np.sqrt(np.maximum(rms**2 - mean**2, 0.0))
+    ax.errorbar(t[measured], mean, spread, fmt=".", color=BLUE, markersize=3, elinewidth=0.5)
+    ax.axhline(0.0, color=INK, linewidth=0.8)
+    ax.set_ylabel("error [mag]")
+    _time(ax, t)
+
+
+def _time(ax: Axes, t: NDArray[Any]) -> None:
+    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
+    ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
+    ax.set_xlabel("time [s]")

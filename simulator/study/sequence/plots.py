@@ -1,0 +1,225 @@
+"""Plots of a sequence: each panel draws one quantity against time from the columns of the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from simulator.study.sequence.frames import MODES
+from simulator.study.sequence.operation_plots import operation_panels
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_error", "draw_modes", "panels"]
+
+Columns = dict[str, NDArray[Any]]
+
+MODE_COLOURS = {"tracking": GREEN, "prior": BLUE, "lost_in_space": ORANGE, "coasting": VERMILION, "none": SOFT}
+MODE_TITLES = {
+    "tracking": "tracking",
+    "prior": "whole frame",
+    "lost_in_space": "lost in space",
+    "coasting": "coasting",
+    "none": "no attitude",
+}
+_AXIS_TITLES = {
+    "roll": "roll, about X",
+    "pitch": "pitch, about Y",
+    "yaw": "yaw, about Z",
+    "cross_x": "cross-boresight x",
+    "cross_y": "cross-boresight y",
+    "about_boresight": "about the boresight",
+}
+_MANY_FRAMES = 1500
+"""Beyond this, points go into the page as pixels: as lines they would make it slow."""
+
+
+def panels(columns: Columns) -> dict[str, list[Panel]]:
+    """All panels of the page by their heading."""
+    groups = {
+        "Modes and stars": [
+            Panel("Mode", "How the attitude of each frame came about.", lambda ax: draw_modes(ax, columns), 2.2),
+            Panel("Stars", "Guide stars in the field, looked for, and matched.", lambda ax: _stars(ax, columns), 2.2),
+        ],
+        "Errors about the body axes": [_error_panel(axis, columns) for axis in BODY_AXES],
+        "Errors about the camera axes": [_error_panel(axis, columns) for axis in CAMERA_AXES],
+        "Consistency": [
+            Panel(
+                "NEES",
+                "Normalised estimation error squared of the attitude (3 degrees of freedom): a consistent filter stays "
+                "below the line in 95 % of frames, and its mean is 3.",
+                lambda ax: _nees(ax, columns),
+            )
+        ],
+        "Attitude": [
+            Panel(f"{name} of the camera", "", _attitude_drawer(key, columns))
+            for name, key in (("Right ascension", "ra_deg"), ("Declination", "dec_deg"), ("Roll", "roll_deg"))
+        ],
+        "Rate": [
+            Panel(f"Rate about the camera's {axis}", "", _compared(f"rate_{axis}_deg_s", "rate [°/s]", columns))
+            for axis in "xyz"
+        ],
+    }
+    if "rule" in columns:
+        groups["Rules of operation"] = operation_panels(columns)
+    if "true_bias_x_deg_h" in columns:
+        groups["Gyro"] = [
+            Panel(f"Bias about the camera's {axis}", "", _compared(f"bias_{axis}_deg_h", "bias [°/h]", columns))
+            for axis in "xyz"
+        ]
+    return groups
+
+
+def draw_modes(ax: Axes, columns: Columns) -> None:
+    """Modes as a strip: one row a mode, a bar where it held."""
+    t, mode = columns["elapsed_s"], columns["mode"]
+    step = _step(columns)
+    shown = [m for m in MODES if np.any(mode == m)]
+    for row, name in enumerate(shown):
+        mask = np.concatenate([[False], mode == name, [False]])
+        edges = np.flatnonzero(np.diff(mask.astype(np.int8)))
+        spans = [(float(t[a]) - step / 2.0, (b - a) * step) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        ax.broken_barh(spans, (row - 0.38, 0.76), color=MODE_COLOURS[name], linewidth=0)
+    ax.set_yticks(range(len(shown)), [MODE_TITLES[m] for m in shown])
+    ax.set_ylim(len(shown) - 0.4, -0.6)
+    ax.grid(visible=False, axis="y")
+    _time(ax, columns)
+
+
+def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
+    """Error of the filter with its ±3σ; and of the frames solved alone where these were."""
+    t = columns["elapsed_s"]
+    many = len(t) > _MANY_FRAMES
+    error, sigma = columns[f"error_{axis}_deg"] * 3600.0, columns[f"sigma_{axis}_deg"] * 3600.0
+    solved = columns["status"] == "solved"
+    ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=BLUE, alpha=0.15, linewidth=0, label="±3σ", rasterized=many)
+    if f"single_error_{axis}_deg" in columns:
+        single = columns[f"single_error_{axis}_deg"] * 3600.0
+        ax.plot(t, single, ".", color=ORANGE, markersize=2.5, label="frame alone", rasterized=many)
+    ax.plot(t, error, "-", color=BLUE, linewidth=1.0, label="tracking", rasterized=many)
+    if np.any(~solved & np.isfinite(error)):
+        ax.plot(t[~solved], error[~solved], "x", color=VERMILION, markersize=3.5, label="not solved", rasterized=many)
+    _robust_limits(ax, error, 3.0 * sigma, columns.get(f"single_error_{axis}_deg"))
+    ax.set_ylabel("error [″]")
+    ax.legend(loc="upper right", ncols=2, framealpha=0.8)
+    _time(ax, columns)
+
+
+def _error_panel(axis: str, columns: Columns) -> Panel:
+    title = _AXIS_TITLES[axis]
+    return Panel(title[0].upper() + title[1:], "", lambda ax: draw_error(ax, columns, axis))
+
+
+def _robust_limits(ax: Axes, error: NDArray[Any], band: NDArray[Any], single: NDArray[Any] | None) -> None:
+    """Limits that show nearly all of what there is: an acquisition or an outage may widen the band a thousandfold."""
+    known = [np.abs(v[np.isfinite(v)]) for v in (error, band)]
+    if single is not None:
+        known.append(np.abs(single[np.isfinite(single)]) * 3600.0)
+    reach = max((float(np.percentile(v, 97.0)) for v in known if len(v)), default=1.0)
+    if reach > 0.0:
+        ax.set_ylim(-1.5 * reach, 1.9 * reach)
+
+
+def _stars(ax: Axes, columns: Columns) -> None:
+    t = columns["elapsed_s"]
+    many = len(t) > _MANY_FRAMES
+    came = columns["status"] != "no_frame"
+    ax.plot(
+        t[came], columns["stars_in_field"][came], "-", color=SOFT, linewidth=0.8, label="in the field", rasterized=many
+    )
+    expected = columns["stars_expected"]
+    looked = came & (expected > 0)
+    ax.plot(t[looked], expected[looked], ".", color=ORANGE, markersize=2.5, label="looked for", rasterized=many)
+    ax.plot(
+        t, columns["stars_matched"], ".-", color=BLUE, markersize=3, linewidth=0.8, label="matched", rasterized=many
+    )
+    ax.set_ylim(bottom=0, top=1.45 * max(1, int(columns["stars_in_field"].max()), int(expected.max())))
+    ax.legend(loc="upper right", ncols=3)
+    _time(ax, columns)
+
+
+def _nees(ax: Axes, columns: Columns) -> None:
+    t, nees = columns["elapsed_s"], columns["nees"]
+    limit = float(chdtri(3, 0.05))
+    ax.plot(t, nees, ".", color=BLUE, markersize=3, label="frame", rasterized=len(t) > _MANY_FRAMES)
+    ax.axhline(limit, color=VERMILION, linestyle="--", linewidth=1.0, label="95 %")
+    ax.axhline(3.0, color=INK, linewidth=0.8, label="expected mean")
+    finite = nees[np.isfinite(nees)]
+    ax.set_ylim(0.0, 1.35 * max(limit, float(finite.max(initial=0.0))))
+    ax.set_ylabel("NEES")
+    ax.legend(loc="upper right", ncols=3)
+    _time(ax, columns)
+
+
+def _attitude_drawer(key: str, columns: Columns) -> Callable[[Axes], None]:
+    def draw(ax: Axes) -> None:
+        t = columns["elapsed_s"]
+        many = len(t) > _MANY_FRAMES
+        true = columns[f"true_{key}"]
+        if key != "dec_deg":
+            true = np.degrees(np.unwrap(np.radians(true)))
+        off = columns[key] - true
+        estimate = true + (off if key == "dec_deg" else (off + 180.0) % 360.0 - 180.0)
+        solved = columns["status"] == "solved"
+        ax.plot(t, true, "-", color=INK, linewidth=1.0, label="true", rasterized=many)
+        ax.plot(t[solved], estimate[solved], ".", color=BLUE, markersize=3, label="solved", rasterized=many)
+        if np.any(~solved & np.isfinite(estimate)):
+            ax.plot(
+                t[~solved], estimate[~solved], "x", color=VERMILION, markersize=3.5, label="predicted", rasterized=many
+            )
+        ax.set_ylabel("[°]")
+        ax.ticklabel_format(useOffset=False)
+        ax.margins(y=0.15)
+        ax.legend(loc="best")
+        _time(ax, columns)
+
+    return draw
+
+
+def _compared(key: str, label: str, columns: Columns) -> Callable[[Axes], None]:
+    """True and estimated value with ±3σ."""
+
+    def draw(ax: Axes) -> None:
+        t = columns["elapsed_s"]
+        many = len(t) > _MANY_FRAMES
+        true, value, sigma = columns[f"true_{key}"], columns[key], columns[f"sigma_{key}"]
+        low, high = value - 3.0 * sigma, value + 3.0 * sigma
+        ax.fill_between(t, low, high, color=BLUE, alpha=0.15, linewidth=0, label="±3σ", rasterized=many)
+        ax.plot(t, value, ".", color=BLUE, markersize=3, label="estimated", rasterized=many)
+        ax.plot(t, true, "-", color=INK, linewidth=1.0, label="true", rasterized=many)
+        finite = np.concatenate([true, _most(value)])
+        middle = 0.5 * (float(finite.min()) + float(finite.max()))
+        known = sigma[np.isfinite(sigma)]
+        reach = 0.5 * float(np.ptp(finite)) + 3.0 * (float(np.median(known)) if len(known) else 0.0)
+        if reach > 0.0:
+            ax.set_ylim(middle - 1.2 * reach, middle + 1.7 * reach)
+        ax.set_ylabel(label)
+        ax.ticklabel_format(useOffset=False)
+        ax.legend(loc="upper right", ncols=3)
+        _time(ax, columns)
+
+    return draw
+
+
+def _most(values: NDArray[Any]) -> NDArray[Any]:
+    """The finite values but for the extreme 3 %, such as those before the filter has seen two frames."""
+    finite = values[np.isfinite(values)]
+    return np.asarray(np.percentile(finite, [3.0, 97.0])) if len(finite) else finite
+
+
+def _time(ax: Axes, columns: Columns) -> None:
+    t, step = columns["elapsed_s"], _step(columns)
+    ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
+    ax.set_xlabel("time [s]")
+
+
+def _step(columns: Columns) -> float:
+    t = columns["elapsed_s"]
+    return float(t[1] - t[0]) if len(t) > 1 else 1.0

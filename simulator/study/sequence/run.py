@@ -1,0 +1,171 @@
+"""A whole sequence: frames in tracking mode, statistics, and the files that ``boresight run --sequence`` leaves."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from simulator.paths import make_folder, write_atomically
+from simulator.scenario import Scenario
+from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
+from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.operation import summarise_operation
+from simulator.study.sequence.statistics import summarise_sequence
+from simulator.study.trials.stopping import stop_on_signal
+from startracker._version import __version__
+
+__all__ = ["Sequence", "run_sequence"]
+
+Progress = Callable[[int, int], None]
+"""Called with (frames finished, frames in all)."""
+
+_FLUSH_FRAMES = 500
+"""Rows are kept as columns in pieces of this many: a long sequence takes little memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """Result of a sequence.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    frames : pyarrow.Table
+        A row a frame.
+    summary : dict
+        What ``sequence.json`` holds.
+    folder : Path, optional
+        Where the files are.
+    files : tuple of str
+        Their names.
+    """
+
+    scenario: Scenario
+    frames: pa.Table
+    summary: dict[str, Any]
+    folder: Path | None = None
+    files: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns of the frames as arrays."""
+        return {name: self.frames[name].to_numpy() for name in self.frames.column_names}
+
+
+def run_sequence(
+    scenario: Scenario,
+    *,
+    out: str | Path | None = None,
+    single: bool = False,
+    animate: bool = False,
+    progress: Progress | None = None,
+) -> Sequence:
+    """Run a scenario's sequence: an orbit or a slew, frame after frame, in tracking mode.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; its ``sequence`` section says what happens.
+    out : path, optional
+        Folder for ``sequence.parquet``, ``sequence.json``, ``sequence.html``, ``scenario.resolved.yaml`` and, with
+        `animate`, ``sequence.gif`` and, where ffmpeg is installed, ``sequence.mp4``; none: nothing is written.
+    single : bool
+        Solve every frame alone too, to compare.
+    animate : bool
+        Make the animation.
+    progress : callable, optional
+        Called with (finished, all).
+
+    Raises
+    ------
+    InputError
+        For an unwritable folder, or names or files in the scenario that cannot be used.
+
+    Notes
+    -----
+    Ctrl-C ends the sequence after the frame under way; results and files are then those of the frames so far, and the
+    summary says ``interrupted``.
+    """
+    folder = make_folder(Path(out)) if out is not None else None
+    requested = scenario.sequence.frames
+    runner = SequenceRunner(scenario, single=single)
+    started = time.perf_counter()
+    pieces: list[pa.Table] = []
+    rows: list[dict[str, Any]] = []
+    views: list[FrameView] = []
+    done = 0
+    if progress:
+        progress(0, requested)
+    with stop_on_signal() as stop:
+        for tracked in runner.frames():
+            rows.append(tracked.row)
+            done += 1
+            if animate:
+                views.append(view_of(tracked))
+            if len(rows) == _FLUSH_FRAMES:
+                pieces.append(pa.Table.from_pylist(rows))
+                rows = []
+            if progress:
+                progress(done, requested)
+            if stop.is_set():
+                break
+    if rows:
+        pieces.append(pa.Table.from_pylist(rows))
+    elapsed_s = time.perf_counter() - started
+    table = pa.concat_tables(pieces)
+    sequence = Sequence(scenario, table, {}, folder)
+    columns = sequence.columns
+    sequence.summary.update(
+        name=scenario.name,
+        seed=scenario.seed,
+        version=__version__,
+        requested=requested,
+        interrupted=done < requested,
+        **summarise_sequence(columns, scenario.sequence.step_s),
+        unphysical=list(scenario.unphysical),
+        elapsed_s=elapsed_s,
+        median_ms={name: _median(columns[f"{name}_ms"]) for name in ("render", "track")},
+    )
+    if runner.operated is not None:
+        sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
+    if folder is None:
+        return sequence
+    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views))
+
+
+def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[str, ...]:
+    """Write the result files, each moved into place whole."""
+    from simulator.study.sequence.page import sequence_html
+
+    sink = pa.BufferOutputStream()
+    pq.write_table(sequence.frames, sink, compression="zstd")
+    files: dict[str, bytes | str] = {
+        "sequence.parquet": sink.getvalue().to_pybytes(),
+        "sequence.json": json.dumps(sequence.summary, indent=2, allow_nan=False) + "\n",
+        "scenario.resolved.yaml": f"# boresight {__version__}\n{sequence.scenario.to_yaml()}",
+    }
+    gif = gif_bytes(views, sequence.columns, sequence.scenario.name) if views else None
+    files["sequence.html"] = sequence_html(sequence.scenario, sequence.summary, sequence.columns, gif)
+    if gif is not None:
+        files["sequence.gif"] = gif
+        program = find_ffmpeg()
+        if program is not None:
+            files["sequence.mp4"] = mp4_bytes(views, sequence.columns, sequence.scenario.name, program)
+    for name, data in files.items():
+        write_atomically(folder / name, data)
+    return tuple(files)
+
+
+def _median(values: NDArray[Any]) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None

@@ -1,0 +1,125 @@
+"""Statistics of a sequence: how long there was an attitude, in which mode, how good, and whether the filter knew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
+from scipy.special import chdtri
+
+from simulator.study.sequence.frames import MODES
+from simulator.study.statistics import AXES, axis_statistics
+
+__all__ = ["effective_number", "longest_run", "nees_test", "summarise_sequence"]
+
+Columns = dict[str, NDArray[Any]]
+FloatArray = NDArray[np.float64]
+
+
+def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
+    """Numbers of ``sequence.json`` from the columns of ``sequence.parquet``.
+
+    A frame stands for the step that begins with it: times in modes and outages are numbers of frames times the step.
+    Errors are those of the solved frames, and those of the solved frames that were also solved alone where they are set
+    against each other (``gain``: rms alone over rms in tracking).
+    """
+    n = len(columns["index"])
+    solved = np.asarray(columns["status"] == "solved", dtype=bool)
+    errors = {axis: np.asarray(columns[f"error_{axis}_deg"], dtype=float) for axis in AXES}
+    first = int(np.argmax(solved)) if solved.any() else None
+    statuses, counts = np.unique(np.asarray(columns["status"][~solved], dtype=str), return_counts=True)
+    summary: dict[str, Any] = {
+        "frames": n,
+        "step_s": step_s,
+        "duration_s": n * step_s,
+        "solved": int(solved.sum()),
+        "availability": float(solved.mean()),
+        "unsolved_by_status": {str(s): int(c) for s, c in zip(statuses, counts, strict=True)},
+        "time_in_mode_s": {mode: float(np.sum(columns["mode"] == mode)) * step_s for mode in MODES},
+        "first_solution_s": None if first is None else first * step_s,
+        "longest_outage_s": longest_run(~solved) * step_s,
+        "wrong": int(np.sum(columns["wrong"])),
+        "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
+        "restarts": int(np.sum(columns["restarted"])),
+        "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
+        "errors_deg": {axis: axis_statistics(errors[axis][solved]) for axis in AXES},
+        "rate_rms_deg_s": {
+            axis: _rms((columns[f"rate_{axis}_deg_s"] - columns[f"true_rate_{axis}_deg_s"])[solved]) for axis in "xyz"
+        },
+        "nees": nees_test(np.asarray(columns["nees"], dtype=float)[solved]),
+    }
+    if "true_bias_x_deg_h" in columns:
+        summary["bias_error_deg_h"] = {
+            axis: _finite(columns[f"bias_{axis}_deg_h"][-1] - columns[f"true_bias_{axis}_deg_h"][-1]) for axis in "xyz"
+        }
+    if "single_status" in columns:
+        alone = np.asarray(columns["single_status"] == "solved", dtype=bool)
+        both = alone & solved
+        single = {axis: np.asarray(columns[f"single_error_{axis}_deg"], dtype=float) for axis in AXES}
+        gain = {}
+        for axis in AXES:
+            rms, rms_alone = _rms(errors[axis][both]), _rms(single[axis][both])
+            gain[axis] = rms_alone / rms if rms and rms_alone is not None else None
+        summary["single"] = {
+            "solved": int(alone.sum()),
+            "availability": float(alone.mean()),
+            "wrong": int(np.sum(columns["single_wrong"])),
+            "errors_deg": {axis: axis_statistics(single[axis][alone]) for axis in AXES},
+            "gain": gain,
+        }
+    return summary
+
+
+def longest_run(mask: NDArray[np.bool_]) -> int:
+    """Length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def effective_number(values: FloatArray) -> float:
+    """Number of independent values that tell as much of the mean as these correlated ones.
+
+    N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
+    7, 473: the initial positive sequence); between 1 and N.
+    """
+    n = len(values)
+    centred = values - values.mean() if n else values
+    power = float(centred @ centred)
+    if n < 4 or power <= 1e-24 * float(values @ values):  # a constant, to rounding
+        return float(n)
+    spectrum = rfft(centred, 2 * n)
+    correlation = irfft(np.abs(spectrum) ** 2, 2 * n)[:n] / power
+    total = 1.0
+    for k in range(1, n - 1, 2):
+        pair = float(correlation[k] + correlation[k + 1])
+        if pair <= 0.0:
+            break
+        total += 2.0 * pair
+    return float(np.clip(n / total, 1.0, n))
+
+
+def nees_test(nees: FloatArray, freedom: int = 3) -> dict[str, Any]:
+    """Mean of the normalised estimation error squared and the bounds that hold 95 % of such means.
+
+    e P⁻¹ e of a consistent filter is χ² of `freedom`; the mean of N independent ones is χ²(N · freedom)/N (Bar-Shalom,
+    Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4). Successive errors
+    of a filter hang together; for N the effective number is taken.
+    """
+    nees = nees[np.isfinite(nees)]
+    if not len(nees):
+        return {"mean": None, "effective_frames": 0.0, "bounds95": None, "within": None}
+    n = effective_number(nees)
+    low, high = (float(chdtri(freedom * n, p)) / n for p in (0.975, 0.025))
+    mean = float(nees.mean())
+    return {"mean": mean, "effective_frames": n, "bounds95": [low, high], "within": low <= mean <= high}
+
+
+def _rms(values: NDArray[Any]) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

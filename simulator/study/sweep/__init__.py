@@ -1,0 +1,1 @@
+"""Sweeps over keys, and runs side by side."""

@@ -1,0 +1,215 @@
+"""Several runs beside each other: what differs in their scenarios, and what that does to the errors.
+
+Runs of one seed share their trials (same times, attitudes and random streams), so they are also compared trial by
+trial: the ratio of their rms errors over the trials that both solved is far surer than the two intervals suggest.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from simulator.scenario import ScenarioError
+from simulator.scenario.document import parse_document, read_text
+from simulator.scenario.errors import Problem
+from simulator.study.intervals import plain, ratios_of_rms
+from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.statistics import AXES
+from simulator.study.sweep.files import cell
+from simulator.study.trials.columns import Columns
+from startracker.errors import InputError
+
+IGNORED = ("name", "description")
+"""Keys that tell nothing of what was simulated."""
+
+MAX_RUNS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRun:
+    """A run, or a point of a sweep, as it is compared.
+
+    Parameters
+    ----------
+    name : str
+        The folder as it was given, and for a point its number.
+    values : dict
+        Every key of its scenario by dotted path.
+    columns : mapping of arrays
+        Columns of its trials, those of `TRIAL_COLUMNS`.
+    statistics : dict
+        From `simulator.study.point_statistics.point_statistics`.
+    trials_per_second : float, optional
+        Speed, where the run says so.
+    """
+
+    name: str
+    values: dict[str, Any]
+    columns: Mapping[str, NDArray[Any]]
+    statistics: dict[str, Any]
+    trials_per_second: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Runs beside each other.
+
+    Parameters
+    ----------
+    runs : tuple of ComparedRun
+        In the order given; the first is what the others are measured against.
+    differences : dict
+        Dotted path of every key that is not the same in all runs to its value in each; None where a run has no such
+        key.
+    ratios : tuple
+        Of every run: for each axis (ratio, low, high) of its rms error to that of the first run, over the trials that
+        both solved, with the 95 % interval; None for the first run, and where trials cannot be paired.
+    """
+
+    runs: tuple[ComparedRun, ...]
+    differences: dict[str, tuple[Any, ...]]
+    ratios: tuple[dict[str, tuple[float, float | None, float | None]] | None, ...]
+
+
+def compare(folders: Sequence[str | Path]) -> Comparison:
+    """Compare runs by their folders.
+
+    Parameters
+    ----------
+    folders : sequence of paths
+        Results of ``boresight run``; of ``boresight sweep`` for all its points, ``DIR:3`` for the point of that number.
+
+    Raises
+    ------
+    InputError
+        For a folder without results, or fewer than two runs.
+    """
+    runs = [run for folder in folders for run in _load(str(folder))]
+    if len(runs) < 2:
+        raise InputError("compare: needs two runs or more; give more folders")
+    if len(runs) > MAX_RUNS:
+        raise InputError(f"compare: {len(runs)} runs do not fit a page; choose points of the sweep, as DIR:3")
+    return Comparison(
+        tuple(runs), differences([run.values for run in runs]), (None, *(_ratios(runs[0], run) for run in runs[1:]))
+    )
+
+
+def differences(scenarios: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
+    """Keys that are not the same in all scenarios, in the order in which they are met."""
+    paths = dict.fromkeys(path for values in scenarios for path in values)
+    rows = {path: tuple(values.get(path) for values in scenarios) for path in paths if path not in IGNORED}
+    return {
+        path: row
+        for path, row in rows.items()
+        if any(value != row[0] for value in row) or any(path not in values for values in scenarios)
+    }
+
+
+def _load(given: str) -> list[ComparedRun]:
+    folder, _, number = given.rpartition(":")
+    if Path(given).is_dir() or not folder or not number.isdigit():
+        folder, number = given, ""
+    path = Path(folder)
+    if (path / "summary.json").is_file() and (path / "trials.parquet").is_file() and not number:
+        return [_load_run(path, given)]
+    if (path / "sweep.json").is_file() and (path / "sweep.parquet").is_file():
+        return _load_points(path, int(number) if number else None)
+    what = "no such folder" if not path.is_dir() else "holds no results of boresight run or boresight sweep"
+    raise InputError(f"{given}: {what}")
+
+
+def _load_run(folder: Path, name: str) -> ComparedRun:
+    summary = _json(folder / "summary.json")
+    values = _resolved(folder / "scenario.resolved.yaml")
+    columns = Columns(_trials(folder / "trials.parquet"))
+    statistics = point_statistics(columns, int(summary["seed"]))
+    return ComparedRun(name, values, columns, statistics, summary.get("trials_per_second"))
+
+
+def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
+    table = _json(folder / "sweep.json")
+    done = {point["point"]: point for point in table["points"] if point["status"] == "done"}
+    if number is not None and number not in done:
+        reasons = [p["reason"] or p["status"] for p in table["points"] if p["point"] == number]
+        raise InputError(f"{folder}:{number}: {reasons[0] if reasons else 'the sweep has no such point'}")
+    base = _flat(table["scenario"])
+    trials = _trials(folder / "sweep.parquet", "point")
+    runs = []
+    for index in done if number is None else [number]:
+        mine = trials.filter(pa.array(trials["point"].to_numpy() == index))
+        runs.append(
+            ComparedRun(
+                f"{folder}:{index}",
+                base | done[index]["values"],
+                Columns(mine),
+                done[index]["statistics"],
+            )
+        )
+    return runs
+
+
+def _ratios(first: ComparedRun, other: ComparedRun) -> dict[str, tuple[float, float | None, float | None]] | None:
+    """Ratio of the rms errors over the trials that both solved; None where no trials can be paired."""
+    if any(first.values.get(key) != other.values.get(key) for key in ("seed", "study.sampling")):
+        return None
+    _, mine, theirs = np.intersect1d(first.columns["index"], other.columns["index"], return_indices=True)
+    both = (first.columns["status"][mine] == "solved") & (other.columns["status"][theirs] == "solved")
+    if not np.any(both):
+        return None
+    errors, reference = (
+        np.stack([run.columns[f"error_{axis}_deg"][rows][both] for axis in AXES], axis=1)
+        for run, rows in ((other, theirs), (first, mine))
+    )
+    if not (np.any(errors, axis=0).all() and np.any(reference, axis=0).all()):
+        return None
+    ratio, ends = ratios_of_rms(errors, reference, seed=int(first.values.get("seed") or 0))
+    found: dict[str, tuple[float, float | None, float | None]] = {}
+    for k, axis in enumerate(AXES):
+        low, high = plain(None if ends is None else ends[k])
+        found[axis] = (float(ratio[k]), low, high)
+    return found
+
+
+def _trials(file: Path, *more: str) -> pa.Table:
+    try:
+        return pq.read_table(file, columns=[*more, *TRIAL_COLUMNS])
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{file}: cannot be read ({str(error).splitlines()[0]})") from error
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read ({error})") from error
+    return found
+
+
+def _resolved(file: Path) -> dict[str, Any]:
+    """Every key of a resolved scenario, read without its schema, so that runs of other versions compare too."""
+    text = read_text(file, str(file))
+    problems = [text] if isinstance(text, Problem) else []
+    table = parse_document(text, str(file), problems) if isinstance(text, str) else None
+    if table is None or problems:
+        raise ScenarioError(problems)
+    return _flat(table.plain())
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted path to value as `cell` has it, which compares and prints the same wherever it was read from."""
+    flat: dict[str, Any] = {}
+    for key, value in nested.items():
+        path = f"{prefix}.{key}" if prefix else str(key)
+        if isinstance(value, Mapping):
+            flat |= _flat(value, path)
+        else:
+            flat[path] = cell(value)
+    return flat

@@ -1,0 +1,107 @@
+"""The files of a sweep: one dataset of all trials, the table of points, the plots and the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from simulator.paths import make_folder, open_atomically, write_atomically
+from simulator.scenario.output import yaml_value
+from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.trials.columns import Columns
+
+RESULT_FILES = ("sweep.parquet", "points.csv", "sweep.json", "sweep.html", "plots")
+
+Row = tuple[int, tuple[Any, ...], str | None]
+"""Number of a point, its values, and why it is refused where it is."""
+
+
+def point_file(folder: Path, index: int) -> Path:
+    """Where the trials of a point are kept until all are done."""
+    return folder / f"{index:06d}.parquet"
+
+
+def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept: Path, folder: Path) -> None:
+    """Write all files of a sweep, each moved into place whole; the points' statistics join `table`.
+
+    Parameters
+    ----------
+    table : dict
+        What ``sweep.json`` holds beside its points.
+    paths : list of str
+        Swept keys.
+    rows : list
+        All points.
+    kept : Path
+        Folder of the finished points.
+    folder : Path
+        Where the results go.
+    """
+    from simulator.study.sweep.page import sweep_page
+    from simulator.study.sweep.plots import sweep_figures
+
+    files = {index: point_file(kept, index) for index, _, _ in rows if point_file(kept, index).exists()}
+    join(list(files.values()), folder / "sweep.parquet")
+    table["points"] = []
+    for index, values, refused in rows:
+        shown = {path: cell(value) for path, value in zip(paths, values, strict=True)}
+        point: dict[str, Any] = {"point": index, "values": shown, "status": "done", "reason": ""}
+        if refused is not None:
+            point |= {"status": "refused", "reason": refused}
+        elif index in files:
+            columns = Columns(pq.read_table(files[index], columns=list(TRIAL_COLUMNS)))
+            point["statistics"] = point_statistics(columns, table["seed"])
+        else:
+            point["status"] = "not run"
+        table["points"].append(point)
+    write_atomically(folder / "points.csv", points_csv(table))
+    write_atomically(folder / "sweep.json", json.dumps(table, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    pictures = make_folder(folder / "plots")
+    figures = sweep_figures(table)
+    for figure in figures:
+        write_atomically(pictures / f"{figure.name}.png", figure.png)
+    write_atomically(folder / "sweep.html", sweep_page(table, figures))
+
+
+def join(files: list[Path], target: Path) -> None:
+    """Point files as one dataset, a row group each: only one of them is in memory at a time."""
+    # a column that is empty at one point has no type there
+    schema = pa.unify_schemas([pq.read_schema(file) for file in files], promote_options="permissive")
+    with open_atomically(target) as stream, pq.ParquetWriter(stream, schema, compression="zstd") as writer:
+        for file in files:
+            part = pq.read_table(file)
+            whole = pa.concat_tables([part, schema.empty_table()], promote_options="permissive")
+            writer.write_table(whole.select(schema.names).cast(schema), row_group_size=max(1, whole.num_rows))
+
+
+def points_csv(table: dict[str, Any]) -> str:
+    """A line a point: number, values, status and reason, then its statistics; empty where there are none."""
+    paths = [axis["path"] for axis in table["swept"]]
+    names = next(list(point["statistics"]) for point in table["points"] if "statistics" in point)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["point", *paths, "status", "reason", *names])
+    for point in table["points"]:
+        statistics = point.get("statistics", {})
+        writer.writerow(
+            [
+                point["point"],
+                *(point["values"][path] for path in paths),
+                point["status"],
+                point["reason"],
+                *("" if statistics.get(name) is None else statistics[name] for name in names),
+            ]
+        )
+    return text.getvalue()
+
+
+def cell(value: Any) -> Any:
+    """A value of a key as JSON and CSV hold it: numbers and text as they are, anything else as its YAML."""
+    plain = isinstance(value, (int, float, str)) and not isinstance(value, bool)
+    return value if plain else yaml_value(value)

@@ -1,0 +1,348 @@
+"""A sweep: the Monte Carlo study of a scenario at many values of some of its keys.
+
+Every point is a run of the engine with the same seed: trial i meets the same times, attitudes, stars and noise draws at
+every point (common random numbers; Law 2015, *Simulation Modeling and Analysis*, section 11.2), so that a difference
+between points is far surer than either point by itself. Finished points are kept one file each in ``points/`` until all
+are done; a kill costs the point under way at most.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from simulator.checks import NAME_CHECKS, load_scenario
+from simulator.paths import make_folder, write_atomically
+from simulator.randomness import stream
+from simulator.scenario import Scenario, ScenarioError
+from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
+from simulator.study.sweep.files import cell, point_file, write_results
+from simulator.study.trials.engine import Trials, run_trials
+from simulator.study.trials.process_pool import WorkerPool
+from simulator.study.trials.trial import TrialRunner
+from startracker._version import __version__
+from startracker.errors import BoresightError, InputError
+
+POINTS_FOLDER = "points"
+
+Progress = Callable[[int, int, "Point"], None]
+"""Called with (trials finished, trials in all, the point under way)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One combination of values.
+
+    Parameters
+    ----------
+    index : int
+        Its number, from 0.
+    values : tuple
+        Values of the swept keys, in their order.
+    scenario : Scenario, optional
+        What is run; None where physics refuses it.
+    refused : str
+        Why, where it is.
+    """
+
+    index: int
+    values: tuple[Any, ...]
+    scenario: Scenario | None
+    refused: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All points of a sweep, before anything is run.
+
+    Parameters
+    ----------
+    swept : tuple of SweptKey
+        What is swept.
+    points : tuple of Point
+        In the order in which they are run.
+    kind : str
+        ``grid`` or ``latin_hypercube``.
+    """
+
+    swept: tuple[SweptKey, ...]
+    points: tuple[Point, ...]
+    kind: str
+
+    @property
+    def runnable(self) -> tuple[Point, ...]:
+        """Points that physics allows."""
+        return tuple(point for point in self.points if point.scenario is not None)
+
+    @property
+    def scenario(self) -> Scenario:
+        """Scenario of the first point that can be."""
+        scenario = self.runnable[0].scenario
+        assert scenario is not None
+        return scenario
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the version and of every point's scenario: what has to be the same to go on."""
+        lines = [point.scenario.fingerprint() if point.scenario else point.refused for point in self.points]
+        keys = [axis.path for axis in self.swept]
+        return hashlib.sha256("\n".join([__version__, self.kind, *keys, *lines]).encode()).hexdigest()
+
+
+def plan_sweep(
+    path: str | Path,
+    over: Sequence[str],
+    *,
+    lhs: int | None = None,
+    trials: int | None = None,
+    seed: int | None = None,
+    set_values: Sequence[str] = (),
+) -> Plan:
+    """Points of a sweep, each with its scenario, or with the reason why it cannot be.
+
+    Parameters
+    ----------
+    path : path
+        Scenario file, or the name of one that ships.
+    over : sequence of str
+        ``path=low:high:count[,log]`` or ``path=v1,v2,…``.
+    lhs : int, optional
+        Number of points of a Latin hypercube, drawn from the scenario's seed; None: the full grid.
+    trials, seed : int, optional
+        In place of the scenario's own.
+    set_values : sequence of str
+        ``path=value`` at every point.
+
+    Raises
+    ------
+    InputError
+        For a mistake in the options or the file, or when no point at all can be.
+    """
+    swept = parse_swept_keys(over, NAME_CHECKS)
+    if lhs is None:
+        values, kind = grid(swept), "grid"
+    else:
+        base_seed = load_scenario(path, set_values, trials=trials, seed=seed).seed if seed is None else seed
+        values, kind = latin_hypercube(swept, lhs, stream(base_seed, "sweep")), "latin_hypercube"
+    points: list[Point] = []
+    for index, row in enumerate(values):
+        try:
+            options = [*set_values, *overrides(swept, row)]
+            points.append(Point(index, row, load_scenario(path, options, trials=trials, seed=seed)))
+        except ScenarioError as error:
+            points.append(Point(index, row, None, "; ".join(p.message for p in error.problems)))
+    plan = Plan(swept, tuple(points), kind)
+    if not plan.runnable:
+        load_scenario(path, set_values, trials=trials, seed=seed)  # a mistake of the file itself is told by its line
+        raise InputError(f"--over: none of the {len(points)} points can be; the first: {points[0].refused}")
+    return plan
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Result of a sweep.
+
+    Parameters
+    ----------
+    table : dict
+        What ``sweep.json`` holds: the points with their values, states and statistics, and how they were made.
+    folder : Path
+        Where the files are.
+    """
+
+    table: dict[str, Any]
+    folder: Path
+
+    @property
+    def trials(self) -> pa.Table:
+        """All trials of all points, in memory."""
+        return pq.read_table(self.folder / "sweep.parquet")
+
+
+def run_sweep(
+    plan: Plan,
+    out: str | Path,
+    *,
+    workers: int = 1,
+    dask: str | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Run every point of a plan and write ``sweep.parquet``, ``points.csv``, ``sweep.json``, plots and ``sweep.html``.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `plan_sweep`.
+    out : path
+        Folder of the results.
+    workers : int
+        Processes; the rows do not depend on their number.
+    dask : str, optional
+        Address of a dask.distributed scheduler, to run on its workers instead.
+    resume : bool
+        Take over the points that an interrupted sweep of the *same* plan finished in `out`.
+    progress : callable, optional
+        Told of every block of trials.
+
+    Raises
+    ------
+    InputError
+        For no workers, an unwritable folder, or a resume that does not fit.
+    """
+    if workers < 1:
+        raise InputError(f"workers: must be at least 1, not {workers}")
+    folder = make_folder(Path(out))
+    if resume and (whole := _finished_before(plan, folder)):
+        return whole
+    kept = _open_points(plan, folder, resume)
+    refused = {point.index: point.refused for point in plan.points if point.scenario is None}
+    total = sum(point.scenario.study.trials for point in plan.points if point.scenario)
+    have = [point for point in plan.runnable if point_file(kept, point.index).exists()]
+    done = sum(point.scenario.study.trials for point in have if point.scenario)
+    if progress:
+        progress(done, total, next((point for point in plan.runnable if point not in have), plan.runnable[-1]))
+    started, run_here, interrupted = time.perf_counter(), 0, False
+    with WorkerPool(workers) as pool:
+        for point in plan.runnable:
+            file, scenario = point_file(kept, point.index), point.scenario
+            assert scenario is not None
+            if file.exists():
+                continue
+            asked = scenario.study.trials
+            try:
+                trials = _run_point(scenario, pool, dask, _shifted(progress, done, total, point))
+            except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
+                interrupted = True
+                break
+            if isinstance(trials, str):
+                refused[point.index] = trials
+                total -= asked
+                continue
+            if trials.interrupted:
+                interrupted = True
+                break
+            _write_point(plan, point, trials.table, file)
+            run_here += asked
+            done += asked
+    if not any(point_file(kept, point.index).exists() for point in plan.points):
+        if interrupted:
+            raise BoresightError("interrupted before the first point was finished: nothing to report")
+        first = min(refused)
+        raise InputError(f"--over: none of the {len(plan.points)} points can be; the first: {refused[first]}")
+    table = {
+        "name": plan.scenario.name,
+        "scenario_file": plan.scenario.source_name,
+        "version": __version__,
+        "seed": plan.scenario.seed,
+        "trials_per_point": plan.scenario.study.trials,
+        "kind": plan.kind,
+        "interrupted": interrupted,
+        "swept": [_describe(axis) for axis in plan.swept],
+        "specification_deg": {
+            axis: getattr(plan.scenario.specification, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
+        },
+        "fingerprint": plan.fingerprint,
+        "workers": workers,
+        "elapsed_s": time.perf_counter() - started,
+        "trials_run": run_here,
+        "scenario": plan.scenario.resolved(),
+    }
+    rows = [(point.index, point.values, refused.get(point.index)) for point in plan.points]
+    write_results(table, [axis.path for axis in plan.swept], rows, kept, folder)
+    if not interrupted:
+        shutil.rmtree(kept, ignore_errors=True)
+    return Sweep(table, folder)
+
+
+def _run_point(
+    scenario: Scenario, pool: WorkerPool, dask: str | None, progress: Callable[[int, int], None] | None
+) -> Trials | str:
+    """Trials of a point, or why there can be none."""
+    trials = scenario.study.trials
+    try:
+        if dask is None:
+            return run_trials(scenario, trials, pool=pool, progress=progress)
+        TrialRunner(scenario)  # what cannot be is told here; a cluster that is not there is another matter
+    except InputError as error:
+        return " ".join(str(error).split())
+    return run_trials(scenario, trials, dask=dask, progress=progress)
+
+
+def _shifted(progress: Progress | None, before: int, total: int, point: Point) -> Callable[[int, int], None] | None:
+    """Progress of a point as progress of the sweep."""
+    return (lambda finished, _: progress(before + finished, total, point)) if progress else None
+
+
+def _describe(axis: SweptKey) -> dict[str, Any]:
+    return {
+        "path": axis.path,
+        "unit": axis.key.unit,
+        "log": axis.log,
+        "numeric": axis.numeric,
+        "range": None if axis.low is None else [axis.low, axis.high],
+        "values": [cell(v) for v in axis.values],
+    }
+
+
+def _write_point(plan: Plan, point: Point, trials: pa.Table, file: Path) -> None:
+    """The trials of a point with its number and its values before them."""
+    n = trials.num_rows
+    columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, point.index, dtype=np.int32))}
+    for axis, value in zip(plan.swept, point.values, strict=True):
+        if axis.numeric:
+            columns[axis.path] = pa.array([value] * n, pa.int64() if axis.whole else pa.float64())
+        else:
+            columns[axis.path] = pa.array([str(cell(value))] * n, pa.string())
+    for name in trials.column_names:
+        columns[name] = trials[name]
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns), sink, compression="zstd")
+    write_atomically(file, sink.getvalue().to_pybytes())
+
+
+def _open_points(plan: Plan, folder: Path, resume: bool) -> Path:
+    """Folder of finished points: an earlier sweep's where it is resumed, else an empty one."""
+    kept = folder / POINTS_FOLDER
+    key_file = kept / "plan.sha256"
+    if resume and key_file.exists():
+        if key_file.read_text(encoding="utf-8") != plan.fingerprint:
+            raise InputError(_other_sweep(folder))
+        return kept
+    if kept.exists() and any(kept.iterdir()) and not key_file.exists():
+        raise InputError(f"{kept}: holds files that are no sweep's; choose another --out")
+    shutil.rmtree(kept, ignore_errors=True)
+    make_folder(kept)
+    write_atomically(key_file, plan.fingerprint)
+    return kept
+
+
+def _finished_before(plan: Plan, folder: Path) -> Sweep | None:
+    """The sweep that stands whole in a folder, so that resuming it is nothing to do."""
+    file = folder / "sweep.json"
+    if (folder / POINTS_FOLDER).exists() or not file.exists():
+        return None
+    try:
+        table = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{file}: cannot be read ({error}); choose another --out") from error
+    if table.get("fingerprint") != plan.fingerprint:
+        raise InputError(_other_sweep(folder))
+    return Sweep(table, folder)
+
+
+def _other_sweep(folder: Path) -> str:
+    return (
+        f"{folder}: its points are of another scenario, seed, version or --over; "
+        "run without --resume, or choose another --out"
+    )

@@ -1,0 +1,138 @@
+"""Blocks of trials on processes of this machine; a process that dies costs only the time of its blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+
+from simulator.scenario import Scenario
+from simulator.study.trials.blocks import MAX_ATTEMPTS, Blocks, Result, run_block
+from simulator.study.trials.trial import TrialRunner
+from startracker.errors import BoresightError
+
+STOP_CHECK_S = 0.2
+"""Seconds between looks at whether the run is to stop."""
+
+_local = threading.local()
+
+
+class WorkerPool:
+    """Processes of this machine that run blocks of trials, of one scenario after the other; started when first needed.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._executor: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def submit(self, scenario: Scenario, key: str, block: range) -> Future[Result]:
+        """Have a block run by the next process that is free; `key` tells scenarios apart."""
+        if self._executor is None:
+            self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=_start_worker)
+        return self._executor.submit(_run_block, scenario, key, block)
+
+    def close(self) -> None:
+        """End the processes, once they have finished what they are at; the next block starts new ones."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, cancel_futures=True)
+            self._executor = None
+
+
+def run_in_pool(
+    scenario: Scenario, blocks: Blocks, pool: WorkerPool, stop: threading.Event
+) -> Generator[Result, None, None]:
+    """Finished blocks in the order in which they come, only a few under way at a time, so that memory stays flat.
+
+    A stop drops the blocks that no worker has begun and waits, a moment, for the others. When a worker dies its blocks
+    are run again by new processes.
+
+    Raises
+    ------
+    InputError
+        What a worker says of a scenario that cannot be.
+    BoresightError
+        When the workers die with the same block again and again.
+    """
+    key = scenario.fingerprint()
+    while blocks and not stop.is_set():
+        pending: dict[Future[Result], range] = {}
+        try:
+            while blocks or pending:
+                if stop.is_set():
+                    blocks.drop()
+                    pending = {future: block for future, block in pending.items() if not future.cancel()}
+                with _no_interrupt_for_children():
+                    while blocks and len(pending) < 2 * pool.workers:
+                        block = blocks.take()
+                        try:
+                            pending[pool.submit(scenario, key, block)] = block
+                        except BrokenProcessPool:
+                            pending[Future()] = block
+                            raise
+                ready, _ = wait(pending, timeout=STOP_CHECK_S, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    result = future.result()
+                    blocks.finished(result)
+                    del pending[future]
+                    yield result
+        except BrokenProcessPool:
+            pool.close()
+            if not blocks.give_back(sorted(pending.values(), key=lambda block: block.start)):
+                raise BoresightError(
+                    f"the worker processes died {MAX_ATTEMPTS} times with the same trials (out of memory?); the "
+                    "finished trials are kept: run again with --resume and fewer --workers"
+                ) from None
+        finally:
+            for future in pending:  # those of an earlier end: nobody waits for them
+                future.cancel()
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _run_block(scenario: Scenario, key: str, block: range) -> Result:
+    """In a worker: what the trials of a scenario share is built once, and only the last one is kept."""
+    if getattr(_local, "key", None) != key:
+        _local.runner, _local.key = TrialRunner(scenario), key
+    return run_block(_local.runner.run, block)
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed tells nobody, and its workers would wait for more blocks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def _no_interrupt_for_children() -> Iterator[None]:
+    """Processes started within ignore Ctrl-C from their first instruction on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,224 @@
+"""One trial: a frame rendered, solved, and its error measured; one row of ``trials.parquet``."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulator.frame import Frame, FrameTruth
+from simulator.mission.frames import true_of_date
+from simulator.mission.orbit import Orbit
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.sky.background import GALACTIC
+from simulator.study.statistics import CAMERA_AXES, WRONG_FACTOR
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.identification.verification import solve_symmetric
+from startracker.solution import Solution
+from startracker.tracker import StarTracker
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+STAGES = ("background", "detection", "centroid", "identification", "attitude")
+"""Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
+between two runs of the same scenario and seed."""
+
+_ERRORS = (*CAMERA_AXES, "roll", "pitch", "yaw")
+_ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
+_TRUE_QUATERNION = tuple(f"true_q{axis}" for axis in "xyzw")
+_SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
+_BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
+
+
+def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
+    """Star tracker that a scenario's ``tracker`` section describes, for a camera."""
+    section = scenario.tracker
+    return StarTracker(
+        camera,
+        catalog=section.catalog,
+        magnitude_limit=section.magnitude_limit,
+        detector=section.detector,
+        centroider=section.centroider,
+        identifier=section.identifier,
+        estimator=section.estimator,
+        detection=section.detection,
+        centroid=section.centroid,
+        identification=section.identification,
+    )
+
+
+def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
+    """Solve a frame with all that the spacecraft knows of it."""
+    return tracker.solve(
+        frame.image,
+        prior=frame.prior,
+        prior_deg=frame.prior_deg,
+        observer=frame.observer,
+        saturation_dn=frame.saturation_dn,
+        gain_e_per_dn=frame.gain_e_per_dn,
+    )
+
+
+def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
+    """Rotation vector from the true to the estimated attitude, in camera axes and in body axes, degrees."""
+    camera = np.degrees(truth.rotation_vector_to(estimate))
+    body = camera @ mounting.as_matrix()  # back into the body's axes
+    return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
+
+
+def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
+    """Number of matched stars with no true star of that number within `tolerance_px` of the centroid.
+
+    A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
+    """
+    sources, stars = truth.sources, solution.stars
+    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.kind == "star", tolerance_px))
+
+
+@njit(cache=True, error_model="numpy")
+def _strangers(
+    xy: FloatArray,
+    number: IntArray,
+    source_xy: FloatArray,
+    source_number: IntArray,
+    is_star: NDArray[np.bool_],
+    tolerance_px: float,
+) -> int:
+    """Kernel of `misidentified`."""
+    wrong = 0
+    for n in range(len(xy)):
+        found = False
+        for k in range(len(source_xy)):
+            if is_star[k] and source_number[k] == number[n]:
+                dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
+                found = found or math.hypot(dx, dy) <= tolerance_px
+        wrong += not found
+    return wrong
+
+
+@njit(cache=True, error_model="numpy")
+def _in_field(
+    xy: FloatArray, v_mag: FloatArray, is_star: NDArray[np.bool_], width: int, height: int, limit: float
+) -> tuple[int, int]:
+    """Numbers of stars down to a magnitude, and of bodies, whose places (N, 2) are on the image."""
+    stars = bodies = 0
+    for n in range(len(xy)):
+        if -0.5 <= xy[n, 0] < width - 0.5 and -0.5 <= xy[n, 1] < height - 0.5:
+            if not is_star[n]:
+                bodies += 1
+            elif v_mag[n] <= limit:
+                stars += 1
+    return stars, bodies
+
+
+def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
+    """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
+    where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
+    if covariance_rad2 is None or not np.isfinite(error_deg).all():
+        return math.nan
+    error = np.radians(error_deg)
+    return float(error @ solve_symmetric(covariance_rad2, error))
+
+
+def galactic_latitude_deg(attitude: Attitude) -> float:
+    """Galactic latitude of the boresight, degrees."""
+    x, y, z = (GALACTIC @ attitude.boresight).tolist()
+    return math.degrees(math.atan2(z, math.hypot(x, y)))
+
+
+def argument_of_latitude_deg(orbit: Orbit, t_s: float) -> float:
+    """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360)."""
+    of_date = true_of_date(orbit.clock, t_s)
+    (x, y, z), (vx, vy, vz) = ((of_date @ vector).tolist() for vector in orbit.state(t_s))
+    a, b, c = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx  # angular momentum
+    node_x, node_y = (-b, a) if a != 0.0 or b != 0.0 else (1.0, 0.0)  # no node: from the x axis
+    momentum = math.sqrt(a * a + b * b + c * c)
+    ahead = (-c * node_y * x + c * node_x * y + (a * node_y - b * node_x) * z) / momentum
+    return math.degrees(math.atan2(ahead, x * node_x + y * node_y)) % 360.0
+
+
+class TrialRunner:
+    """Renders and solves trials of one scenario; what they share is built once."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.renderer = Renderer(scenario)
+        self.tracker = build_tracker(scenario, self.renderer.camera)
+        self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
+
+    def run(self, index: int) -> dict[str, Any]:
+        """Row of trial `index`."""
+        started = time.perf_counter()
+        frame, truth = self.renderer.frame(index)
+        rendered = time.perf_counter()
+        solution = solve_frame(self.tracker, frame)
+        solved = time.perf_counter()
+        row = self._row(index, frame, truth, solution)
+        row["render_ms"] = (rendered - started) * 1e3
+        row["solve_ms"] = (solved - rendered) * 1e3
+        for stage in STAGES:
+            row[f"{stage}_ms"] = float(solution.times_ms.get(stage, math.nan))
+        return row
+
+    def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+        scenario, sources = self.scenario, truth.sources
+        row: dict[str, Any] = {
+            "index": index,
+            "t_s": truth.t_s,
+            "utc": frame.utc,
+            "status": str(solution.status),
+            "reason": solution.reason,
+            "wrong": False,
+            "true_ra_deg": truth.attitude.ra_deg,
+            "true_dec_deg": truth.attitude.dec_deg,
+            "true_roll_deg": truth.attitude.roll_deg,
+        }
+        row |= zip(_TRUE_QUATERNION, truth.attitude.quat.tolist(), strict=True)
+        row |= {
+            "galactic_latitude_deg": galactic_latitude_deg(truth.attitude),
+            "orbit_argument_deg": argument_of_latitude_deg(self.renderer.scenes.orbit, truth.t_s),
+            "temperature_c": scenario.detector.temperature_c,
+        }
+        errors = dict.fromkeys(_ERRORS, math.nan)
+        sigma, estimate = [math.nan] * 3, [math.nan] * 4
+        pointing = (math.nan, math.nan, math.nan)
+        if solution.attitude is not None:
+            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+            limits = scenario.specification
+            row["wrong"] = any(
+                abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
+            )
+            estimate = solution.attitude.quat.tolist()
+            pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
+            if solution.covariance is not None:
+                sigma = [math.degrees(math.sqrt(variance)) for variance in solution.covariance.diagonal().tolist()]
+        row |= zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True)
+        row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
+        row |= zip(_ERROR_COLUMNS, errors.values(), strict=True)
+        row |= zip(_SIGMA, sigma, strict=True)
+        matched = matched_sources(truth, solution.stars.xy)
+        row |= zip(_BOUND, attitude_bound_deg(self.renderer, truth, matched).tolist(), strict=True)
+        error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
+        row["nees"] = normalised_error_squared(error_deg, solution.covariance)
+        row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
+        camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
+        stars, bodies = _in_field(sources.xy, sources.v_mag, sources.kind == "star", camera.width, camera.height, limit)
+        residuals = solution.stars.residual_px.ravel()
+        row |= {
+            "stars_in_field": stars,
+            "bodies_in_field": bodies,
+            "stars_detected": len(solution.centroids),
+            "stars_matched": solution.matched,
+            "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
+            "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
+            "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
+        }
+        return row

@@ -1,0 +1,1 @@
+"""Two theses computed again, each printed value beside ours."""

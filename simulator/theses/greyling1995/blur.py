@@ -1,0 +1,284 @@
+"""The star's image (Greyling 1995, section 4.1): Airy pattern, the Gaussian that stands for it, and its pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+
+from simulator.optics import airy
+from simulator.optics.psf import SIGMA_PER_RING
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.greyling1995.digits import compare_cut
+from simulator.theses.printed import Row, Section, compare, new_figure
+from startracker.centroid.bias import moment_bias
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["CRITERIA", "OFFSETS", "airy_bias", "airy_pattern", "best_sigma", "pixel_grid", "section", "sigma_of_bias"]
+
+FloatArray = NDArray[np.float64]
+
+FIRST_DARK_RING, SECOND_DARK_RING = airy.FIRST_RING * np.pi, 7.015586669815619
+"""First zeros of J₁: 3.8317 and 7.0156."""
+
+X_FIT: FloatArray = np.arange(1.0, 51.0) / 10.0
+"""Where the thesis compares the two functions: 0.1 to 5 in steps of 0.1, the argument of the Bessel function."""
+
+OFFSETS: FloatArray = np.arange(11.0) * 0.05
+"""Offsets of Table 4.1, detector lengths."""
+
+THESIS_SIGMA, THESIS_FIT_SIGMA = 1.23, 1.3497
+
+CRITERIA: dict[str, Callable[[FloatArray], float]] = {
+    "range of the error (max − min)": lambda e: float(np.ptp(e)),
+    "largest absolute error": lambda e: float(np.abs(e).max()),
+    "rms error": lambda e: float(np.sqrt(np.mean(e**2))),
+}
+"""What "the least error between the Airy and Gaussian representations" may mean."""
+
+
+def airy_pattern(x: ArrayLike) -> FloatArray:
+    """Airy pattern [2J₁(x)/x]², 1 in the middle, at x = ka sin θ (eq. 4.1)."""
+    return np.asarray(airy.intensity(np.asarray(x, dtype=float) / np.pi) * 4.0 / np.pi)
+
+
+def gaussian(x: ArrayLike, sigma: float) -> FloatArray:
+    """exp(−x²/2σ²) (eq. 4.3)."""
+    return np.asarray(np.exp(-0.5 * (np.asarray(x, dtype=float) / sigma) ** 2))
+
+
+def best_sigma(criterion: Callable[[FloatArray], float], x: FloatArray = X_FIT) -> float:
+    """σ of the Gaussian nearest to the Airy pattern at the places `x`, by a criterion of their difference."""
+    truth = airy_pattern(x)
+    found = minimize_scalar(
+        lambda sigma: criterion(gaussian(x, sigma) - truth),
+        bounds=(1.0, 2.0),
+        method="bounded",
+        options={"xatol": 1e-9},
+    )
+    return float(found.x)
+
+
+def pixel_grid(side_px: int = 5) -> tuple[FloatArray, FloatArray]:
+    """Column and row (side, side) of each pixel of a window, from its middle."""
+    n = side_px // 2
+    rows, columns = np.mgrid[-n : n + 1, -n : n + 1].astype(float)
+    return columns, rows
+
+
+def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) -> FloatArray:
+    """Offset less first moment over 5 × 5 point samples of an Airy pattern whose first dark ring is `ring_px` out."""
+    columns, rows = pixel_grid()
+    out = []
+    for offset in np.atleast_1d(np.asarray(offset_px, dtype=float)):
+        samples = airy_pattern(np.hypot(columns - offset, rows) * FIRST_DARK_RING / ring_px)
+        out.append(offset - float((samples * columns).sum() / samples.sum()))
+    return np.array(out)
+
+
+def sigma_of_bias(ring_px: float = FIRST_DARK_RING) -> float:
+    """σ of the point-sampled Gaussian whose centroid bias is nearest, in least squares over `OFFSETS`, to the Airy
+    pattern's."""
+    truth = airy_bias(OFFSETS, ring_px)
+    scale = ring_px / FIRST_DARK_RING
+    found = minimize_scalar(
+        lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()),
+        bounds=(0.7 * scale, 1.6 * scale),
+        method="bounded",
+        options={"xatol": 1e-9},
+    )
+    return float(found.x)
+
+
+def spread(sigma_px: float) -> FloatArray:
+    """Intensity (5, 5) at the pixels' centres of a star in the middle of one, relative to the middle."""
+    columns, rows = pixel_grid()
+    return gaussian(np.hypot(columns, rows), sigma_px)
+
+
+def section(
+    f_number: float = 1.4, wavelength_um: float = 0.555, ring_px: float = 2.0, pitch_um: float = 10.0
+) -> Section:
+    """Section 4.1: rows and Figs. 4.1 to 4.4.
+
+    Parameters
+    ----------
+    f_number, wavelength_um : float
+        The focused lens.
+    ring_px, pitch_um : float
+        Where defocus puts the first dark ring, and the pixel's side, for Fig. 4.2 (a).
+    """
+    figures: dict[str, Callable[[], Figure]] = {
+        "fig_4_1_airy": _airy_figure,
+        "fig_4_2_airy_and_gaussian": partial(_both_figure, f_number, wavelength_um, ring_px, pitch_um),
+        "fig_4_3_difference": _difference_figure,
+        "fig_4_4_pixel_spread": _spread_figure,
+    }
+    return Section(
+        "Chapter 4.1: the stellar image", [*_airy_rows(f_number, wavelength_um), *_fit_rows(ring_px)], figures
+    )
+
+
+def _airy_rows(f_number: float, wavelength_um: float) -> list[Row]:
+    disk_um = 2.0 * airy.first_ring() * f_number * wavelength_um
+    return [
+        compare_cut(
+            "eq. 4.2", "diameter of the Airy disk, f/1.4, 555 nm", "1.89", disk_um, unit="µm",
+            why="2 × 1.2197 λN; the text calls 1.22 λN, the radius, by the same name",
+        ),
+        compare(
+            "§ 4.1", "light within the Airy disk", "84",
+            100.0 * float(airy.encircled_energy(FIRST_DARK_RING / np.pi)), unit="%", form=".2f",
+            why="1 − J₀² − J₁²",
+        ),
+        compare(
+            "§ 4.1", "light within the second dark ring", "91",
+            100.0 * float(airy.encircled_energy(SECOND_DARK_RING / np.pi)), unit="%", form=".2f",
+        ),
+    ]  # fmt: skip
+
+
+def _fit_rows(ring_px: float) -> list[Row]:
+    found = {name: best_sigma(criterion) for name, criterion in CRITERIA.items()}
+    minimax = found["range of the error (max − min)"]
+    excess = [np.ptp(gaussian(X_FIT, s) - airy_pattern(X_FIT)) for s in (THESIS_FIT_SIGMA, minimax)]
+    ring = best_sigma(CRITERIA["range of the error (max − min)"], X_FIT[X_FIT < FIRST_DARK_RING])
+    error = gaussian(X_FIT, THESIS_FIT_SIGMA) - airy_pattern(X_FIT)
+    inside = X_FIT[np.abs(error) ** 2 < 0.0008]
+    core = float(inside[np.flatnonzero(np.diff(inside) > 0.15)[0]]) if (np.diff(inside) > 0.15).any() else inside[-1]
+    shares = {s: spread(s)[1:4, 1:4].sum() / spread(s).sum() for s in (THESIS_SIGMA, THESIS_FIT_SIGMA)}
+    above = int((spread(THESIS_FIT_SIGMA) > 0.3).sum())
+    return [
+        compare(
+            "Fig. 4.2", "σ of least error between Gaussian and Airy", "1.3497", minimax, form=".5f",
+            why="least range max(e) − min(e) at x = 0.1, 0.2 … 5; at 1.3497 the range is larger by "
+            f"{excess[0] / excess[1] - 1:.1e} of itself, where a search may end. Other criteria: largest error "
+            f"{found['largest absolute error']:.4f}, rms {found['rms error']:.4f}, range within the first dark ring "
+            f"{ring:.4f}",
+        ),
+        compare_cut("§ 4.3.3", "the same σ, where it is used", "1.349", minimax),
+        compare(
+            "§ 4.3.3", "σ whose centroid bias is the Airy pattern's", "1.23", sigma_of_bias(), form=".4f",
+            why="least squares over the offsets of Table 4.1, 5 × 5 point samples, first dark ring at 3.83 px: the "
+            "argument of the Bessel function taken for pixels",
+        ),
+        Row(
+            "§ 4.1", f"σ for the first dark ring at {ring_px:g} pixels, as the text has it", "1.3497 px",
+            f"{SIGMA_PER_RING * ring_px:.4f} px", "differs",
+            f"σ = 0.3523 r_ring; 1.3497 px belongs to a ring {THESIS_FIT_SIGMA / SIGMA_PER_RING:.2f} px out",
+        ),
+        Row(
+            "Fig. 4.3", "largest relative error in the central region", "< 0.0008", f"{np.abs(error).max():.4f}",
+            "differs", f"relative to the peak; its square is below 0.0008 up to x = {core:.1f}: perhaps that is drawn",
+        ),
+        Row(
+            "Fig. 4.4", "share of the central 3 × 3 in the 5 × 5 pixels", "≈ 80 %",
+            f"{100 * shares[THESIS_SIGMA]:.1f} % (σ 1.23), {100 * shares[THESIS_FIT_SIGMA]:.1f} % (σ 1.3497)",
+            "differs", f"80 % needs σ = {_sigma_of_share(0.8):.2f} px",
+        ),
+        Row(
+            "Fig. 4.4", "pixels above 30 % of the centre", "spread over 5 × 5 (25 pixels)",
+            f"{above} pixels, reaching 2 px out along rows and columns (σ 1.3497)", "close",
+            f"{spread(THESIS_FIT_SIGMA)[2, 4]:.3f} of the centre 2 px out; the corners have "
+            f"{spread(THESIS_FIT_SIGMA)[0, 0]:.3f}",
+        ),
+    ]  # fmt: skip
+
+
+def _sigma_of_share(share: float) -> float:
+    found = minimize_scalar(
+        lambda s: (spread(s)[1:4, 1:4].sum() / spread(s).sum() - share) ** 2, bounds=(0.5, 2.0), method="bounded"
+    )
+    return float(found.x)
+
+
+def _airy_figure() -> Figure:
+    figure, (left, right) = new_figure(1, 2, (7.6, 3.4))
+    x = np.linspace(-12.0, 12.0, 961)
+    left.plot(x, airy_pattern(x), color=BLUE)
+    rings = np.where(np.abs(x) >= FIRST_DARK_RING, 20.0 * airy_pattern(x), np.nan)
+    left.plot(x, rings, color=VERMILION, linestyle="--", label="20 times, the rings")
+    for k, ring in enumerate((FIRST_DARK_RING, SECOND_DARK_RING)):
+        left.axvline(ring, color=SOFT, ymax=0.76, linestyle=":", label="dark rings, 3.83 and 7.02" if k == 0 else None)
+        left.axvline(-ring, color=SOFT, ymax=0.76, linestyle=":")
+    left.set_ylim(0.0, 1.35)
+    left.set_xlabel("ka sin θ")
+    left.set_ylabel("I(θ) / I(0)")
+    left.legend(loc="upper right")
+    u, v = np.meshgrid(x[::4], x[::4])
+    picture = right.imshow(
+        np.log10(np.maximum(airy_pattern(np.hypot(u, v)), 1e-4)), extent=(-12, 12, -12, 12), cmap="Greys_r"
+    )
+    right.grid(visible=False)
+    right.set_xlabel("ka sin θ along x")
+    right.set_ylabel("ka sin θ along y")
+    figure.colorbar(picture, ax=right, label="log₁₀ I(θ) / I(0)")
+    figure.suptitle("Fig. 4.1  The Airy function", fontsize=10)
+    return figure
+
+
+def _both_figure(f_number: float, wavelength_um: float, ring_px: float, pitch_um: float) -> Figure:
+    figure, (left, right) = new_figure(1, 2, (7.6, 3.4))
+    r_um = np.linspace(-30.0, 30.0, 1201)
+    focused = airy.first_ring() * f_number * wavelength_um
+    left.plot(r_um, airy_pattern(r_um / focused * FIRST_DARK_RING), color=BLUE, label=f"focused, ring {focused:.2f} µm")
+    wide = ring_px * pitch_um
+    left.plot(
+        r_um, airy_pattern(r_um / wide * FIRST_DARK_RING), color=VERMILION, linestyle="--",
+        label=f"defocused, ring {wide:g} µm",
+    )  # fmt: skip
+    left.set_xlabel("distance from the centre [µm]")
+    left.set_ylabel("intensity / that of the centre")
+    left.set_title("(a) focused and defocused Airy pattern")
+    left.set_ylim(0.0, 1.35)
+    left.legend(loc="upper right")
+    x = np.linspace(-5.0, 5.0, 401)
+    right.plot(x, airy_pattern(x), color=BLUE, label="Airy")
+    right.plot(x, gaussian(x, THESIS_FIT_SIGMA), color=VERMILION, linestyle="--", label="Gaussian, σ = 1.3497")
+    right.plot(x, gaussian(x, THESIS_SIGMA), color=GREEN, linestyle="-.", label="Gaussian, σ = 1.23")
+    right.set_xlabel("x")
+    right.set_ylabel("intensity / that of the centre")
+    right.set_title("(b) Airy and Gaussian distributions")
+    right.set_ylim(0.0, 1.35)
+    right.legend(loc="upper right")
+    figure.suptitle("Fig. 4.2  The Airy and Gaussian functions", fontsize=10)
+    return figure
+
+
+def _difference_figure() -> Figure:
+    figure, axes = new_figure(1, 1, (5.6, 3.7))
+    x = np.linspace(0.0, 5.0, 501)
+    for sigma, colour, line in ((THESIS_FIT_SIGMA, BLUE, "-"), (THESIS_SIGMA, VERMILION, "--")):
+        axes.plot(x, gaussian(x, sigma) - airy_pattern(x), color=colour, linestyle=line, label=f"σ = {sigma:g}")
+    axes.axhline(0.0, color=INK, linewidth=0.6)
+    axes.axvline(FIRST_DARK_RING, color=SOFT, linestyle=":", label="first dark ring")
+    axes.fill_between(x, -0.0008, 0.0008, color=ORANGE, alpha=0.5, linewidth=0, label="± 0.0008")
+    axes.set_xlabel("x")
+    axes.set_ylabel("(Gaussian − Airy) / peak")
+    axes.set_title("Fig. 4.3  Relative error between Airy and Gaussian functions")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=4)
+    return figure
+
+
+def _spread_figure() -> Figure:
+    figure, panels = new_figure(1, 2, (7.2, 3.7))
+    for axes, sigma in zip(panels, (THESIS_FIT_SIGMA, THESIS_SIGMA), strict=True):
+        image = 100.0 * spread(sigma)
+        axes.imshow(image, extent=(-2.5, 2.5, -2.5, 2.5), cmap="Blues", vmin=0.0, vmax=180.0)
+        for row in range(5):
+            for column in range(5):
+                axes.text(column - 2, 2 - row, f"{image[row, column]:.0f}", ha="center", va="center", color=INK)
+        axes.plot([-1.5, 1.5, 1.5, -1.5, -1.5], [-1.5, -1.5, 1.5, 1.5, -1.5], color=VERMILION, linewidth=1.2)
+        share = image[1:4, 1:4].sum() / image.sum()
+        axes.set_title(f"σ = {sigma:g} px: {100 * share:.0f} % in the 3 × 3")
+        axes.grid(visible=False)
+        axes.set_xlabel("x [pixels]")
+        axes.set_ylabel("y [pixels]")
+    figure.suptitle("Fig. 4.4  Gaussian pixel intensity spread, per cent of the centre", fontsize=10)
+    return figure

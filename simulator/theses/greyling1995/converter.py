@@ -1,0 +1,113 @@
+"""Centroids after converters of few and many bits: a star on the TC211, through the product's own pipeline."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from simulator.detector.chain import detect
+from simulator.detector.comparators import compare_levels, geometric_levels
+from simulator.detector.fixed_pattern import build_fixed_pattern
+from simulator.optics.psf import build_psf
+from simulator.optics.splat import render_stars
+from simulator.randomness import stream
+from simulator.scenario.schema import PsfSection
+from simulator.theses.greyling1995.holes import camera
+from startracker import centroid, detection
+from startracker.front_end import Clock, find_stars
+from startracker.settings import CentroidSettings, DetectionSettings
+
+__all__ = ["BITS", "ConverterTrial", "converter_trial", "converter_trials"]
+
+FloatArray = NDArray[np.float64]
+
+BITS = (2, 4, 6, 8, 10, 12)
+"""Converters tried."""
+SIGMA_PX = 1.23
+"""Star image of Table 4.1."""
+_SIDE_PX = 64
+_STARS = 100
+_LEVELS = 0.02, 0.5
+"""Lowest and highest of the three levels of equal ratio, over the full well."""
+_NEAR_PX = 2.0
+
+
+@dataclass(frozen=True)
+class ConverterTrial:
+    """Centroids of one star at many places of a pixel.
+
+    Parameters
+    ----------
+    error_px : float
+        Root mean square error of an axis; NaN where the star is found in fewer than half of the frames.
+    found : int
+        Frames in which it is found.
+    frames : int
+        Of so many.
+    """
+
+    error_px: float
+    found: int
+    frames: int
+
+    def words(self) -> str:
+        """For a table."""
+        if math.isnan(self.error_px):
+            return f"not seen ({self.found} of {self.frames})" if self.found else "not seen"
+        return f"{self.error_px:.3f} pixels"
+
+
+@cache
+def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: int = _STARS) -> ConverterTrial:
+    """Error of the centroid after a converter.
+
+    Parameters
+    ----------
+    bits : int
+        Of the converter; even steps from the offset to the full well.
+    peak : float
+        Signal of the brightest pixel of a centred star over the full well.
+    geometric : bool
+        Three comparators with levels of equal ratio in place of even steps.
+    stars : int
+        Places tried, at random within a pixel.
+    """
+    scenario = camera()
+    update = {"width": _SIDE_PX, "height": _SIDE_PX, "adc_bits": None if geometric else bits, "offset_dn": 0.0}
+    detector = scenario.detector.model_copy(update=update)
+    pattern = build_fixed_pattern(detector, scenario.seed)
+    psf = build_psf(PsfSection(sigma_px=SIGMA_PX), 1.0, (1.0, 1.0))
+    total_e = peak * detector.full_well_e / float(erf(0.5 / (SIGMA_PX * math.sqrt(2.0))) ** 2)
+    levels = geometric_levels(_LEVELS[0] * detector.full_well_e, _LEVELS[1] * detector.full_well_e)
+    places = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (stars, 2))
+    errors = []
+    for k, xy in enumerate(places):
+        mean_e = render_stars((_SIDE_PX, _SIDE_PX), xy[None], np.ones(1), np.array([total_e]), psf)
+        readout = detect(mean_e, detector, pattern, partial(stream, scenario.seed, trial=k))
+        image = compare_levels(readout.image, levels) if geometric else readout.image
+        found = find_stars(
+            image,
+            detection.METHODS["components"],
+            centroid.METHODS["moment"],
+            DetectionSettings(reject_hits=False),
+            CentroidSettings(psf_sigma_px=SIGMA_PX),
+            Clock(),
+        )
+        if len(found.xy) and float(np.abs(found.xy[0] - xy).max()) < _NEAR_PX:
+            errors.append(found.xy[0] - xy)
+    rms = float(np.sqrt(np.mean(np.square(errors)))) if 2 * len(errors) >= stars else math.nan
+    return ConverterTrial(rms, len(errors), stars)
+
+
+@cache
+def converter_trials() -> dict[tuple[str, float], ConverterTrial]:
+    """Centroids after each converter, for a bright star (peak at 0.8 of the full well) and a faint one (0.04)."""
+    trials = {(f"{bits} bits", peak): converter_trial(bits, peak) for bits in BITS for peak in (0.8, 0.04)}
+    return trials | {
+        ("2 bits, geometric levels", peak): converter_trial(2, peak, geometric=True) for peak in (0.8, 0.04)
+    }

@@ -1,0 +1,311 @@
+"""Section 3.3 and Figs. 3.4 to 3.8: how many stars stand along the path of the boresight.
+
+The thesis counts in windows that are rectangles in right ascension and declination, ± half their width each, without
+cos δ; the tables below do as it did, and the last row shows the camera's true square field with the product's own
+counting.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.checks import load_scenario
+from simulator.focal_plane import camera_of
+from simulator.study.coverage.boresights import along_path
+from simulator.study.coverage.field_counts import outline
+from simulator.study.coverage.survey import count_stars
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.greyling1995.path import DECLINATION_DEG
+from simulator.theses.printed import Row, Section, compare, new_figure
+from startracker.catalog import load_catalog
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WINDOW_DEG, WIDE_WINDOW_DEG = 10.0, 12.0
+CELL_DEG = 5.0
+"""Side of a cell of Fig. 3.4."""
+
+MAP_DEC_DEG = (-25.0, 40.0)
+"""Declinations that Fig. 3.4 shows here: the vicinity of the path."""
+
+SPARSE_RA_DEG = ((320.0, 75.0), (150.0, 210.0))
+"""Right ascensions that section 3.3.2 calls the most sparsely populated."""
+
+WERTZ_COUNTS = {3.0: 187, 4.0: 556, 5.0: 1660, 6.0: 5146, 7.0: 15095, 8.0: 44700}
+"""Table 3.3, stars of the whole sky by limiting magnitude, as printed."""
+
+
+@functools.cache
+def _bright_stars() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Right ascension and declination, degrees, and V of the Bright Star Catalogue."""
+    stars = load_catalog("bsc5")
+    return np.degrees(stars.ra_rad), np.degrees(stars.dec_rad), np.asarray(stars.v_mag)
+
+
+def window_counts(
+    magnitude_limit: float,
+    window_deg: float = WINDOW_DEG,
+    step_deg: float = 1.0,
+    declination_deg: float = DECLINATION_DEG,
+) -> tuple[FloatArray, IntArray]:
+    """Stars in a window that is moved along a parallel of declination, as the thesis counts them.
+
+    Parameters
+    ----------
+    magnitude_limit : float
+        Faintest star counted, V.
+    window_deg : float
+        Width of the window in right ascension (no cos δ) and in declination.
+    step_deg : float
+        Step in right ascension.
+    declination_deg : float
+        Its centre.
+
+    Returns
+    -------
+    ra_deg : (N,)
+        Centres, from 0.
+    counts : (N,) int
+        Stars.
+    """
+    ra, dec, v = _bright_stars()
+    ra = np.sort(ra[(v <= magnitude_limit) & (np.abs(dec - declination_deg) <= window_deg / 2)])
+    centre = np.arange(0.0, 360.0, step_deg)
+    around = np.concatenate([ra - 360.0, ra, ra + 360.0])
+    last = np.searchsorted(around, centre + window_deg / 2, side="right")
+    first = np.searchsorted(around, centre - window_deg / 2, side="left")
+    return centre, np.asarray(last - first)
+
+
+def cell_counts(magnitude_limit: float = np.inf) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Stars in cells of 5° × 5°: edges in right ascension and declination, counts (declination, right ascension)."""
+    ra, dec, v = _bright_stars()
+    ra_edges = np.arange(0.0, 360.0 + CELL_DEG, CELL_DEG)
+    dec_edges = np.arange(MAP_DEC_DEG[0], MAP_DEC_DEG[1] + CELL_DEG, CELL_DEG)
+    bright = v <= magnitude_limit
+    counts, _, _ = np.histogram2d(dec[bright], ra[bright], bins=(dec_edges, ra_edges))
+    return ra_edges, dec_edges, counts.astype(np.int64)
+
+
+def section() -> Section:
+    """Stellar density along the path."""
+    figures: dict[str, Callable[[], Figure]] = {"fig_3_4_cells": cells_figure}
+    for number, limit in ((5, 5.0), (6, 6.0), (7, 7.0)):
+        figures[f"fig_3_{number}a_V{limit:g}_1deg"] = functools.partial(density_figure, limit, 1.0)
+        figures[f"fig_3_{number}b_V{limit:g}_5deg"] = functools.partial(density_figure, limit, 5.0)
+    figures["fig_3_8_minimum"] = minimum_figure
+    rows = [*_catalogue_rows(), *_sparse_rows(), *_window_rows(), _camera_row()]
+    return Section("Chapter 3.3: stellar density along the path", rows, figures)
+
+
+def _catalogue_rows() -> list[Row]:
+    """Table 3.3 against the two catalogues that ship."""
+    _, _, bright = _bright_stars()
+    hipparcos = np.asarray(load_catalog("hipparcos").v_mag)
+    rows = []
+    for limit, printed in WERTZ_COUNTS.items():
+        own, deep = int(np.sum(bright <= limit)), int(np.sum(hipparcos <= limit))
+        why = f"printed are Wertz's counts, not this catalogue's; Hipparcos has {deep:,}"
+        if limit > 6.5:
+            why += "; the Bright Star Catalogue ends at V ≈ 6.5"
+        rows.append(
+            compare("Table 3.3", f"stars of the sky, V ≤ {limit:g}", f"{printed:,}", float(own), close=0.10, why=why)
+        )
+    return rows
+
+
+def _sparse_rows() -> list[Row]:
+    """Whether the sections that the thesis calls sparse are: stars a window of 10°, down to V = 6."""
+    ra, counts = window_counts(6.0)
+    sparse = np.zeros(len(ra), dtype=bool)
+    for low, high in SPARSE_RA_DEG:
+        sparse |= (ra >= low) & (ra <= high) if low < high else (ra >= low) | (ra <= high)
+    inside, outside = counts[sparse].mean(), counts[~sparse].mean()
+    low_ra, lowest = float(ra[counts.argmin()]), int(counts.min())
+    return [
+        Row(
+            "§ 3.3.2",
+            "RA 320° to 75° and 150° to 210° are the most sparsely populated",
+            "sparse",
+            f"{inside:.1f} stars a window, elsewhere {outside:.1f}",
+            "close" if inside < outside else "differs",
+            f"V ≤ 6, 10° windows; the mean bears it out, the emptiest window of all ({lowest} stars) stands at RA "
+            f"{low_ra:.0f}°, outside both",
+        )
+    ]
+
+
+def _window_rows() -> list[Row]:
+    rows = []
+    ra, five = window_counts(5.0)
+    rows.append(
+        compare(
+            "Fig. 3.5",
+            "fewest stars, V ≤ 5, 10° window, 1° steps",
+            "0",
+            float(five.min()),
+            form=".0f",
+            why=f'at {int(np.sum(five == 0))} of {len(five)} points ("many"); mean {five.mean():.2f}, '
+            f"most {five.max()} at RA {ra[five.argmax()]:.0f}°",
+        )
+    )
+    _, coarse = window_counts(5.0, step_deg=5.0)
+    rows.append(
+        compare(
+            "Fig. 3.5(b)",
+            "fewest stars, V ≤ 5, 10° window, 5° steps",
+            "0",
+            float(coarse.min()),
+            form=".0f",
+            why=f"at {int(np.sum(coarse == 0))} of {len(coarse)} points; mean {coarse.mean():.2f}",
+        )
+    )
+    minima = {limit: window_counts(limit)[1].min() for limit in (6.0, 6.5, 7.0)}
+    ra, six = window_counts(6.0)
+    at = ra[six == six.min()]
+    wide = [str(window_counts(limit, WIDE_WINDOW_DEG)[1].min()) for limit in (5.0, 6.0, 6.5, 7.0)]
+    rows.append(
+        Row(
+            "§ 3.3.2",
+            'a limit "between 6.0 and 7.0" gives at least 3 stars',
+            "≥ 3 for a limit of 6.0 to 7.0",
+            f"{minima[6.0]} at V ≤ 6.0, {minima[6.5]} at 6.5, {minima[7.0]} at 7.0",
+            "exact" if minima[6.0] < 3 <= minima[6.5] else "differs",
+            f"so 6.0 is just not enough ({minima[6.0]} stars at RA {at[0]:.0f}° to {at[-1]:.0f}°; mean "
+            f"{six.mean():.1f}, most {six.max()}); the 12° window has at least {', '.join(wide)} at V ≤ 5, 6, 6.5, 7",
+        )
+    )
+    growth = np.diff([float(window_counts(limit)[1].min()) for limit in (5.5, 6.0, 6.5, 7.0, 7.5)])
+    rows.append(
+        Row(
+            "Fig. 3.8",
+            "departure from the logarithmic curve",
+            "above V = 6.5",
+            f"per half magnitude +{growth[0]:.0f}, +{growth[1]:.0f}, then +{growth[2]:.0f}, +{growth[3]:.0f}",
+            "exact" if growth[1] > 0 and growth[2:].sum() <= growth[1] else "differs",
+            "fewest stars of the 10° window from V = 5.5 to 7.5: the catalogue ends at V ≈ 6.5, with stragglers to 8",
+        )
+    )
+    return rows
+
+
+def _camera_row() -> Row:
+    """The true field of sunsat.yaml, 10° square on the sky, at all rolls of the orbit."""
+    scenario = load_scenario("sunsat", ["pointing.error_deg=0"])
+    limits = np.array([5.0, 6.0, 6.5])
+    counts = count_stars(load_catalog("bsc5"), outline(camera_of(scenario)), along_path(scenario, 1500), limits)
+    fewest = counts.min(axis=0)
+    return Row(
+        "§ 3.3.2",
+        "the same in a true square field of 10°, V ≤ 5, 6, 6.5",
+        "0, 3 for a limit of 6.0 to 7.0",
+        f"fewest {fewest[0]}, {fewest[1]}, {fewest[2]}; mean {', '.join(f'{m:.1f}' for m in counts.mean(axis=0))}",
+        "exact" if fewest[0] == 0 and fewest[2] >= 3 else "differs",
+        "the field of the product's camera, turned as in orbit, at 1,500 instants of the year",
+    )
+
+
+def cells_figure() -> Figure:
+    """Fig. 3.4: the stars about the path, and the square of the density in cells of 5° × 5°."""
+    figure, axes = new_figure(2, 1, (9.0, 7.4), gridspec_kw={"height_ratios": [1, 1.7]})
+    ra, dec, v = _bright_stars()
+    axes[0].scatter(ra, dec, s=0.5 * (8.5 - v) ** 1.4, c=INK, linewidths=0)
+    _path_line(axes[0])
+    axes[0].set_xlim(0, 360)
+    axes[0].set_ylim(*MAP_DEC_DEG)
+    axes[0].set_xticks(range(0, 361, 30))
+    axes[0].set_ylabel("declination [°]")
+    axes[0].set_xlabel("right ascension [°]")
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    ra_edges, dec_edges, counts = cell_counts()
+    density = counts / CELL_DEG**2
+    place = axes[1].get_subplotspec()
+    axes[1].remove()
+    solid = figure.add_subplot(place, projection="3d")
+    centre_ra, centre_dec = np.meshgrid((ra_edges[1:] + ra_edges[:-1]) / 2, (dec_edges[1:] + dec_edges[:-1]) / 2)
+    solid.plot_surface(
+        centre_ra, centre_dec, density**2, cmap="cividis", rstride=1, cstride=1, linewidth=0.2, edgecolor=INK
+    ).set_clip_on(False)  # the box is wider than its axes
+    solid.set_box_aspect((3.2, 1.1, 0.8), zoom=1.4)
+    solid.view_init(elev=38, azim=-72)
+    solid.set_xlim(0, 360)
+    solid.set_xticks(range(0, 361, 60))
+    solid.set_xlabel("right ascension [°]", labelpad=14)
+    solid.set_yticks(range(-20, 41, 20))
+    solid.set_ylabel("declination [°]", labelpad=4)
+    solid.set_zlabel("D² [stars² / deg⁴]", labelpad=0)
+    return figure
+
+
+def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = WINDOW_DEG) -> Figure:
+    """Figs. 3.5 to 3.7: stars a square degree in the window along the path.
+
+    Parameters
+    ----------
+    magnitude_limit : float
+        Faintest star counted, V.
+    step_deg : float
+        Step along the path.
+    window_deg : float
+        Width of the window.
+    """
+    ra, counts = window_counts(magnitude_limit, window_deg, step_deg)
+    density = counts / window_deg**2
+    figure, ax = new_figure(size=(7.2, 3.4))
+    fewest = density == density.min()
+    around, closed = np.append(ra, 360.0), np.append(density, density[0])
+    ax.step(around, closed, where="mid", color=BLUE)
+    ax.fill_between(around, closed, step="mid", color=BLUE, alpha=0.15, linewidth=0)
+    label = f"fewest: {counts.min()} stars, at {int(fewest.sum())} of {len(ra)} points"
+    ax.plot(ra[fewest], density[fewest], "v", color=VERMILION, markersize=5, label=label, clip_on=False)
+    ax.axhline(3.0 / window_deg**2, color=ORANGE, linestyle="--", label="3 stars in the window")
+    ax.set_title(f"V ≤ {magnitude_limit:g}, window {window_deg:g}° × {window_deg:g}°, resolution {step_deg:g}°")
+    ax.set_xlabel("right ascension of the boresight [°]")
+    ax.set_ylabel("stars per square degree")
+    ax.set_xlim(0, 360)
+    ax.set_xticks(range(0, 361, 30))
+    ax.set_ylim(0, 1.25 * float(density.max()))
+    ax.legend(loc="upper right", ncols=2)
+    return figure
+
+
+def minimum_figure() -> Figure:
+    """Fig. 3.8: the least density along the path against the magnitude limit, both windows and both steps."""
+    limits = np.arange(5.0, 7.51, 0.25)
+    figure, ax = new_figure(size=(6.4, 4.2))
+    for window, colour in ((WINDOW_DEG, BLUE), (WIDE_WINDOW_DEG, GREEN)):
+        for step, marker, style in ((1.0, "o", "-"), (5.0, "s", "--")):
+            least = [window_counts(limit, window, step)[1].min() / window**2 for limit in limits]
+            ax.plot(
+                limits,
+                least,
+                style,
+                marker=marker,
+                color=colour,
+                markersize=4,
+                markerfacecolor="white" if step > 1 else colour,
+                label=f"{window:g}° × {window:g}°, {step:g}° steps",
+            )
+    ax.axhline(3.0 / WINDOW_DEG**2, color=ORANGE, linestyle=":", label="3 stars in 10° × 10°")
+    ax.axhline(3.0 / WIDE_WINDOW_DEG**2, color=VERMILION, linestyle="-.", label="3 stars in 12° × 12°")
+    ax.set_xlabel("limiting magnitude V")
+    ax.set_ylabel("least density along the path [stars per square degree]")
+    ax.legend(loc="upper left")
+    return figure
+
+
+def _path_line(ax: Axes) -> None:
+    ax.axhline(DECLINATION_DEG, color=BLUE, linewidth=1.8, label="boresight, Dec +8.6°")
+    for sign in (-1, 1):
+        edge = DECLINATION_DEG + sign * WINDOW_DEG / 2
+        ax.axhline(edge, color=ORANGE, linewidth=1.2, linestyle="--", label="10° window" if sign > 0 else None)

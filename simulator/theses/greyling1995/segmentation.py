@@ -1,0 +1,324 @@
+"""Region growing (Greyling 1995, section 4.2): its search pattern, and its success against noise and alien objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.mission.clock import Clock
+from simulator.optics.psf import Psf
+from simulator.optics.splat import render_stars
+from simulator.randomness import stream
+from simulator.sky.ephemeris import EARTH, TARGETS, position_au, tdb_jd
+from simulator.study.style import BLUE, GREEN, INK, SOFT, VERMILION
+from simulator.theses.greyling1995.blur import THESIS_SIGMA
+from simulator.theses.printed import Row, Section, compare, new_figure
+from startracker.constants import AU_KM
+from startracker.detection import Background, estimate, grow_regions
+from startracker.detection.region_growing import grow_objects
+from startracker.settings import DetectionSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Success", "section", "success_rate", "thesis_settings"]
+
+FloatArray = NDArray[np.float64]
+Rule: TypeAlias = Literal["first", "brightest", "tracker"]
+
+SIDE_PX = 512
+STARS_SOUGHT = 8
+FULL_SCALE_DN = 255.0
+"""Of an 8-bit converter."""
+
+MIN_PIXELS, MAX_PIXELS = 7, 36
+THRESHOLD_DN = FULL_SCALE_DN * math.exp(-MAX_PIXELS / (2.0 * math.pi * THESIS_SIGMA**2))
+"""The thesis says that its threshold is crucial, but not what it is. At this one, 5.8 DN, a star that just reaches full
+scale has 36 pixels above it, 2πσ² ln(I₀/T), and is still taken."""
+
+_STARS, _CLEARANCE_PX = 12, 24.0
+_FAINTEST, _BRIGHTEST = 0.15, 0.8
+_NEAR_PX = 2.0
+_MANY = 20_000
+MARS_RADIUS_KM = 3396.2
+"""Equatorial radius (Archinal et al. 2018, Celest. Mech. Dyn. Astron. 130, 22)."""
+
+SNR_DB = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0, 28.0, 29.0, 30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 40.0, 50.0, 60.0)
+
+
+@dataclass(frozen=True)
+class Success:
+    """What came of some frames.
+
+    Parameters
+    ----------
+    snr_db : float
+        Full scale over the amplitude of the uniform noise.
+    frames : int
+        Number of frames.
+    stars_found : float
+        Stars found, as a share of eight a frame.
+    clean : float
+        Share of the frames in which eight objects were found, all of them stars.
+    false_objects : float
+        Objects a frame, of the eight kept, that are no stars.
+    """
+
+    snr_db: float
+    frames: int
+    stars_found: float
+    clean: float
+    false_objects: float
+
+
+def thesis_settings(threshold: float) -> DetectionSettings:
+    """The thesis' limits: 7 to 36 pixels, second moments within 0.7 to 1.3, every third pixel."""
+    return DetectionSettings(
+        threshold_sigma=threshold,
+        min_pixels=MIN_PIXELS,
+        max_pixels=MAX_PIXELS,
+        max_axis_ratio=1.3 / 0.7,
+        max_stars=_MANY,
+        search_step_px=3,
+        reject_hits=False,
+        isolation=0.0,
+    )
+
+
+def _scene(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Image (512, 512), DN, of twelve stars of random place and brightness (peaks 0.15 to 0.8 of full scale), and their
+    places (12, 2)."""
+    places: list[FloatArray] = []
+    while len(places) < _STARS:
+        place = rng.uniform(16.0, SIDE_PX - 17.0, 2)
+        if all(np.hypot(*(place - other)) > _CLEARANCE_PX for other in places):
+            places.append(place)
+    xy = np.array(places)
+    peak = rng.uniform(_FAINTEST, _BRIGHTEST, _STARS) * FULL_SCALE_DN
+    psf = Psf("gaussian", THESIS_SIGMA, THESIS_SIGMA, THESIS_SIGMA)
+    return render_stars((SIDE_PX, SIDE_PX), xy[:, None], np.ones(1), peak / psf.peak, psf), xy
+
+
+def success_rate(
+    snr_db: float,
+    frames: int = 10,
+    *,
+    rule: Rule = "first",
+    aliens: bool = False,
+    threshold_dn: float = THRESHOLD_DN,
+    seed: int = 1,
+) -> Success:
+    """Success of region growing on random frames of 10° × 10°.
+
+    Parameters
+    ----------
+    snr_db : float
+        20 log₁₀ of full scale over the amplitude A of the noise, uniform between ±A.
+    frames : int
+        Frames drawn.
+    rule : {"first", "brightest", "tracker"}
+        The first eight objects in reading order, as in the thesis; the eight brightest; or those by the tracker's own
+        settings: background and noise measured on the frame, threshold at five times the noise.
+    aliens : bool
+        Add what is smaller than 7 pixels and what is larger than 36: ten hot pixels, ten short tracks, and the Moon.
+    threshold_dn : float
+        Level above which a pixel belongs to an object.
+    seed : int
+        Of the frames.
+    """
+    shape = (SIDE_PX, SIDE_PX)
+    background = Background(np.zeros(shape, np.float32), np.ones(shape, np.float32))
+    amplitude = FULL_SCALE_DN * 10.0 ** (-snr_db / 20.0)
+    found, clean, false = 0, 0, 0
+    for trial in range(frames):
+        image, xy = _scene(stream(seed, "greyling1995 field", trial))
+        rng = stream(seed, "greyling1995 field noise", trial)
+        if aliens:
+            xy = _add_aliens(image, xy, stream(seed, "greyling1995 aliens", trial))
+        image += rng.uniform(-amplitude, amplitude, shape)
+        frame = np.clip(np.rint(image), 0.0, FULL_SCALE_DN).astype(np.float32)
+        if rule == "tracker":
+            spots = grow_regions(frame, estimate(frame), DetectionSettings(), FULL_SCALE_DN)
+        else:
+            spots = grow_regions(frame, background, thesis_settings(threshold_dn), FULL_SCALE_DN)
+        order = np.lexsort((spots.x_peak, spots.y_peak)) if rule == "first" else np.arange(len(spots))
+        kept = order[:STARS_SOUGHT]
+        away = np.hypot(spots.x_peak[kept, None] - xy[:, 0], spots.y_peak[kept, None] - xy[:, 1])
+        right = int(np.count_nonzero(away.min(axis=1, initial=np.inf) < _NEAR_PX))
+        found += right
+        false += len(kept) - right
+        clean += right == STARS_SOUGHT
+    return Success(snr_db, frames, found / (STARS_SOUGHT * frames), clean / frames, false / frames)
+
+
+def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Put hot pixels, tracks of 2 to 6 pixels and a Moon of 0.5° into an image; the places of the stars left free."""
+    radius = 0.25 / 10.0 * SIDE_PX
+    rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX]
+    centre = rng.uniform(40.0, SIDE_PX - 41.0, 2)
+    image[np.hypot(columns - centre[0], rows - centre[1]) <= radius] = FULL_SCALE_DN
+    for k in range(20):
+        x, y = rng.integers(16, SIDE_PX - 16, 2)
+        if np.hypot(xy[:, 0] - x, xy[:, 1] - y).min() < _CLEARANCE_PX or np.hypot(*(centre - (x, y))) < 2.0 * radius:
+            continue
+        length = 1 if k < 10 else int(rng.integers(2, 7))
+        image[y, x : x + length] = FULL_SCALE_DN
+    return np.asarray(xy[np.hypot(*(xy - centre).T) > radius + _CLEARANCE_PX])
+
+
+def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[float, float]:
+    """Least and greatest apparent diameter of Mars from the Earth, over some years from 1990 on, by DE421."""
+    from datetime import UTC, datetime
+
+    clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
+    distance = []
+    for day in np.arange(0.0, 365.25 * years, step_days):
+        jd = tdb_jd(*clock.tt_jd(day * 86_400.0))
+        distance.append(float(np.linalg.norm(position_au(TARGETS["Mars"], jd) - position_au(EARTH, jd))))
+    angle = [
+        math.degrees(2.0 * math.asin(MARS_RADIUS_KM / (AU_KM * au))) * 3600.0 for au in (max(distance), min(distance))
+    ]
+    return angle[0], angle[1]
+
+
+def section(frames: int = 10) -> Section:
+    """Section 4.2: rows, and the success against the SNR as a figure.
+
+    Parameters
+    ----------
+    frames : int
+        Random frames for each signal-to-noise ratio.
+    """
+    rates = [success_rate(snr, frames) for snr in SNR_DB]
+    ours = [success_rate(snr, frames, rule="tracker") for snr in SNR_DB]
+    figures: dict[str, Callable[[], Figure]] = {
+        "sec_4_2_3_region_growing": partial(_success_figure, rates, ours),
+        "fig_4_6_search_pattern": _pattern_figure,
+    }
+    rows = [*_pattern_rows(), *_success_rows(rates, ours, frames), *_alien_rows()]
+    return Section("Chapter 4.2: stars found by region growing", rows, figures)
+
+
+def _visited() -> int:
+    """Pixels that the detector looks at in an empty image of 512 × 512."""
+    empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
+    return int(grow_objects(empty, empty, empty + 1.0, np.float32(1.0), 3, np.inf)[1])
+
+
+def _pattern_rows() -> list[Row]:
+    formula = ((SIDE_PX - 2) / 3) ** 2
+    return [
+        compare(
+            "§ 4.2.1", "pixels searched, 512 × 512", "28900", formula,
+            why=f"((N − 2)/3)²; our pattern looks at {_visited()}, its shifted rows hold one pixel less",
+        ),
+        compare("§ 4.2.1", "share of all pixels", "11", 100.0 * formula / SIDE_PX**2, unit="%", form=".2f"),
+    ]  # fmt: skip
+
+
+def _success_rows(rates: list[Success], ours: list[Success], frames: int) -> list[Row]:
+    quiet = min(rate.clean for rate in rates if rate.snr_db >= 40.0)
+    knee, own = _half(rates), _half(ours)
+    odd = success_rate(60.0, frames, aliens=True)
+    return [
+        Row(
+            "§ 4.2.3", "success at low noise", "100 %", f"{100 * quiet:.0f} % of {frames} frames at each SNR ≥ 40 dB",
+            "exact" if quiet == 1.0 else "differs", "eight objects found, all of them stars",
+        ),
+        Row(
+            "§ 4.2.3", "SNR below which the performance deteriorates rapidly", "30 dB", f"half at {knee:.1f} dB",
+            "close" if abs(knee - 30.0) < 3.0 else "differs",
+            f"full scale over the amplitude of uniform noise, threshold {THRESHOLD_DN:.1f} of {FULL_SCALE_DN:g} DN, "
+            f"the first eight objects in reading order; with our tracker's settings half at {own:.1f} dB",
+        ),
+        Row(
+            "§ 4.2.3", "success with alien objects below 7 and above 36 pixels", "100 %",
+            f"{100 * odd.clean:.0f} %, {odd.false_objects:g} false objects a frame",
+            "exact" if odd.clean == 1.0 else "differs",
+            "hot pixels, tracks of 2 to 6 pixels and the Moon in every frame",
+        ),
+    ]  # fmt: skip
+
+
+def _half(rates: list[Success]) -> float:
+    """SNR at which half of the frames are without fault, interpolated."""
+    return float(np.interp(0.5, [rate.clean for rate in rates], [rate.snr_db for rate in rates]))
+
+
+def _alien_rows() -> list[Row]:
+    least, most = mars_diameters_arcsec()
+    pixel_arcsec = 10.0 / SIDE_PX * 3600.0
+    radius_px = 0.5 * most / pixel_arcsec
+    wider = math.sqrt(THESIS_SIGMA**2 + 0.25 * radius_px**2)
+    return [
+        Row(
+            "§ 4.2.2", "angle that Mars subtends", "2.6 to 8.96 arc minutes", f"{least:.1f} to {most:.1f} arc seconds",
+            "differs", "DE421, 1990 to 2006; the thesis itself has 14 arc seconds further on",
+        ),
+        Row(
+            "§ 4.2.3", "a defocused planet is like a star", "cannot be told",
+            f"σ {THESIS_SIGMA:.2f} becomes {wider:.3f} px", "exact",
+            f"Mars at its largest is {2 * radius_px:.2f} pixels across; a disk of radius r adds r²/4 to σ²",
+        ),
+        compare(
+            "§ 4.2.3", "signal of a cosmic ray of 2000 electrons at 1.4 µV", "3", 2000 * 1.4e-3, unit="mV", form=".1f"
+        ),
+    ]  # fmt: skip
+
+
+def _success_figure(rates: list[Success], ours: list[Success]) -> Figure:
+    figure, axes = new_figure(1, 1, (6.0, 4.0))
+    snr = [rate.snr_db for rate in rates]
+    clean = [100 * rate.clean for rate in rates]
+    axes.plot(snr, clean, color=BLUE, marker="o", markersize=4, label="first eight objects, all of them stars")
+    found = [100 * rate.stars_found for rate in rates]
+    axes.plot(snr, found, color=BLUE, linestyle=":", marker="^", markersize=4, label="stars among the first eight")
+    own = [100 * rate.clean for rate in ours]
+    axes.plot(
+        snr,
+        own,
+        color=VERMILION,
+        linestyle="--",
+        marker="s",
+        markersize=4,
+        label="our tracker's settings, brightest eight",
+    )
+    axes.axvline(30.0, color=SOFT, linestyle=":", label="printed: 30 dB")
+    axes.set_xlabel("signal-to-noise ratio, full scale to noise amplitude [dB]")
+    axes.set_ylabel("success [%]")
+    axes.set_ylim(-3, 105)
+    axes.set_title(f"Section 4.2.3  Region growing against noise, {rates[0].frames} frames a point")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def _pattern_figure(side: int = 21) -> Figure:
+    """The pixels of a small image that the detector looks at: those where a single bright pixel is found."""
+    figure, axes = new_figure(1, 1, (3.9, 4.1))
+    looked = np.zeros((side, side))
+    level, noise = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
+    for row in range(side):
+        for column in range(side):
+            image = np.zeros((side, side), np.float32)
+            image[row, column] = 10.0
+            looked[row, column] = len(grow_objects(image, level, noise, np.float32(1.0), 3, np.inf)[0])
+    rows, columns = np.nonzero(looked)
+    axes.plot(columns + 1, rows + 1, "s", color=BLUE, markersize=6)
+    star = np.array([[10, 10], [10, 11], [11, 10], [11, 11], [10, 12], [12, 11], [11, 12], [12, 10], [12, 12]])
+    axes.plot(*star.T, "o", color=GREEN, markerfacecolor="none", markersize=10, label="a star's 3 × 3")
+    axes.set_xlim(0.5, side + 0.5)
+    axes.set_ylim(side + 0.5, 0.5)
+    axes.set_aspect("equal")
+    axes.set_xticks(range(3, side + 1, 3))
+    axes.set_yticks(range(3, side + 1, 3))
+    axes.set_xlabel("x [pixels]")
+    axes.set_ylabel("y [pixels]")
+    axes.set_title("Fig. 4.6  Search pattern", color=INK)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14))
+    return figure

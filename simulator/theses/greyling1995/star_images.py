@@ -1,0 +1,172 @@
+"""Stars on a 5 × 5 window and the errors of their first moments (Greyling 1995, section 4.3).
+
+Drawn twice: sampled at the pixels' centres, as the thesis does, and integrated over the pixels, as a detector does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.optics.psf import Psf
+from simulator.optics.smear import exposure_nodes
+from simulator.optics.splat import render_stars
+from simulator.randomness import stream
+from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
+from startracker.centroid import METHODS
+from startracker.centroid.bias import moment_bias
+from startracker.centroid.window import read_window
+from startracker.detection import find_components
+from startracker.front_end import Clock, find_stars
+from startracker.settings import CentroidSettings, DetectionSettings
+
+__all__ = [
+    "distortion_errors",
+    "moments",
+    "noise_errors",
+    "smear_errors",
+    "smear_path",
+    "star_stamps",
+    "tracker_errors",
+]
+
+FloatArray = NDArray[np.float64]
+
+_HALF = 2
+_ELECTRONS = 1e6
+_LATTICE, _PITCH_PX = 9, 32
+_STILL = (np.zeros((1, 2)), np.ones(1))
+
+
+def star_stamps(
+    offset_px: ArrayLike = OFFSETS,
+    sigma_px: float = THESIS_SIGMA,
+    sigma_y_px: float | None = None,
+    path: tuple[FloatArray, FloatArray] = _STILL,
+    *,
+    integrated: bool = False,
+) -> FloatArray:
+    """Images (N, 5, 5) of stars `offset_px` right of the middle, relative to the centre of a star at rest.
+
+    Parameters
+    ----------
+    offset_px : (N,) array
+        Offsets along x from the centre of the central pixel.
+    sigma_px, sigma_y_px : float
+        Gaussian width along x and y; the latter the same where left out.
+    path : (K, 2) and (K,) arrays
+        Way of the star over the exposure, pixels, and the share of the exposure at each place (`smear_path`).
+    integrated : bool
+        Over the pixels (`simulator.optics.splat`), in place of samples at their centres.
+    """
+    offsets = np.atleast_1d(np.asarray(offset_px, dtype=float))
+    sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
+    way, weights = path
+    x = offsets[:, None] + way[:, 0]
+    y = np.broadcast_to(way[:, 1], x.shape)
+    if not integrated:
+        pixels = np.arange(-_HALF, _HALF + 1.0)
+        along_x = np.exp(-0.5 * ((pixels - x[..., None]) / sigma_px) ** 2)
+        along_y = np.exp(-0.5 * ((pixels - y[..., None]) / sigma_y) ** 2)
+        return np.asarray(np.einsum("k,nkj,nki->nji", weights, along_y, along_x))
+    psf = Psf("gaussian", sigma_px, sigma_y, min(sigma_px, sigma_y))
+    side = 2 * _HALF + 1
+    places = np.stack([x, y], axis=-1) + _HALF
+    images = [render_stars((side, side), place[None], weights, [_ELECTRONS], psf) for place in places]
+    return np.array(images) / (_ELECTRONS * psf.peak)
+
+
+def moments(stamps: FloatArray) -> FloatArray:
+    """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's own kernel."""
+    side = 2 * _HALF + 1
+    level, noise = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
+    return np.array(
+        [read_window(stamp.astype(np.float32), level, noise, _HALF, _HALF, _HALF, 0.0)[1] for stamp in stamps]
+    )
+
+
+def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray:
+    """Errors (11,) left when the known bias at each offset of a star at rest (Table 4.1) is taken off."""
+    return OFFSETS - moments(stamps) - moment_bias(OFFSETS, sigma_px, 2 * _HALF + 1, integrated=integrated)
+
+
+def noise_errors(
+    snr_db: float, seeds: int = 200, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False
+) -> FloatArray:
+    """Errors (seeds, 11) along x, detector lengths, under noise, the bias taken off.
+
+    Noise is uniform between ±A with A = 10^(−SNR/20) of the intensity in the star's centre, the reading under which
+    both of the thesis' figures are what a seed may give.
+    """
+    stamps = star_stamps(OFFSETS, sigma_px, integrated=integrated)
+    amplitude = 10.0 ** (-snr_db / 20.0)
+    out = []
+    for seed in range(seeds):
+        noise = stream(seed, "greyling1995 noise").uniform(-amplitude, amplitude, stamps.shape)
+        out.append(_errors(stamps + noise, sigma_px, integrated))
+    return np.array(out)
+
+
+def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    """Way (K, 2) of a star at constant rate over an exposure, centred on its middle (eq. 4.11), and weights (K,)."""
+    length = rate_px_s * exposure_s
+    nodes, weights = exposure_nodes(length, THESIS_SIGMA)
+    angle = np.radians(angle_deg)
+    return 0.5 * length * nodes[:, None] * np.array([np.cos(angle), np.sin(angle)]), weights
+
+
+def smear_errors(
+    rate_px_s: float,
+    angle_deg: float,
+    exposure_s: float = 0.5,
+    sigma_px: float = THESIS_SIGMA,
+    *,
+    integrated: bool = False,
+) -> FloatArray:
+    """Errors (11,) along x of smeared stars, the bias of a star at rest taken off."""
+    path = smear_path(rate_px_s, angle_deg, exposure_s)
+    return _errors(star_stamps(OFFSETS, sigma_px, path=path, integrated=integrated), sigma_px, integrated)
+
+
+def distortion_errors(ratio: float, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False) -> FloatArray:
+    """Errors (11,) along x of stars drawn out along x: d_r = σ_y / σ_x (eq. 4.12), σ_y the width of a round star."""
+    stamps = star_stamps(OFFSETS, sigma_px / ratio, sigma_px, integrated=integrated)
+    return _errors(stamps, sigma_px, integrated)
+
+
+def tracker_errors(
+    sigma_px: float = THESIS_SIGMA,
+    sigma_y_px: float | None = None,
+    path: tuple[FloatArray, FloatArray] = _STILL,
+    snr_db: float | None = None,
+    seed: int = 1,
+    *,
+    centroider: str = "moment",
+) -> FloatArray:
+    """Errors (N, 2) in x and y, pixels, of this project's tracker on 81 stars at as many sub-pixel phases.
+
+    Found and measured by `startracker.front_end.find_stars` with its default detector and one of its centroiders, which
+    take widths and bias from the frame; noise as in `noise_errors`. Stars that are not found are left out.
+    """
+    sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
+    way, weights = path
+    place = _PITCH_PX * (np.arange(_LATTICE) + 1.0)
+    phase = (np.arange(_LATTICE) + 0.5) / _LATTICE - 0.5
+    x, y = (axis.ravel() for axis in np.meshgrid(place + phase, place + phase))
+    truth = np.stack([x, y], axis=1)
+    side = _PITCH_PX * (_LATTICE + 1)
+    psf = Psf("gaussian", sigma_px, sigma_y, min(sigma_px, sigma_y))
+    image = render_stars((side, side), truth[:, None, :] + way, weights, np.full(len(truth), _ELECTRONS), psf)
+    if snr_db is not None:
+        amplitude = _ELECTRONS * psf.peak * 10.0 ** (-snr_db / 20.0)
+        image += stream(seed, "greyling1995 noisy frame").uniform(-amplitude, amplitude, image.shape)
+    frame = image.astype(np.float32)
+    settings = DetectionSettings(max_stars=2 * len(truth))
+    found = find_stars(frame, find_components, METHODS[centroider], settings, CentroidSettings(), Clock())
+    xy = found.xy
+    if not len(xy):
+        return np.empty((0, 2))
+    away = xy[None] - truth[:, None]
+    nearest = np.argmin(np.hypot(away[..., 0], away[..., 1]), axis=1)
+    errors = away[np.arange(len(truth)), nearest]
+    return np.asarray(errors[np.hypot(errors[:, 0], errors[:, 1]) < 3.0])

@@ -1,0 +1,333 @@
+"""A published work beside what comes out here: rows of printed against computed values, sections, table, JSON, figures.
+
+A study of a published work is a registry of section functions; each computes its values with the product's own physics
+and returns a `Section`: rows that compare, and figures that are drawn on request. `run_sections` calls them,
+`PrintedStudy` prints and writes what they return.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from simulator.paths import make_folder, write_atomically
+from simulator.study import style as report_style
+from simulator.study.style import STUDY_STYLE
+from startracker.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+__all__ = [
+    "MARKS",
+    "PrintedStudy",
+    "Row",
+    "Section",
+    "Verdict",
+    "compare",
+    "new_figure",
+    "run_sections",
+    "verdict_of",
+    "with_unit",
+]
+
+Verdict = Literal["exact", "close", "differs"]
+
+MARKS: dict[Verdict, str] = {"exact": "green", "close": "yellow", "differs": "red"}
+"""Verdict to its colour in the printed table."""
+
+COLUMNS = ("where", "quantity", "printed", "computed", "verdict", "why")
+"""Columns of the table: the fields of a `Row`."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One printed value and the one computed here.
+
+    Parameters
+    ----------
+    where : str
+        Figure, table, equation or section of the work, such as ``"Table 3.3"``.
+    quantity : str
+        What it is.
+    printed, computed : str
+        Both with their unit.
+    verdict : {"exact", "close", "differs"}
+        Every printed digit; within what is explained by rounding, catalogue or an unprinted setting; neither.
+    why : str
+        How it was computed, and the reason of a difference.
+    """
+
+    where: str
+    quantity: str
+    printed: str
+    computed: str
+    verdict: Verdict
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Rows and figures of one part of a work.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    rows : sequence of Row
+        The comparisons, in the order of the work.
+    figures : dict of str to callable
+        File name without ending, such as ``"fig_3_3_path"``, to a function of no arguments that draws it.
+    """
+
+    title: str
+    rows: Sequence[Row]
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+
+    def figure(self, name: str) -> Figure:
+        """One figure, drawn in the study's style."""
+        from matplotlib import rc_context
+
+        with rc_context(STUDY_STYLE):
+            return self.figures[name]()
+
+    def _repr_html_(self) -> str:
+        """The table as a notebook shows it."""
+        from html import escape
+
+        heads = "".join(f"<th style='text-align:left'>{head}</th>" for head in COLUMNS)
+        lines = []
+        for row in self.rows:
+            cells = (f"<td style='text-align:left'>{escape(getattr(row, name))}</td>" for name in COLUMNS)
+            lines.append(f"<tr>{''.join(cells)}</tr>")
+        return f"<h4>{escape(self.title)}</h4><table><tr>{heads}</tr>{''.join(lines)}</table>"
+
+
+def verdict_of(printed: str, computed: float, close: float = 0.05) -> Verdict:
+    """Verdict of a computed number against the text of a printed one.
+
+    Parameters
+    ----------
+    printed : str
+        A number as printed: its digits say its precision ("5.50" is ± 0.005, "1,266" is ± 0.5, "2.1e-14" is
+        ± 0.05e-14).
+    computed : float
+        In the same unit.
+    close : float
+        Greatest relative difference that still counts as close.
+
+    Returns
+    -------
+    str
+        ``"exact"`` when the computed value rounds to every printed digit, ``"close"`` within `close`, else
+        ``"differs"``.
+
+    Raises
+    ------
+    ValueError
+        When `printed` is no number.
+    """
+    number = _number(printed)
+    exponent = int(number.as_tuple().exponent)
+    difference = abs(computed - float(number))
+    if difference <= 0.5 * 10.0**exponent * (1 + 1e-9):
+        return "exact"
+    return "close" if difference <= close * abs(float(number)) else "differs"
+
+
+def _number(printed: str) -> Decimal:
+    """A number as printed, its digits kept; `ValueError` when it is none."""
+    try:
+        return Decimal(printed.replace(",", "").replace("\N{MINUS SIGN}", "-"))
+    except InvalidOperation:
+        raise ValueError(f"{printed!r} is no number; give a Row of its own with a verdict") from None
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Numbers with their unit behind them; signs of an angle stand without a space."""
+    return f"{text} {unit}" if unit and unit not in "°″′" else text + unit
+
+
+def compare(
+    where: str,
+    quantity: str,
+    printed: str,
+    computed: float,
+    *,
+    unit: str = "",
+    close: float = 0.05,
+    form: str | None = None,
+    why: str = "",
+) -> Row:
+    """Row of two numbers whose verdict follows from the printed digits (`verdict_of`).
+
+    Parameters
+    ----------
+    where, quantity, why : str
+        As in `Row`.
+    printed : str
+        The number as printed, without its unit.
+    computed : float
+        The same computed.
+    unit : str
+        Of both.
+    close : float
+        Greatest relative difference that still counts as close.
+    form : str, optional
+        Format specification of the computed value; without one it is given to two digits more than the printed one.
+    """
+    _sign, digits, exponent = _number(printed).as_tuple()
+    if form is None:
+        decimals = max(-int(exponent), 0)
+        if "e" in printed.lower():
+            form = f".{len(digits) + 1}e"
+        else:
+            whole = decimals == 0 and float(computed).is_integer()
+            form = f"{',' if ',' in printed else ''}.{decimals if whole else decimals + 2}f"
+    verdict = verdict_of(printed, computed, close)
+    return Row(where, quantity, with_unit(printed, unit), with_unit(f"{computed:{form}}", unit), verdict, why)
+
+
+@dataclass(frozen=True)
+class PrintedStudy:
+    """The sections of one work, computed.
+
+    Parameters
+    ----------
+    name : str
+        The study's name on the command line, and of its JSON file.
+    title : str
+        Author, year and title of the work.
+    sections : dict of str to Section
+        By name, in the order of the work.
+    """
+
+    name: str
+    title: str
+    sections: Mapping[str, Section]
+
+    def counts(self) -> dict[str, int]:
+        """How many rows have each verdict."""
+        found = Counter(row.verdict for section in self.sections.values() for row in section.rows)
+        return {verdict: found[verdict] for verdict in MARKS}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All rows as plain values, for JSON."""
+        return {
+            "study": self.name,
+            "work": self.title,
+            "verdicts": self.counts(),
+            "sections": {
+                key: {
+                    "title": section.title,
+                    "rows": [asdict(row) for row in section.rows],
+                    "figures": [f"{name}.png" for name in section.figures],
+                }
+                for key, section in self.sections.items()
+            },
+        }
+
+    def print(self, console: Console) -> None:
+        """The tables of all sections and the count of verdicts."""
+        from rich.table import Table
+        from rich.text import Text
+
+        console.print(Text(self.title, style="bold"))
+        for section in self.sections.values():
+            if not section.rows:
+                continue
+            table = Table(title=Text(section.title), title_justify="left", show_lines=True, expand=True)
+            table.add_column("where", min_width=7)
+            table.add_column("quantity", ratio=3)
+            table.add_column("printed", ratio=2)
+            table.add_column("computed", ratio=2)
+            table.add_column("verdict", no_wrap=True)
+            table.add_column("why", ratio=5)
+            for row in section.rows:
+                table.add_row(
+                    Text(row.where),
+                    Text(row.quantity),
+                    Text(row.printed),
+                    Text(row.computed),
+                    Text(row.verdict, style=MARKS[row.verdict]),
+                    Text(row.why),
+                )
+            console.print(table)
+        console.print(", ".join(f"{count} {verdict}" for verdict, count in self.counts().items()))
+
+    def write(self, folder: Path) -> list[str]:
+        """Write ``NAME.json`` and every figure as PNG into `folder`; returns the names of the files.
+
+        Raises
+        ------
+        InputError
+            When the folder cannot be written; says why.
+        """
+        from matplotlib import rc_context
+
+        from simulator.study.plots import save_bytes
+
+        make_folder(folder)
+        files = [f"{self.name}.json"]
+        text = json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+        write_atomically(folder / files[0], text + "\n")
+        for section in self.sections.values():
+            for name in section.figures:
+                with rc_context(STUDY_STYLE):
+                    data = save_bytes(section.figure(name))
+                write_atomically(folder / f"{name}.png", data)
+                files.append(f"{name}.png")
+        return files
+
+
+def run_sections(
+    name: str,
+    title: str,
+    registry: Mapping[str, Callable[[], Section]],
+    only: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> PrintedStudy:
+    """Compute the sections of a work, or one of them.
+
+    Parameters
+    ----------
+    name, title : str
+        As in `PrintedStudy`.
+    registry : dict of str to callable
+        Section name to the function that computes it.
+    only : str, optional
+        Name of the one section wanted.
+    progress : callable, optional
+        Called with the name of each section before it is computed.
+
+    Raises
+    ------
+    InputError
+        When there is no section of that name; says which there are.
+    """
+    if only is not None and only not in registry:
+        raise InputError(f"--section: there is no section {only!r}; there are {', '.join(registry)}")
+    sections = {}
+    for key, function in registry.items():
+        if only in (None, key):
+            if progress:
+                progress(key)
+            sections[key] = function()
+    return PrintedStudy(name, title, sections)
+
+
+def new_figure(
+    rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.2), **axes: Any
+) -> tuple[Figure, Any]:
+    """A figure of `size` inches in the study's style, and its axes: one, or an array of them, as ``subplots`` gives.
+
+    Use the colours of `simulator.study.style` (BLUE, ORANGE, GREEN, VERMILION, INK, SOFT), and a marker or line
+    style of its own for every curve.
+    """
+    return report_style.new_figure(STUDY_STYLE, rows, columns, size, **axes)

@@ -1,0 +1,118 @@
+"""The thesis' catalogue, its sub-catalogues, and the tables that it prints."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.catalog import load_catalog
+from startracker.errors import InputError
+from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
+from startracker.identification.triad_tables import TriadTables
+
+__all__ = ["EDITIONS", "SubCatalog", "printed_rows", "sub_catalog"]
+
+FloatArray = NDArray[np.float64]
+
+EDITIONS = (4, 5)
+"""Of the Bright Star Catalogue: her 4th, and the 5th, which ships."""
+
+_RA_STEP_DEG = 15.0 * 0.1 / 3600.0
+_DEC_STEP_DEG = 1.0 / 3600.0
+_DEC_CHANGED = (168, 542, 7851)
+"""HR numbers whose declination the 4th edition gives 1″ differently: larger for the first two by Table 2.1; no table of
+the extract says which way the third goes, and it is taken alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class SubCatalog:
+    """Stars of a section of the sky (Yee 1999, section 2.3.3.1), in the order of their numbers.
+
+    Parameters
+    ----------
+    hr : int (G,)
+    ra_deg, dec_deg, v_mag : (G,)
+        Equinox and epoch 2000, without proper motion, as she took them.
+    """
+
+    hr: NDArray[np.int64]
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    v_mag: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.hr)
+
+    @property
+    def sky_deg(self) -> FloatArray:
+        """Right ascension and declination (G, 2)."""
+        return np.column_stack([self.ra_deg, self.dec_deg])
+
+    def places(self, numbers: list[int]) -> NDArray[np.int64]:
+        """Places of HR numbers.
+
+        Raises
+        ------
+        InputError
+            A number that the sub-catalogue lacks.
+        """
+        at = np.searchsorted(self.hr, numbers)
+        missing = [n for n, place in zip(numbers, at, strict=True) if place >= len(self) or self.hr[place] != n]
+        if missing:
+            raise InputError(f"the sub-catalogue has no HR {', '.join(map(str, missing))}")
+        return at.astype(np.int64)
+
+    def tables(self, max_separation_deg: float, arithmetic: Arithmetic | None = None) -> TriadTables:
+        """Pair database up to the largest separation, in floating point unless told otherwise."""
+        return TriadTables.build(
+            arithmetic or FloatArithmetic(), self.hr, self.ra_deg, self.dec_deg, self.v_mag, max_separation_deg
+        )
+
+
+@lru_cache(maxsize=8)
+def sub_catalog(
+    edition: int = 4, magnitude_limit: float = 6.0, dec_min_deg: float = 30.0, dec_max_deg: float = 90.0
+) -> SubCatalog:
+    """Stars of the Bright Star Catalogue down to a magnitude, between two declinations.
+
+    Parameters
+    ----------
+    edition : {4, 5}
+        5: as it ships. 4: right ascensions smaller by 0.1 s, and the declinations of three stars larger by 1″, which
+        is the 4th edition for her stars; it was rounded otherwise and is not to be had itself.
+    magnitude_limit : float
+        Faintest V.
+    dec_min_deg, dec_max_deg : float
+        Declinations, both included.
+
+    Raises
+    ------
+    InputError
+        Another edition; fewer than three stars.
+    """
+    if edition not in EDITIONS:
+        raise InputError(f"--edition: must be 4 or 5, not {edition}")
+    catalog = load_catalog("bsc5")
+    ra, dec = np.degrees(catalog.ra_rad), np.degrees(catalog.dec_rad)
+    if edition == 4:
+        ra = (ra - _RA_STEP_DEG) % 360.0
+        dec = dec + _DEC_STEP_DEG * np.isin(catalog.id, _DEC_CHANGED)
+    inside = (catalog.v_mag <= magnitude_limit) & (dec >= dec_min_deg) & (dec <= dec_max_deg)
+    keep = np.flatnonzero(inside)[np.argsort(catalog.id[inside])]
+    if len(keep) < 3:
+        raise InputError(
+            f"the catalogue has {len(keep)} stars with V ≤ {magnitude_limit:g} at declinations {dec_min_deg:g}° to "
+            f"{dec_max_deg:g}°; three are needed"
+        )
+    return SubCatalog(catalog.id[keep], ra[keep], dec[keep], catalog.v_mag[keep])
+
+
+def printed_rows(name: str) -> list[dict[str, str]]:
+    """Rows of a table as the thesis prints it, by column; the file's first line gives its source."""
+    text = (files("simulator.theses.yee1999") / "data" / f"{name}.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

@@ -1,0 +1,127 @@
+"""What integer arithmetic costs: Fig. 3.1 and its crossover, Tables 4.14 and 4.17, the Vega image in integers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.study.style import BLUE, ORANGE, SOFT
+from simulator.theses.printed import Row, Section, Verdict, compare, new_figure
+from simulator.theses.yee1999.catalogue import printed_rows
+from simulator.theses.yee1999.picture import Options, analyse, vega
+from simulator.theses.yee1999.rows import joined
+from startracker.fixed_point.arithmetic import FixedArithmetic
+from startracker.fixed_point.formats import SEPARATION
+from startracker.fixed_point.square_root import by_pythagoras, by_tables
+from startracker.identification.triad_search import image_pairs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Crossover", "crossover", "integers"]
+
+FloatArray = NDArray[np.float64]
+
+_STEP_DEG, _LAST_DEG = 0.25, 22.5
+"""Of χ = ψ in Fig. 3.1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossover:
+    """Errors of the two ways to a separation in integers, χ = ψ.
+
+    Parameters
+    ----------
+    separation_deg : (N,)
+        By eq. 2.4.
+    pythagoras_deg, tables_deg : (N,)
+        Floating point minus integers; NaN where a separation does not fit 6.10.
+    """
+
+    separation_deg: FloatArray
+    pythagoras_deg: FloatArray
+    tables_deg: FloatArray
+
+    @property
+    def at_deg(self) -> float:
+        """The largest separation at which Pythagoras' theorem errs no more than the tables."""
+        better = np.abs(self.pythagoras_deg) <= np.abs(self.tables_deg)
+        return float(self.separation_deg[better].max())
+
+    @property
+    def largest_error_deg(self) -> float:
+        """Greatest error of the two together, Pythagoras up to `at_deg` and the tables beyond."""
+        used = np.where(self.separation_deg <= self.at_deg, self.pythagoras_deg, self.tables_deg)
+        return float(np.nanmax(np.abs(used)))
+
+
+def crossover() -> Crossover:
+    """Separations for χ = ψ from 0.25° to 22.5° by Pythagoras' theorem and by the tables, as Fig. 3.1."""
+    angle = np.arange(_STEP_DEG, _LAST_DEG + _STEP_DEG / 2, _STEP_DEG)
+    coded = SEPARATION.encode(angle)
+    true = np.degrees(np.arccos(np.cos(np.radians(angle)) ** 2))
+    largest = float(SEPARATION.decode(SEPARATION.largest))
+    errors = []
+    for method, reach in ((by_pythagoras, np.sqrt(2.0) * angle), (by_tables, true)):
+        out = np.full(len(angle), np.nan)
+        fits = reach < largest
+        out[fits] = true[fits] - SEPARATION.decode(method(coded[fits], coded[fits]))
+        errors.append(out)
+    return Crossover(true, *errors)
+
+
+def integers() -> Section:
+    """Rows and Fig. 3.1."""
+    curve = crossover()
+    why = "cosines and their product truncated, arccosines rounded to the nearest; other roundings give 9.2° to 11.65°"
+    widest = float(curve.separation_deg[-1])
+    rows = [
+        compare("Fig. 3.1", "crossover", "11.65", curve.at_deg, unit="°", why=why),
+        compare("Fig. 3.1", "greatest error of the two methods", "0.02", curve.largest_error_deg, unit="°", why=why),
+        Row("3.4", "separation of χ = ψ = 22.5°", "about 30°", f"{widest:.2f}°", "differs", "by its own eq. 2.4"),
+        *_table_4_17(),
+        *_matches(),
+    ]
+    return Section("Integer arithmetic", rows, {"fig_3_1_crossover": lambda: crossover_figure(curve)})
+
+
+def _table_4_17() -> list[Row]:
+    picture = vega()
+    arithmetic = FixedArithmetic()
+    image = arithmetic.image(picture.xy_px, picture.scale_deg)
+    coded = arithmetic.image_separations(image, *image_pairs(len(picture.xy_px)))
+    rows = []
+    for row, value in zip(printed_rows("table_4_17"), coded, strict=True):
+        degrees = float(arithmetic.separation_degrees(value))
+        off = round(float(row["fixed_deg"]) * SEPARATION.one) - int(value)
+        name = f"separation of stars {row['star']} and {row['other']}"
+        why = "" if off == 0 else f"{abs(off)} in the last of 10 bits; her format of the scale is not printed"
+        made = joined("Table 4.17", name, [row["fixed_deg"]], [degrees], unit="°", why=why)
+        rows.append(made)
+    return rows
+
+
+def _matches() -> list[Row]:
+    ours = analyse(vega(), replace(Options(), arithmetic=FixedArithmetic()))
+    real = analyse(vega())
+    printed, computed = (", ".join("–" if hr is None else str(hr) for hr in found.matches) for found in (real, ours))
+    same: Verdict = "exact" if printed == computed else "differs"
+    why = f"{len(ours.triads)} triads in integers, {len(real.triads)} in floating point"
+    return [Row("4.2.4.3", "matches are the same", printed, computed, same, why)]
+
+
+def crossover_figure(curve: Crossover) -> Figure:
+    """Fig. 3.1: error against separation."""
+    figure, axes = new_figure()
+    axes.plot(curve.separation_deg, curve.pythagoras_deg, color=BLUE, marker="o", ms=3, label="Pythagoras' theorem")
+    axes.plot(curve.separation_deg, curve.tables_deg, color=ORANGE, ls="--", marker="s", ms=3, label="look-up tables")
+    axes.axvline(curve.at_deg, color=SOFT, lw=0.8, ls=":")
+    axes.annotate(f"{curve.at_deg:.2f}°", (curve.at_deg, -0.3), xytext=(4, 0), textcoords="offset points", color=SOFT)
+    axes.set_xlabel("angular separation [°]")
+    axes.set_ylabel("error: floating point minus integers [°]")
+    axes.set_xlim(0.0, 32.0)
+    axes.legend(loc="lower left")
+    return figure

@@ -1,0 +1,237 @@
+"""An open question of the thesis: is the mean of the attitudes of all three-star subsets better than one fit to all?
+
+Section 5.2 asks it, after Beattie et al., who averaged. It has an answer without any simulation: the least-squares fit
+of n linear equations *is* a mean of the solutions of all subsets of as many equations as there are unknowns, each
+weighted by its squared determinant (Jacobi 1841, Journal für die reine und angewandte Mathematik 22, 285). Here a
+subset's determinant is twice the area of its triangle: the plain mean trusts a needle of three stars as much as a wide
+triangle, the one fit weighs them by the square of their areas. By Gauss and Markov nothing linear and unbiased does
+better than the fit while all stars are measured equally well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Analysis, analyse, vega
+from startracker.errors import InputError
+from startracker.estimation.plate import solve_plate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Subsets", "mean_errors", "subset_centers", "three_star_subsets", "triangle_areas"]
+
+FloatArray = NDArray[np.float64]
+
+_NOISE_PX = 0.3
+_FIELDS = 200
+_STARS = (3, 4, 5, 6, 8, 10)
+_SEED = 1999
+
+
+@dataclass(frozen=True, eq=False)
+class Subsets:
+    """Centres of all three-star subsets beside that of one fit.
+
+    Parameters
+    ----------
+    stars : int (S, 3)
+        The stars of each subset that could be solved.
+    center_deg : (S, 2)
+        Their centres, right ascension and declination.
+    area : (S,)
+        Of their triangles in the image, in squared units of it.
+    fit_deg : (2,)
+        Centre of the one fit.
+    """
+
+    stars: NDArray[np.int64]
+    center_deg: FloatArray
+    area: FloatArray
+    fit_deg: FloatArray
+
+    def mean_deg(self, power: float = 0.0) -> FloatArray:
+        """Mean of the centres (2,), weighted by a power of the area: 0 is the plain mean, 2 is Jacobi's."""
+        weight = self.area**power
+        offset = (self.center_deg - self.fit_deg + 180.0) % 360.0 - 180.0
+        return np.asarray(self.fit_deg + (weight @ offset) / weight.sum())
+
+    def off_arcsec(self, center_deg: ArrayLike, from_deg: ArrayLike | None = None) -> float:
+        """Angle between a centre and the one fit, or another point; small angles, arcseconds."""
+        start = np.asarray(self.fit_deg if from_deg is None else from_deg)
+        step = (np.asarray(center_deg) - start + 180.0) % 360.0 - 180.0
+        return float(3600.0 * np.hypot(step[0] * np.cos(np.radians(start[1])), step[1]))
+
+
+def triangle_areas(xy: ArrayLike, stars: NDArray[np.int64]) -> FloatArray:
+    """Areas (S,) of the triangles that stars (S, 3) make of points (N, 2)."""
+    a, b, c = (np.asarray(xy, dtype=float)[stars[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    return np.asarray(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
+
+
+def subset_centers(xy: ArrayLike, sky_deg: ArrayLike) -> Subsets:
+    """Plate constants of every three stars, and of all.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Centroids, the origin at the centre of the image.
+    sky_deg : (N, 2)
+        Right ascension and declination of each star.
+
+    Raises
+    ------
+    InputError
+        What `solve_plate` says of all stars; subsets in a line are left out.
+    """
+    image, sky = np.asarray(xy, dtype=float), np.asarray(sky_deg, dtype=float)
+    fit = solve_plate(image, sky, tolerance_deg=1e-9)
+    stars, centers = [], []
+    for chosen in combinations(range(len(image)), 3):
+        try:
+            centers.append(solve_plate(image[list(chosen)], sky[list(chosen)], tolerance_deg=1e-9).center_deg)
+        except InputError:
+            continue
+        stars.append(chosen)
+    index = np.array(stars, dtype=np.int64).reshape(-1, 3)
+    return Subsets(index, np.array(centers).reshape(-1, 2), triangle_areas(image, index), fit.center_deg)
+
+
+def three_star_subsets(analysis: Analysis | None = None) -> Section:
+    """The Vega image's ten subsets, and random fields of known centre."""
+    found = analysis or analyse(vega())
+    errors = mean_errors()
+    rows = [*_vega_rows(found), *_field_rows(errors)]
+    return Section("Three stars at a time, or all at once", rows, {"subsets": lambda: subset_figure(errors)})
+
+
+def _vega_rows(found: Analysis) -> list[Row]:
+    if found.found is None:
+        return []
+    pairs = found.found.pairs
+    subsets = subset_centers(found.picture.xy_px[pairs[:, 0]], found.catalog.sky_deg[pairs[:, 1]])
+    off = [subsets.off_arcsec(center) for center in subsets.center_deg]
+    plain, jacobi = subsets.mean_deg(), subsets.mean_deg(2.0)
+    return [
+        _answer("Vega: centres of the three-star subsets, from the one fit",
+                f"{min(off):.1f}″ to {max(off):.0f}″", f"{len(off)} subsets of {len(pairs)} stars"),
+        _answer("Vega: plain mean of the subsets, from the one fit", f"{subsets.off_arcsec(plain):.1f}″",
+                f"RA {plain[0]:.5f}°, Dec {plain[1]:.5f}°"),
+        _answer("Vega: mean weighted by squared area, from the one fit", f"{subsets.off_arcsec(jacobi):.2f}″",
+                "Jacobi's theorem: it is the one fit, but for what the tangent points differ by"),
+    ]  # fmt: skip
+
+
+def _field_rows(errors: dict[int, FloatArray]) -> list[Row]:
+    where = f"{_FIELDS} random fields of {VEGA_FOV_DEG[0]:g}° × {VEGA_FOV_DEG[1]:g}°, {_NOISE_PX} px"
+    rows = []
+    for stars, (fit, mean, weighted, rigid, rigid_mean) in errors.items():
+        rows.append(
+            _answer(
+                f"{stars} stars, plate constants: rms error of one fit, mean, mean by squared area",
+                f"{fit:.1f}″, {mean:.1f}″, {weighted:.1f}″",
+                f"{where}; the mean errs {mean / fit:.1f} times as much as the fit",
+            )
+        )
+        rows.append(
+            _answer(
+                f"{stars} stars, scale known: rms error of one fit, mean",
+                f"{rigid:.2f}″, {rigid_mean:.2f}″",
+                f"shift and rotation alone; the mean errs {rigid_mean / rigid:.2f} times as much",
+            )
+        )
+    return rows
+
+
+def _answer(quantity: str, computed: str, why: str) -> Row:
+    return Row("5.2", quantity, "open question", computed, "close", why)
+
+
+def mean_errors(
+    stars: tuple[int, ...] = _STARS, fields: int = _FIELDS, noise_px: float = _NOISE_PX, seed: int = _SEED
+) -> dict[int, FloatArray]:
+    """Root mean square errors of the centre, arcseconds, over random fields of the Vega camera.
+
+    Stars lie anywhere on the image; centroids have normal errors. Near its zero the projection is linear, and one step
+    of plate constants about the true centre is all there is to iterate: subsets are solved as linear equations there.
+
+    Parameters
+    ----------
+    stars : tuple of int
+        Numbers of stars, at least 3.
+    fields : int
+        Fields of each.
+    noise_px : float
+        Standard error of a centroid on one axis.
+    seed : int
+        Of the generator.
+
+    Returns
+    -------
+    dict
+        By number of stars (5,): of plate constants one fit, plain mean of all three-star subsets, their mean weighted
+        by squared area; of shift and rotation alone, the scale being known, one fit and plain mean.
+    """
+    rng = np.random.default_rng(seed)
+    scale = 3600.0 * np.array(VEGA_FOV_DEG) / VEGA_SIZE_PX
+    out = {}
+    for n in stars:
+        subsets = np.array(list(combinations(range(n), 3)))
+        squared = np.zeros((fields, 5))
+        for field in range(fields):
+            true = rng.uniform(-0.5, 0.5, (n, 2)) * VEGA_SIZE_PX
+            seen = true + rng.normal(0.0, noise_px, (n, 2))
+            sky = true * scale
+            design = np.column_stack([seen, np.ones(n)])
+            fit = np.linalg.lstsq(design, sky, rcond=None)[0][2]
+            each = np.linalg.solve(design[subsets], sky[subsets])[:, 2]
+            weight = triangle_areas(seen, subsets) ** 2
+            rigid = [
+                _rigid_centers(seen[chosen], (true - seen)[chosen]) * scale for chosen in (np.arange(n)[None], subsets)
+            ]
+            centers = (fit, each.mean(axis=0), weight @ each / weight.sum(), *(part.mean(axis=0) for part in rigid))
+            squared[field] = [center @ center for center in centers]
+        out[n] = np.sqrt(squared.mean(axis=0))
+    return out
+
+
+def _rigid_centers(xy: FloatArray, shift: FloatArray) -> FloatArray:
+    """Shift of the origin (S, 2) by least squares of a small rotation and shift, for sets of stars (S, K, 2).
+
+    shift = c + ω (−y, x): with means taken off, ω = Σ (x Δy − y Δx) / Σ (x² + y²) and c = mean shift − ω (−ȳ, x̄).
+    """
+    middle, mean = xy.mean(axis=1), shift.mean(axis=1)
+    p, d = xy - middle[:, None], shift - mean[:, None]
+    turn = (p[..., 0] * d[..., 1] - p[..., 1] * d[..., 0]).sum(axis=1) / (p**2).sum(axis=(1, 2))
+    return np.asarray(mean - turn[:, None] * np.stack([-middle[:, 1], middle[:, 0]], axis=1))
+
+
+def subset_figure(errors: dict[int, FloatArray]) -> Figure:
+    """Error of the centre against the number of stars, three ways."""
+    figure, axes = new_figure()
+    n, table = list(errors), np.array(list(errors.values()))
+    styles = (
+        (1, ORANGE, "--", "s", "plate constants, plain mean of the subsets"),
+        (0, BLUE, "-", "o", "plate constants, one fit to all stars"),
+        (2, GREEN, ":", "^", "plate constants, mean of the subsets by squared area"),
+        (4, VERMILION, "--", "D", "scale known, plain mean of the subsets"),
+        (3, INK, "-", "v", "scale known, one fit to all stars"),
+    )
+    for column, colour, line, marker, label in styles:
+        fill = "none" if column == 2 else colour
+        axes.plot(
+            n, table[:, column], line, color=colour, marker=marker, ms=9 if column == 2 else 5, label=label, mfc=fill
+        )
+    axes.set_yscale("log")
+    axes.set_xlabel("stars")
+    axes.set_ylabel("error of the centre, rms [arcsec]")
+    axes.legend()
+    return figure

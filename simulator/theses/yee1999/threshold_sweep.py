@@ -1,0 +1,220 @@
+"""The thresholds of triads swept on rendered frames: the parameter study that the thesis does by hand for one image.
+
+Each frame is one of ``xybion.yaml``'s camera at a random attitude within the thesis' sub-catalogue, its gain turned
+up so that the faintest stars of that (V = 6) show: other fields have no Vega. Its brightest centroids go to the thesis'
+method, which takes the largest group of triads as it is, and to the tracker with ``identifier: triads``, which believes
+a group only where chance cannot explain it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.randomness import stream
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.intervals import wilson_interval
+from simulator.study.style import BLUE, VERMILION
+from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.yee1999.picture import VEGA_FOV_DEG, Options, analyse
+from simulator.theses.yee1999.rendered import Shown, off_deg, show
+from simulator.theses.yee1999.rendered_vega import limits_of
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+from startracker.tracker import StarTracker
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["THRESHOLDS", "Outcome", "section", "sky_frames", "sweep"]
+
+FloatArray = NDArray[np.float64]
+
+RIGHT_DEG = 0.1
+"""A centre that is off by more is wrong: five times the thesis' ± 0.02°."""
+_DEC_DEG = (38.0, 82.0)
+"""Declinations of the frames: those whose field is within the sub-catalogue's 30° to 90°."""
+_FRAMES = 20
+_MOST_STARS = 7
+_GAIN_E_PER_DN = 150.0
+_METHODS = ("thesis' method", "tracker, identifier: triads")
+
+
+@dataclass(frozen=True)
+class _Threshold:
+    """A knob: its name in both methods, its label and the values tried; the printed one is `printed`."""
+
+    name: str
+    label: str
+    values: tuple[float, ...]
+    printed: float
+
+
+THRESHOLDS = (
+    _Threshold("separation_tolerance_deg", "separation tolerance [degrees]", (0.02, 0.05, 0.1, 0.15, 0.25, 0.4), 0.15),
+    _Threshold("rotation_tolerance_deg", "rotation angle tolerance [degrees]", (0.5, 1.0, 2.0, 5.0, 10.0, 20.0), 5.0),
+    _Threshold("vote_number", "vote number", (1, 2, 3, 4, 6, 8), 2),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the frames at one value of one threshold.
+
+    Parameters
+    ----------
+    method : str
+        Whose.
+    threshold, value : str, float
+        Knob and its value; the others stand as in the scenario.
+    right, wrong, frames : int
+        Frames whose centre is right; wrong; all. The rest gave no answer.
+    """
+
+    method: str
+    threshold: str
+    value: float
+    right: int
+    wrong: int
+    frames: int
+
+
+def sky_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[Shown]:
+    """Frames of the camera at random attitudes, uniform over a zone of the sky, found by clustering."""
+    scenario = scenario or Scenario.load("xybion", [f"detector.gain_e_per_dn={_GAIN_E_PER_DN:g}"])
+    renderer = Renderer(scenario)
+    rng = stream(scenario.seed, "threshold_sweep")
+    low, high = np.sin(np.radians(_DEC_DEG))
+    out = []
+    for index in range(frames):
+        ra, sine, roll = rng.uniform(0.0, 360.0), rng.uniform(low, high), rng.uniform(0.0, 360.0)
+        attitude = Attitude.from_radec_roll(float(ra), float(np.degrees(np.arcsin(sine))), float(roll))
+        frame, truth = renderer.frame(index, attitude=attitude)
+        out.append(show(frame, truth, scenario.tracker.detection, VEGA_FOV_DEG, _MOST_STARS))
+    return out
+
+
+def sweep(
+    shown: Sequence[Shown], scenario: Scenario | None = None, thresholds: Sequence[_Threshold] = THRESHOLDS
+) -> list[Outcome]:
+    """Success and wrong answers against each threshold, the others as in the scenario.
+
+    Parameters
+    ----------
+    shown : sequence of Shown
+        From `sky_frames`.
+    scenario : Scenario, optional
+        In place of ``xybion.yaml``.
+    thresholds : sequence
+        Those of `THRESHOLDS` that are swept.
+    """
+    scenario = scenario or Scenario.load("xybion")
+    tracker = _tracker(scenario, shown[0].frame.camera)
+    out = []
+    for threshold in thresholds:
+        for value in threshold.values:
+            change = {threshold.name: type(threshold.printed)(value)}
+            for method, solve in zip(_METHODS, _solvers(scenario, change, tracker), strict=True):
+                off = np.array([solve(one) for one in shown])
+                right = int(np.count_nonzero(off <= RIGHT_DEG))
+                wrong = int(np.count_nonzero(off > RIGHT_DEG))
+                out.append(Outcome(method, threshold.name, value, right, wrong, len(shown)))
+    return out
+
+
+def _tracker(scenario: Scenario, camera: Camera) -> StarTracker:
+    """The scenario's tracker with triads."""
+    section = scenario.tracker
+    return StarTracker(
+        camera,
+        catalog=section.catalog,
+        magnitude_limit=section.magnitude_limit,
+        identifier="triads",
+        estimator=section.estimator,
+        identification=section.identification,
+    )
+
+
+def _solvers(
+    scenario: Scenario, change: dict[str, Any], tracker: StarTracker
+) -> tuple[Callable[[Shown], float], Callable[[Shown], float]]:
+    """Distance of the centre from the truth, degrees, NaN without an answer: by the thesis' method, by the tracker."""
+    section = scenario.tracker
+    options = Options(edition=5, magnitude_limit=section.magnitude_limit, limits=replace(limits_of(scenario), **change))
+    changed = copy(tracker)  # with the guide stars and their tables, which no threshold changes
+    changed.identification = replace(section.identification, **change)
+
+    def hers(one: Shown) -> float:
+        plate = analyse(one.picture, options).plate
+        return np.nan if plate is None else off_deg(one.truth.attitude, plate.center_deg)
+
+    def ours(one: Shown) -> float:
+        solution = changed.solve_centroids(one.xy, one.pixels.astype(float), observer=one.frame.observer)
+        if not solution.solved:
+            return np.nan
+        return off_deg(one.truth.attitude, np.array([solution.ra_deg, solution.dec_deg]))
+
+    return hers, ours
+
+
+def section(frames: int = _FRAMES) -> Section:
+    """Thresholds against success and wrong matches (section 4.2.1 sets them by trial for one image)."""
+    outcomes = sweep(sky_frames(frames))
+    rows = []
+    for threshold in THRESHOLDS:
+        for method in _METHODS:
+            mine = [o for o in outcomes if o.method == method and o.threshold == threshold.name]
+            at = next(o for o in mine if o.value == threshold.printed)
+            best = max(mine, key=lambda o: (o.right, -o.wrong))
+            rows.append(
+                Row(
+                    "4.2.1",
+                    f"{threshold.label}, {method}",
+                    f"{threshold.printed:g}, by trial on one image",
+                    f"{best.value:g}: {best.right} of {frames} right, {best.wrong} wrong",
+                    "exact"
+                    if best.value == threshold.printed
+                    else "close"
+                    if best.right <= at.right + 2
+                    else "differs",
+                    f"at the printed value {at.right} right, {at.wrong} wrong; frames at random attitudes",
+                )
+            )
+    return Section(
+        "Thresholds of the triads on rendered frames", rows, {"threshold_sweep": lambda: sweep_figure(outcomes)}
+    )
+
+
+def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:
+    """Share of frames right (above) and wrong (below) against each threshold; bars: 95 % intervals (Wilson)."""
+    figure, panels = new_figure(2, len(THRESHOLDS), size=(9.0, 5.2), sharex="col", sharey="row")
+    for column, threshold in enumerate(THRESHOLDS):
+        for method, colour, marker, line in zip(_METHODS, (VERMILION, BLUE), "so", ("--", "-"), strict=True):
+            mine = [o for o in outcomes if o.method == method and o.threshold == threshold.name]
+            values = [o.value for o in mine]
+            for axes, counts in zip(panels[:, column], ([o.right for o in mine], [o.wrong for o in mine]), strict=True):
+                share = np.array([c / o.frames for c, o in zip(counts, mine, strict=True)])
+                bounds = np.array([wilson_interval(c, o.frames) for c, o in zip(counts, mine, strict=True)])
+                spread = np.abs(bounds.T - share)
+                axes.errorbar(
+                    values, 100 * share, 100 * spread, fmt=marker, ls=line, ms=5, mfc="none", color=colour,
+                    elinewidth=0.7, label=method,
+                )  # fmt: skip
+        for axes in panels[:, column]:
+            axes.axvline(threshold.printed, color="0.5", lw=0.8, ls=":")
+            axes.set_ylim(-4, 104)
+            if threshold.name != "vote_number":
+                axes.set_xscale("log")
+                axes.set_xticks(threshold.values, [f"{value:g}" for value in threshold.values])
+                axes.set_xticks([], minor=True)
+        panels[1, column].set_xlabel(threshold.label)
+    panels[0, 0].set_ylabel("frames right [%]")
+    panels[1, 0].set_ylabel("frames wrong [%]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure

@@ -1,0 +1,112 @@
+"""The field of view of the OEDIPUS-C camera (thesis section 4.3 and appendix D)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simulator.study.style import BLUE, ORANGE
+from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
+from simulator.theses.yee1999.rows import joined
+from startracker.identification.arithmetic import FloatArithmetic
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FOCAL_LENGTH_MM", "cropped_field_deg", "database_separations", "field_deg", "video_field"]
+
+FOCAL_LENGTH_MM = 25.0
+PIXELS = (588.02, 557.08)
+PIXELS_PER_MM = (44.3991, 53.3618)
+DIGITIZED_PX = (512, 480)
+_TAU_PX = 15.0
+
+
+def field_deg(width_mm: float, height_mm: float) -> tuple[float, float]:
+    """Field across and down, degrees: eq. D.1 between the middles of opposite edges."""
+    arithmetic = FloatArithmetic(exact=True)
+    x, y = width_mm / 2.0, height_mm / 2.0
+    # a millimetre at the centre is 1/f radians
+    image = arithmetic.image([[-x, 0.0], [x, 0.0], [0.0, -y], [0.0, y]], [np.degrees(1.0 / FOCAL_LENGTH_MM)] * 2)
+    across, down = arithmetic.image_separations(image, np.array([0, 2]), np.array([1, 3]))
+    return float(across), float(down)
+
+
+def cropped_field_deg(field: tuple[float, float]) -> tuple[float, float]:
+    """Field of what was digitized: in proportion to the pixels, as she took it."""
+    across, down = (f * have / full for f, have, full in zip(field, DIGITIZED_PX, PIXELS, strict=True))
+    return across, down
+
+
+def video_field() -> Section:
+    """Fields, sub-catalogue and Table D.1, with Fig. 4.10."""
+    stars = sub_catalog(4, 5.0, 50.0)
+    size = [p / s for p, s in zip(PIXELS, PIXELS_PER_MM, strict=True)]
+    field = field_deg(round(size[0] / 2.0, 4) * 2.0, round(size[1] / 2.0, 4) * 2.0)
+    cropped = cropped_field_deg(field)
+    combine = _TAU_PX * field[0] / DIGITIZED_PX[0]
+    rows = [
+        compare("4.3", "stars V ≤ 5.00, Dec ≥ 50°", "175", len(stars)),
+        compare("4.3", "pairs up to 40°", "8,823", len(stars.tables(40.0).separation)),
+        compare("D.1", "half the image's width", "6.6220", size[0] / 2.0, unit="mm",
+                why="from 588.02 pixels; the 558.02 that is printed gives 6.2841 mm and is a misprint"),
+        compare("D.1", "half the image's height", "5.2198", size[1] / 2.0, unit="mm"),
+        joined("D.1", "field", ["29.6716", "23.5869"], field, unit="°", why="eq. D.1, focal length 25 mm"),
+        compare("4.3", "cropped field, across", "25.8356", cropped[0], unit="°", why="× 512/588.02"),
+        compare("4.3", "cropped field, down", "20.3319", cropped[1], unit="°",
+                why="× 480/557.08; hers does not follow from the pixels printed"),
+        compare("4.3", "separation of stars that are one, τ = 15", "0.8693", combine, unit="°",
+                why="15 pixels of 29.6716°/512: the field before it was cropped"),
+        *_table_d_1(stars),
+        _agreement(cropped[0] / field[0]),
+    ]  # fmt: skip
+    return Section("The field of OEDIPUS-C", rows, {"fig_4_10_field": lambda: field_figure(stars)})
+
+
+def database_separations(stars: SubCatalog) -> list[float]:
+    """Separations of Table D.1's pairs in the sub-catalogue, degrees."""
+    tables = stars.tables(40.0)
+    pairs = np.array([stars.places([int(row["first"]), int(row["second"])]) for row in printed_rows("table_d_1")])
+    apart = tables.arithmetic.catalog_separations(tables.sky, pairs[:, 0], pairs[:, 1])
+    return [float(value) for value in tables.arithmetic.separation_degrees(apart)]
+
+
+def _table_d_1(stars: SubCatalog) -> list[Row]:
+    rows = []
+    for row, apart in zip(printed_rows("table_d_1"), database_separations(stars), strict=True):
+        printed = [row["database_deg"], row["difference_deg"]]
+        values = [apart, apart - float(row["calculated_deg"])]
+        off = abs(apart - float(row["database_deg"]))
+        name = f"HR {row['first']} and {row['second']}: separation, its difference from the image's"
+        why = "" if off <= 5e-5 else f"{off:.1e}° off: the edition"
+        made = joined("Table D.1", name, printed, values, unit="°", close=0.01, why=why)
+        rows.append(made)
+    return rows
+
+
+def _agreement(ratio: float) -> Row:
+    largest = max(
+        abs(float(row["database_deg"]) - ratio * float(row["calculated_deg"])) for row in printed_rows("table_d_1")
+    )
+    return Row("4.3", "greatest difference with the cropped field", "< 0.34°", f"{largest:.2f}°",
+               "exact" if largest < 0.34 else "close",
+               "image separations in proportion to the field across; their two components are not printed")  # fmt: skip
+
+
+def field_figure(stars: SubCatalog) -> Figure:
+    """Fig. 4.10: difference against true separation, and what the cropped field leaves of it."""
+    true = np.array(database_separations(stars))
+    seen = np.array([float(row["calculated_deg"]) for row in printed_rows("table_d_1")])
+    ratio = DIGITIZED_PX[0] / PIXELS[0]
+    slope = float(true @ (true - seen) / (true @ true))
+    figure, axes = new_figure()
+    axes.plot(true, true - seen, "o", color=BLUE, label="field of 29.67° × 23.59°")
+    line = np.array([0.0, true.max()])
+    axes.plot(line, slope * line, color=BLUE, lw=1.0, label=f"line through the origin, slope {slope:.3f}")
+    axes.plot(true, true - ratio * seen, "^", color=ORANGE, label="scaled to the cropped field")
+    axes.set_xlabel("true angular separation [°]")
+    axes.set_ylabel("true minus calculated separation [°]")
+    axes.legend()
+    return figure
