@@ -16,6 +16,7 @@ from startracker.camera import Camera
 from startracker.centroid import Centroider
 from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
+from startracker.detection.components import find_smeared
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, as_pixels, whole_range
@@ -211,7 +212,11 @@ def look_again(
     """
     if first.pixels is None or first.background is None:
         return None
-    streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, first.lines)
+    lines = first.lines
+    if not len(lines):  # not every detector looks for them
+        smeared = find_smeared(first.pixels, first.background, detection, saturation_dn)
+        lines = lines if smeared is None else _lines(smeared)
+    streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, lines)
     clock.lap("streaks")
     if streaks is None:
         return None

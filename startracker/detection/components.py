@@ -17,7 +17,7 @@ from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
-__all__ = ["find_components"]
+__all__ = ["find_components", "find_smeared"]
 
 _RAISE = 2.0
 """Factor between the thresholds at which an oversized object is looked at again."""
@@ -87,13 +87,24 @@ def find_components(
     table, parted = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
     whole = np.count_nonzero(table[:, PIXELS] >= _WHOLE_PIXELS) - parted
     if parted >= max(_FEWEST_LONG, _PARTED_SHARE * whole) or _looks_smeared(table, settings):
-        runs, signal, _ = search_filtered(pixels, background, half, 0.5 * threshold)
-        longest = _LONGEST * settings.max_pixels
-        objects, _ = measure_found(runs, signal, pixels, background, 0.5 * excess * threshold, longest, saturation, 1)
-        spots = select_smeared(objects, settings, known, background, excess)
+        spots = find_smeared(pixels, background, settings, saturation_dn)
         if spots is not None:
             return spots
     return select_spots(table, settings, known, pixels, background, half, excess)
+
+
+def find_smeared(
+    image: Image, background: Background, settings: DetectionSettings, saturation_dn: float | None = None
+) -> Spots | None:
+    """Stars drawn out by one motion of the camera, from a search at half the threshold; None where there is no such.
+
+    Parameters are those of `find_components`.
+    """
+    pixels, threshold = as_pixels(image), 0.5 * float(settings.threshold_sigma)
+    runs, signal, excess = search_filtered(pixels, background, filter_half(settings.psf_sigma_px), threshold)
+    saturation, longest = np.float32(np.inf if saturation_dn is None else saturation_dn), _LONGEST * settings.max_pixels
+    table, _ = measure_found(runs, signal, pixels, background, excess * threshold, longest, saturation, 1)
+    return select_smeared(table, settings, saturation_dn is not None, background, excess)
 
 
 def _looks_smeared(table: NDArray[np.float64], settings: DetectionSettings) -> bool:

@@ -42,7 +42,8 @@ def common_motion(
 
     A camera that turns moves the image at (x, y) by (a − c y, b + c x): two shifts and a turn about the line of
     sight (narrow field). Every pair of the brightest streaks, with either sign, proposes one by least squares; the
-    one that most streaks fit, to 12 % of the length and 1 px, is taken and fitted to them again.
+    one that most of these fit, to 12 % of the length and 1 px, is taken and fitted to all that do. Fainter objects have
+    no say before: among hundreds of them some always agree.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatAr
                 a = 0.5 * (lines[first, 0] + sign * lines[second, 0] + c * (xy[first, 1] + xy[second, 1]))
                 b = 0.5 * (lines[first, 1] + sign * lines[second, 1] - c * (xy[first, 0] + xy[second, 0]))
                 count, total = 0, 0.0
-                for k in range(len(xy)):
+                for k in range(tried):
                     p, q = a - c * xy[k, 1], b + c * xy[k, 0]
                     limit = _TOLERANCE_PX + _TOLERANCE_SHARE * np.hypot(p, q)
                     apart = min(np.hypot(lines[k, 0] - p, lines[k, 1] - q), np.hypot(lines[k, 0] + p, lines[k, 1] + q))
