@@ -317,13 +317,16 @@ def _measure(
         fits.append(made)
         results.append((covariance, chi2))
     for _ in range(_SWEEPS):
-        for k, made in enumerate(fits):
-            subtract_streak(frame.residual, made, -1.0)
-            bright = made[FLUX] > _FREE_SNR * math.sqrt(results[k][0][2, 2])
-            again, covariance, chi2 = frame.fit(made, _SHAPE if bright else _PLACE, 2.0)
+        for k, before in enumerate(fits):
+            subtract_streak(frame.residual, before, -1.0)
+            bright = before[FLUX] > _FREE_SNR * math.sqrt(results[k][0][2, 2])
+            made, covariance, chi2 = frame.fit(before, _SHAPE if bright else _PLACE, 2.0)
             if math.isfinite(chi2):
-                fits[k], results[k] = again, (covariance, chi2)
+                results[k] = covariance, chi2
+            else:
+                made = before
             subtract_streak(frame.residual, made, 1.0)
+            fits[k] = made
     return _centroids(frame, fits, results, motion, settings)
 
 

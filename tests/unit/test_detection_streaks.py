@@ -163,6 +163,23 @@ def test_positions_reach_the_bound_and_say_how_good_they_are(length: float, degr
     assert np.mean(np.square(along)) > 0.5 * (unit @ best @ unit)
 
 
+def test_bright_streaks_that_differ_a_little_are_measured_each_for_itself() -> None:
+    """Lengths differ by 3 % from the frame's motion, as in the corners of a flat image: within 4 stated errors."""
+    rng = np.random.default_rng(3)
+    image = 300.0 + NOISE * rng.standard_normal((SIZE, SIZE))
+    places = [(90.0 + 110.0 * i + rng.uniform(-9, 9), 100.0 + 150.0 * j) for i in range(4) for j in range(3)]
+    for k, (x, y) in enumerate(places):
+        along = (1.0 + 0.03 * (-1) ** k) * np.array([15.0, 42.0])
+        image += drawn(image.shape, x, y, along, 2e5 / (1.0 + k))
+    found = find_streaks(image.astype(np.float32), Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
+    assert found is not None
+    assert len(found.centroids) == len(places)
+    for place in places:
+        k = nearest(found, np.array(place))
+        error = found.centroids.xy[k] - place
+        assert error @ np.linalg.solve(found.centroids.covariance[k], error) < 16.0
+
+
 def test_no_streaks_in_noise_and_in_a_still_field() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
