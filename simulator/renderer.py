@@ -65,7 +65,7 @@ class Renderer:
         self.scenes = SceneBuilder(scenario)
         self.focal_plane = FocalPlane(scenario)
         self.camera = self.focal_plane.camera
-        self.pattern = build_fixed_pattern(scenario.detector, scenario.seed)
+        self.pattern = build_fixed_pattern(scenario.detector, scenario.seed).single()
         self.parameters = flat_parameters(scenario)
 
     def frame(

@@ -174,9 +174,10 @@ def test_order_of_the_effects():
 
 
 def test_response_acts_on_light_and_not_on_dark_current(mean):
-    pattern = FixedPattern(np.full(mean.shape, 1.1), 7.0)
+    response = np.float32(1.1)
+    pattern = FixedPattern(np.full(mean.shape, response), 7.0)
     frame = detect(mean, noiseless(), pattern, lambda name: stream(1, name))
-    np.testing.assert_allclose(frame.electrons, 1.1 * mean + 7.0, rtol=1e-15)
+    np.testing.assert_allclose(frame.electrons, float(response) * mean + 7.0, rtol=1e-15)
 
 
 def test_a_pattern_may_be_one_number(mean):
