@@ -26,6 +26,7 @@ from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
 from simulator.scenario.schema import DetectorSection
 from startracker.camera import Camera
+from startracker.image_map import ImageMap, to_pixels
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,9 +65,9 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
     """
     if len(stars) < 2:
         return np.full(3, np.nan)
-    information = star_information(renderer, truth, stars)
-    slopes = pixel_slopes(renderer.focal_plane.true_camera, truth.attitude.apply(truth.sources.direction[stars]))
-    return np.asarray(_deviations_deg(information, slopes))
+    directions = truth.attitude.apply(truth.sources.direction[stars])
+    information = _information(renderer, truth, stars, directions)
+    return np.asarray(_deviations_deg(information, pixel_slopes(renderer.focal_plane.true_camera, directions)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -124,13 +125,16 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
     renderer, truth, stars
         As for `attitude_bound_deg`.
     """
-    scenario, plane = renderer.scenario, renderer.focal_plane
-    sources, detector = truth.sources, scenario.detector
-    information = np.zeros((len(stars), 2, 2))
     if not len(stars):
-        return information
+        return np.zeros((0, 2, 2))
+    return _information(renderer, truth, stars, truth.attitude.apply(truth.sources.direction[stars]))
+
+
+def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directions: FloatArray) -> FloatArray:
+    """`star_information` of stars seen along unit vectors (N, 3) in the camera."""
+    plane, sources, detector = renderer.focal_plane, truth.sources, renderer.scenario.detector
+    information = np.empty((len(stars), 2, 2))
     assert truth.mean_electrons is not None
-    directions = truth.attitude.apply(sources.direction[stars])
     paths, weights = star_paths(
         plane.true_camera, directions, truth.rate_camera_rad_s, detector.exposure_s, plane.psfs.feature_px
     )
@@ -348,8 +352,18 @@ def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
     """∂(x, y)/∂θ (N, 2, 3), pixels per radian: how stars seen along unit vectors (N, 3) in the camera move on the image
     when it turns by small rotation vectors θ, v → v − θ × v; central differences, which lens and distortion go through.
     """
-    xy = camera.project(_turned(vectors)).reshape(len(vectors), 2, 3, 2)
-    return np.asarray((xy[:, 0] - xy[:, 1]).transpose(0, 2, 1) / (2.0 * _TURN_RAD))
+    return np.asarray(_slopes(vectors, camera.image_map))
+
+
+@njit(cache=True, error_model="numpy")
+def _slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
+    """Kernel of `pixel_slopes`."""
+    xy, out = to_pixels(_turned(vectors), image), np.empty((len(vectors), 2, 3))
+    for n in range(len(vectors)):
+        for k in range(3):
+            for axis in range(2):
+                out[n, axis, k] = (xy[6 * n + k, axis] - xy[6 * n + 3 + k, axis]) / (2.0 * _TURN_RAD)
+    return out
 
 
 @njit(cache=True, error_model="numpy")
