@@ -23,12 +23,12 @@ _NO_MAP: SingleArray = np.zeros(0, dtype=np.float32)
 
 @dataclass(frozen=True)
 class Step:
-    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream."""
+    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream or its name."""
 
     kernel: int
     values: tuple[float, ...] = ()
     map: SingleArray = field(default_factory=lambda: _NO_MAP)
-    rng: np.random.Generator | None = None
+    rng: np.random.Generator | str | None = None
 
 
 def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
