@@ -178,7 +178,7 @@ def test_order_of_the_effects():
 @pytest.mark.parametrize("more", [{}, {"antiblooming": 0.5}])
 @pytest.mark.parametrize("keep_charge", [False, True])
 def test_a_detector_made_ready_reads_frame_after_frame(mean, more, keep_charge):
-    """Nothing of one frame is left in the next; some effects on whole frames part the rows, some change them in place."""
+    """Nothing of one frame is left in the next, though some effects on whole frames change them in place."""
     chosen = section(**(ALL_ON | more))
     pattern = build_fixed_pattern(chosen, 3)
     ready = Detector(chosen, pattern)
