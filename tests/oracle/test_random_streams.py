@@ -1,0 +1,35 @@
+"""Streams against NumPy's own SeedSequence and Philox (numpy 2.x): the same bits, word for word."""
+
+import pickle
+import zlib
+
+import numpy as np
+import pytest
+
+from simulator.randomness import DEVICE, stream
+
+SEEDS = (0, 1, 7, 2**32 - 1, 2**32, 2**40 + 5, 2**64 + 3, 2**128 - 1, 2**130 + 77, 2**200)
+TRIALS = (DEVICE, 0, 1, 5, 10**6, 2**32 - 2, 2**32 - 1, 2**33, 2**70)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_streams_are_those_of_a_seed_sequence(seed):
+    for stage in ("", "shot_noise", "Zufall ä"):
+        for trial in TRIALS:
+            key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), trial + 1))
+            expected = np.random.Generator(np.random.Philox(key))
+            assert np.array_equal(
+                stream(seed, stage, trial).integers(0, 2**64, 9, np.uint64), expected.integers(0, 2**64, 9, np.uint64)
+            )
+
+
+def test_a_stream_can_be_sent():
+    there = stream(3, "pointing", 4)
+    there.random(3)
+    assert pickle.loads(pickle.dumps(there)).random() == there.random()
+
+
+@pytest.mark.parametrize(("seed", "trial"), [(-1, 0), (0, DEVICE - 1)])
+def test_numbers_below_zero_are_no_seeds(seed, trial):
+    with pytest.raises(ValueError, match="from 0"):
+        stream(seed, "a", trial)
