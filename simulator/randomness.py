@@ -3,6 +3,7 @@ workers, and a new stage shifts no other."""
 
 from __future__ import annotations
 
+import functools
 import zlib
 from typing import Any
 
@@ -30,21 +31,33 @@ def stream(seed: int, stage: str, trial: int = DEVICE) -> np.random.Generator:
     """
     if seed < 0 or trial < DEVICE:
         raise ValueError(f"streams have a seed from 0 and a trial from {DEVICE} up; got {seed} and {trial}")
-    own = _words(seed)
-    own += [0] * (_POOL - len(own))
-    words = [*own, *_words(zlib.crc32(stage.encode())), *_words(trial + 1)]
-    bits = _Hashed(_hash(np.array(words, dtype=np.uint32)))
-    return np.random.Generator(np.random.Philox(bits))  # type: ignore[arg-type]  # NumPy's stubs know its own class only
+    bits = np.random.Philox(_Seed(seed, (zlib.crc32(stage.encode()), trial + 1)))  # type: ignore[arg-type]  # NumPy's
+    return np.random.Generator(bits)  # stubs know its own class only
 
 
-class _Hashed(np.random.bit_generator.ISeedSequence):
-    """A seed sequence's first 128 bits, which are all that Philox takes."""
+class _Seed(np.random.bit_generator.ISpawnableSeedSequence):
+    """NumPy's ``SeedSequence``, which is made only for what this has not: all but the 128 bits that Philox takes."""
 
-    def __init__(self, bits: Words) -> None:
-        self._bits = bits
+    def __init__(self, seed: int, spawn_key: tuple[int, int]) -> None:
+        self._origin = seed, spawn_key
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
-        return np.asarray(self._bits.view(dtype)[:n_words])
+        if n_words * np.dtype(dtype).itemsize > 4 * _POOL:
+            return np.asarray(self._whole.generate_state(n_words, dtype))
+        seed, spawn_key = self._origin
+        words = _words(seed)
+        words += [0] * (_POOL - len(words))
+        for number in spawn_key:
+            words += _words(number)
+        return np.asarray(_hash(np.array(words, dtype=np.uint32)).view(dtype)[:n_words])
+
+    def spawn(self, n_children: int) -> list[np.random.SeedSequence]:  # type: ignore[override]  # of any kind will do
+        return self._whole.spawn(n_children)
+
+    @functools.cached_property
+    def _whole(self) -> np.random.SeedSequence:
+        seed, spawn_key = self._origin
+        return np.random.SeedSequence(entropy=seed, spawn_key=spawn_key)
 
 
 def _words(number: int) -> list[int]:

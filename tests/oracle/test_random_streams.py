@@ -23,6 +23,17 @@ def test_streams_are_those_of_a_seed_sequence(seed):
             )
 
 
+def test_children_are_those_of_the_seed_sequence():
+    """As SciPy's samplers ask for them."""
+    expected = np.random.SeedSequence(entropy=3, spawn_key=(zlib.crc32(b"a"), 5))
+    own = stream(3, "a", 4)
+    for theirs, child in zip(expected.spawn(2) + expected.spawn(1), own.spawn(2) + own.spawn(1), strict=True):
+        assert child.random() == np.random.Generator(np.random.Philox(theirs)).random()
+    for words, kind in ((2, np.uint64), (4, np.uint32), (9, np.uint32), (5, np.uint64)):
+        sequence = stream(3, "a", 4).bit_generator.seed_seq
+        assert np.array_equal(sequence.generate_state(words, kind), expected.generate_state(words, kind))
+
+
 def test_a_stream_can_be_sent():
     there = stream(3, "pointing", 4)
     there.random(3)
