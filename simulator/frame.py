@@ -6,6 +6,7 @@ attitude of its other sensors. `FrameTruth` is a separate object that the tracke
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -97,6 +98,11 @@ class TrueSources:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    @functools.cached_property
+    def is_star(self) -> NDArray[np.bool_]:
+        """Which of them are stars, (N,)."""
+        return np.asarray(self.kind == "star")
 
     def select(self, rows: NDArray[np.int64]) -> TrueSources:
         """Some of the sources, by index array."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.detector.chain import detect
+from simulator.detector.chain import Detector
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.readout import electronics_noise_e
@@ -65,8 +65,10 @@ class Renderer:
         self.scenes = SceneBuilder(scenario)
         self.focal_plane = FocalPlane(scenario)
         self.camera = self.focal_plane.camera
-        self.pattern = build_fixed_pattern(scenario.detector, scenario.seed)
+        self.pattern = build_fixed_pattern(scenario.detector, scenario.seed).single()
+        self.detector = Detector(scenario.detector, self.pattern)
         self.parameters = flat_parameters(scenario)
+        self._read_noise_e = electronics_noise_e(scenario.detector) / bunch_e(scenario.detector)
 
     def frame(
         self,
@@ -87,7 +89,7 @@ class Renderer:
 
         scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s)
         light = self.focal_plane.expose(scene)
-        readout = detect(light.mean_e, detector, self.pattern, streams, keep_charge=False, level_e=light.level_e)
+        readout = self.detector.expose(light.mean_e, streams, keep_charge=False, level_e=light.level_e)
 
         frame = Frame(
             image=readout.image,
@@ -98,7 +100,7 @@ class Renderer:
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
             offset_dn=detector.offset_dn,
-            read_noise_e=electronics_noise_e(detector) / bunch_e(detector),
+            read_noise_e=self._read_noise_e,
             prior=scene.pointing.prior if scenario.tracker.prior else None,
             prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,

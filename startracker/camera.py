@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.distortion import Distortion, project_pinhole, unproject_pinhole
+from startracker.distortion import Distortion
 from startracker.errors import InputError
-from startracker.fisheye import PROJECTIONS, fisheye_project, fisheye_unproject, limit_rad
+from startracker.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
+from startracker.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
 
 FloatArray = NDArray[np.float64]
 
@@ -218,13 +219,15 @@ class Camera:
 
     def _angle_rad(self, radius: float) -> float:
         """Angle off the axis of a radius on a fisheye's image; outside the image circle that of its edge."""
-        vector = fisheye_unproject(np.array([[radius, 0.0]]), *self._fisheye)[0]
+        image = self.image_map
+        edge = np.array([[radius, 0.0]])
+        vector = fisheye_unproject(edge, image[LENS:], bool(image[EQUISOLID]), self.limit_rad)[0]
         return math.atan2(vector[0], vector[2]) if math.isfinite(vector[2]) else self.limit_rad
 
     @property
     def limit_rad(self) -> float:
         """Largest angle from the boresight at which the camera sees: 89.9° for a pinhole, the edge of a fisheye."""
-        return math.radians(89.9) if self.projection == "pinhole" else self._fisheye[2]
+        return float(self.image_map[LIMIT_RAD])
 
     @functools.cached_property
     def half_diagonal_rad(self) -> float:
@@ -245,16 +248,18 @@ class Camera:
         return 1.0 / math.sqrt(self.fx * self.fy)
 
     @functools.cached_property
-    def _pinhole(self) -> tuple[FloatArray, float, float, float, float]:
-        """Distortion and scale as the kernel takes them."""
-        return self.distortion.as_array(), self.parity * self.fx, self.fy, self.cx, self.cy
-
-    @functools.cached_property
-    def _fisheye(self) -> tuple[FloatArray, bool, float]:
-        """Coefficients, whether equisolid, and the largest angle, as the kernels take them."""
-        lens = self.distortion
-        k = (lens.k1, lens.k2, lens.k3, lens.k4)
-        return np.array(k), self.projection == "equisolid", limit_rad(k)
+    def image_map(self) -> ImageMap:
+        """The two maps below as kernels take them."""
+        lens, pinhole = self.distortion, self.projection == "pinhole"
+        powers = (lens.k1, lens.k2, lens.k3, lens.k4)
+        return image_map(
+            (self.parity * self.fx, self.fy),
+            (self.cx, self.cy),
+            (self.width, self.height),
+            self.projection,
+            math.radians(89.9) if pinhole else limit_rad(powers),
+            lens.as_array() if pinhole else np.array(powers),
+        )
 
     # ------------------------------------------------------------------ the two maps
     def project(self, vectors: ArrayLike) -> FloatArray:
@@ -267,10 +272,7 @@ class Camera:
         v = np.asarray(vectors, dtype=float)
         if v.ndim < 2:
             v = v[None]
-        if self.projection == "pinhole":
-            return np.asarray(project_pinhole(v, *self._pinhole))
-        xy = fisheye_project(v, *self._fisheye)
-        return np.stack([self.parity * self.fx * xy[:, 0] + self.cx, self.fy * xy[:, 1] + self.cy], axis=1)
+        return np.asarray(to_pixels(v, self.image_map))
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
         """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone, and
@@ -278,10 +280,7 @@ class Camera:
         p = np.asarray(xy, dtype=float)
         if p.ndim < 2:
             p = p[None]
-        if self.projection == "pinhole":
-            return np.asarray(unproject_pinhole(p, *self._pinhole))
-        normalised = np.stack([self.parity * (p[:, 0] - self.cx) / self.fx, (p[:, 1] - self.cy) / self.fy], axis=1)
-        return np.asarray(fisheye_unproject(normalised, *self._fisheye))
+        return np.asarray(to_directions(p, self.image_map))
 
     def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
         """Whether pixels (N, 2) lie on the image, grown by a margin."""

@@ -7,7 +7,7 @@ looked at on a lattice of about a thousand pixels: the explanation is always the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -127,13 +127,13 @@ def listed_step(given: int, xy: FloatArray, flux: FloatArray | None) -> Step:
 
 
 def identification_steps(
-    texts: tuple[str, ...], reason: str, stars: int, magnitude: float, camera: Camera
+    texts: Sequence[str], reason: str, stars: int, magnitude: float, camera: Camera
 ) -> tuple[Step, ...]:
     """What identification had before it, tried, and concluded.
 
     Parameters
     ----------
-    texts : tuple of str
+    texts : sequence of str
         The identifier's own account.
     reason : str
         Its verdict.

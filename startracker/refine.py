@@ -10,11 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
-from startracker.catalog.guide import GuideDatabase
+from startracker.catalog.guide import GuideDatabase, field_cosine
+from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation import Estimator
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.verification import fit_step, focal_slopes, turned
+from startracker.image_map import ImageMap, to_pixels
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,6 +28,7 @@ _UNKNOWN_FLOOR_PX = 0.003
 _FEWEST_TO_REJECT = 4
 _MISFIT_SIGMAS = 4.0
 _MANY, _LEAST_SCALE = 10, 0.4
+_MARGIN_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,7 @@ def refine(
     guide: GuideDatabase,
     estimator: Estimator,
     free_focal: bool = False,
+    directions: FloatArray | None = None,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
 
@@ -80,6 +84,8 @@ def refine(
         The camera, the guide stars as the observer sees them, and a method of `startracker.estimation`.
     free_focal : bool
         Whether the focal length is fitted along (both axes by one factor); the covariance has its part then.
+    directions : (N, 3), optional
+        Of the centroids through the camera, where they are known.
 
     Notes
     -----
@@ -90,36 +96,31 @@ def refine(
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
     used, same = np.ascontiguousarray(pairs, dtype=np.int64), False
-    directions = camera.unproject(xy)
+    sky, grid = guide.directions, guide.grid
+    directions = camera.unproject(xy) if directions is None else directions
     for _ in range(12):
-        if free_focal:
-            directions = camera.unproject(xy)
-        matrix, reference = _first_fit(used, directions, guide.directions, sigma)
+        matrix, reference = _first_fit(used, directions, sky, sigma)
         if free_focal:
             stars = used[:, 0]
             camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
+            directions = camera.unproject(xy)
         if same:
             break
-        scale = _robust_scale(used, xy, camera.project(reference @ matrix.T), sigma, known)
-        index, _, places = guide.in_field(matrix, 3.0, camera)
-        fitting, same = _matched_again(xy, places, REJECT_SIGMAS * scale * sigma, index, used)
+        cosine = field_cosine(camera, _MARGIN_PX)
+        fitting, same = _matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
         if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
             break
         used = fitting
         if same and not free_focal:  # nor would the next fit be another
             break
-    stars, reference = used[:, 0], guide.directions[used[:, 1]]
-    measured, sigma = xy[stars], sigma[stars]
-    vectors = camera.unproject(measured) if free_focal else directions[stars]
+    vectors, reference, sigma = _chosen(used, directions, sky, sigma)
     estimate = estimator(vectors, reference, sigma * camera.pixel_rad)
     matrix, covariance = estimate.matrix, estimate.covariance
     if free_focal:
         normal, _ = _normal(camera, matrix, vectors, reference, sigma)
         covariance = np.asarray(np.linalg.inv(normal)[:3, :3], dtype=np.float64)
-    residual = measured - camera.project(reference @ matrix.T)
-    freedom = max(2 * len(stars) - (4 if free_focal else 3), 1)
-    off = (residual / sigma[:, None]).ravel()
-    chi2 = float(off @ off)
+    residual, chi2 = _residuals(used, matrix, reference, xy, sigma, camera.image_map)
+    freedom = max(2 * len(used) - (4 if free_focal else 3), 1)
     factor = max(chi2 / freedom, _UNKNOWN_FLOOR_PX**2)
     if known and factor < 1.0 + _MISFIT_SIGMAS * math.sqrt(2.0 / freedom):
         factor = 1.0
@@ -162,11 +163,34 @@ def _first_fit(
 
 
 @njit(cache=True, error_model="numpy")
+def _predicted(matrix: FloatArray, reference: FloatArray, image: ImageMap) -> FloatArray:
+    """Pixels (M, 2) of guide stars (M, 3) at an attitude (3, 3)."""
+    vectors = np.empty_like(reference)
+    for k in range(len(reference)):
+        x, y, z = reference[k]
+        for axis in range(3):
+            vectors[k, axis] = matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z
+    pixels: FloatArray = to_pixels(vectors, image)
+    return pixels
+
+
+@njit(cache=True, error_model="numpy")
 def _matched_again(
-    xy: FloatArray, places: FloatArray, gate: FloatArray, index: IntArray, used: IntArray
+    used: IntArray,
+    matrix: FloatArray,
+    reference: FloatArray,
+    xy: FloatArray,
+    sigma: FloatArray,
+    known: bool,
+    sky: FloatArray,
+    grid: VoxelGrid,
+    cosine: float,
+    image: ImageMap,
 ) -> tuple[IntArray, bool]:
-    """Pairs (M, 2) of centroids and the nearest of the guide stars `index` (K,), and whether they are those in use."""
-    near, _ = nearest_unique(xy, places, gate)
+    """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
+    scale = _robust_scale(used, xy, _predicted(matrix, reference, image), sigma, known)
+    index, _, places = stars_on_image(matrix, cosine, _MARGIN_PX, sky, grid, image)
+    near, _ = nearest_unique(xy, places, REJECT_SIGMAS * scale * sigma)
     seen = np.flatnonzero(near >= 0)
     pairs = np.empty((len(seen), 2), np.int64)
     same = len(seen) == len(used)
@@ -174,6 +198,27 @@ def _matched_again(
         pairs[k, 0], pairs[k, 1] = seen[k], index[near[seen[k]]]
         same = same and pairs[k, 0] == used[k, 0] and pairs[k, 1] == used[k, 1]
     return pairs, same
+
+
+@njit(cache=True, error_model="numpy")
+def _chosen(
+    used: IntArray, directions: FloatArray, sky: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Directions (M, 3), guide stars (M, 3) and standard errors (M,) of pairs."""
+    return directions[used[:, 0]], sky[used[:, 1]], sigma[used[:, 0]]
+
+
+@njit(cache=True, error_model="numpy")
+def _residuals(
+    used: IntArray, matrix: FloatArray, reference: FloatArray, xy: FloatArray, sigma: FloatArray, image: ImageMap
+) -> tuple[FloatArray, float]:
+    """Measured minus predicted (M, 2) of pairs, and χ²."""
+    residual, chi2 = _predicted(matrix, reference, image), 0.0
+    for k in range(len(used)):
+        for axis in range(2):
+            residual[k, axis] = xy[used[k, 0], axis] - residual[k, axis]
+            chi2 += (residual[k, axis] / sigma[k]) ** 2
+    return residual, chi2
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 __all__ = ["Step", "Steps"]
 
@@ -25,38 +25,41 @@ class Step:
     text: str
 
 
-class Steps(Sequence[Step]):
+Finding = TypeVar("Finding", Step, str)
+
+
+class Steps(Sequence[Finding]):
     """Findings in order, put into words when they are first read: most solves are asked for their attitude alone.
 
     Parameters
     ----------
-    *parts : Step, iterable of Step, or function without arguments that gives either
+    *parts : Step or str, iterable of such, or function without arguments that gives either
     """
 
-    def __init__(self, *parts: Step | Iterable[Step] | Callable[[], Step | Iterable[Step]]) -> None:
-        self._parts = parts
-        self._told: tuple[Step, ...] | None = None
+    def __init__(self, *parts: Finding | Iterable[Finding] | Callable[[], Finding | Iterable[Finding]]) -> None:
+        self._parts: tuple[Any, ...] = parts
+        self._told: tuple[Finding, ...] | None = None
 
-    def _all(self) -> tuple[Step, ...]:
+    def _all(self) -> tuple[Finding, ...]:
         if self._told is None:
-            told: list[Step] = []
+            told: list[Any] = []
             for part in self._parts:
                 found = part() if callable(part) else part
-                told.extend((found,) if isinstance(found, Step) else found)
+                told.extend((found,) if isinstance(found, (Step, str)) else found)
             self._told, self._parts = tuple(told), ()
         return self._told
 
     def __len__(self) -> int:
         return len(self._all())
 
-    def __iter__(self) -> Iterator[Step]:
+    def __iter__(self) -> Iterator[Finding]:
         return iter(self._all())
 
     @overload
-    def __getitem__(self, place: int) -> Step: ...
+    def __getitem__(self, place: int) -> Finding: ...
     @overload
-    def __getitem__(self, place: slice) -> tuple[Step, ...]: ...
-    def __getitem__(self, place: int | slice) -> Step | tuple[Step, ...]:
+    def __getitem__(self, place: slice) -> tuple[Finding, ...]: ...
+    def __getitem__(self, place: int | slice) -> Finding | tuple[Finding, ...]:
         return self._all()[place]
 
     def __eq__(self, other: object) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker import centroid as centroiding
@@ -33,6 +34,7 @@ from startracker.front_end import (
 )
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.image_map import ImageMap, to_directions
 from startracker.observer import Observer
 from startracker.refine import refine
 from startracker.registry import lookup
@@ -44,6 +46,7 @@ from startracker.whole_field import MISFIT_PX, is_whole, misfit_px
 __all__ = ["StarTracker"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 STATED_PX = 0.15
 """Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
@@ -165,7 +168,7 @@ class StarTracker:
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return replace(solution, steps=Steps(steps, solution.steps, tips))
+        return replace(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
 
     def solve_centroids(
         self,
@@ -204,6 +207,7 @@ class StarTracker:
         steps = (
             listed_step(np.size(xy) // 2, points, signal),
             *solution.steps,
+            *attitude_steps(solution),
             *hints(solution.status, len(points), known_camera=True),
         )
         return replace(solution, steps=steps)
@@ -249,11 +253,11 @@ class StarTracker:
             if drawn is not None:
                 again = solve(drawn)
                 if again.solved or not solution.solved:
-                    return again, drawn, (*steps, *solution.steps, *drawn.steps)
+                    return again, drawn, (*steps, *solution.steps, *attitude_steps(solution), *drawn.steps)
         if solution.solved and (drawn is not None or misfit_px(solution) > MISFIT_PX):
             within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
-            solution = replace(refused, steps=solution.steps)
+            solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
         return solution, spots, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
@@ -290,15 +294,10 @@ class StarTracker:
                 Step("identification", solution.reason),
             )
             if solution.solved:
-                steps = (*tried, *attitude_steps(solution))
-                return replace(solution, times_ms=clock.times_ms(), steps=steps)
-        vectors = self.camera.unproject(xy) if len(xy) else np.empty((0, 3))
+                return replace(solution, times_ms=clock.times_ms(), steps=tried)
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        # beyond the lens model's fold there are no directions, NaN on all axes
-        usable = np.flatnonzero(np.isfinite(vectors[:, 2]) & (stated < WORST_PX))
-        observed = Observed(
-            vectors[usable], None if flux is None else flux[usable], stated[usable] * self.camera.pixel_rad
-        )
+        directions, usable, vectors, sigma = _seen(xy, stated, self.camera.pixel_rad, self.camera.image_map)
+        observed = Observed(vectors, None if flux is None else flux[usable], sigma)
         found = self._identify(observed, guide, self.identification, prior)
         if prior is not None and found.status in (Status.NO_MATCH, Status.AMBIGUOUS):
             elsewhere = self._identify(observed, guide, self.identification, None)
@@ -316,7 +315,8 @@ class StarTracker:
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
-            refined = refine(pairs, xy, variance_px2, camera, guide, self._estimate, free)
+            known = None if free else directions
+            refined = refine(pairs, xy, variance_px2, camera, guide, self._estimate, free, directions=known)
         except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
             return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
@@ -329,7 +329,7 @@ class StarTracker:
             refined.residual_px,
         )
         clock.lap("attitude")
-        solution = Solution(
+        return Solution(
             Status.SOLVED,
             found.reason + _off_focus(refined.camera.fx / self.camera.fx),
             Attitude.from_matrix(refined.matrix),
@@ -340,8 +340,8 @@ class StarTracker:
             self.camera.parity,
             clock.times_ms(),
             refined.camera,
+            tried,
         )
-        return replace(solution, steps=Steps(tried, partial(attitude_steps, solution)))
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
@@ -354,6 +354,22 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
+
+
+@njit(cache=True, error_model="numpy")
+def _seen(
+    xy: FloatArray, stated_px: FloatArray, pixel_rad: float, image: ImageMap
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """Directions (N, 3) of centroids, those that are of use (M,), and directions and standard errors, rad, of these."""
+    directions = to_directions(xy, image)
+    usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
+    for n in range(len(xy)):
+        # beyond the lens model's fold there are no directions, NaN on all axes
+        if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
+            usable[count], sigma[count] = n, stated_px[n] * pixel_rad
+            count += 1
+    usable = usable[:count]
+    return directions, usable, directions[usable], sigma[:count]
 
 
 def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from simulator import Renderer, Scenario
-from simulator.detector.chain import Readout, detect
+from simulator.detector.chain import Readout
 from simulator.randomness import stream
 from simulator.scene import Scene
 from startracker.attitude import direction_to_radec
@@ -107,7 +107,7 @@ def expose(made: Renderer, what: Scene, index: int) -> Readout:
     """Frame of a scene: focal plane and detector."""
     light = made.focal_plane.expose(what)
     streams = partial(_stream, made.scenario.seed, index)
-    return detect(light.mean_e, made.scenario.detector, made.pattern, streams, keep_charge=False, level_e=light.level_e)
+    return made.detector.expose(light.mean_e, streams, keep_charge=False, level_e=light.level_e)
 
 
 def _stream(seed: int, trial: int, stage: str) -> np.random.Generator:

@@ -1,6 +1,6 @@
 """The detector: mean photo-electrons in, digital numbers out. The order of its effects is declared in `chain.py`."""
 
-from simulator.detector.chain import CHARGE, READOUT, Readout, detect
+from simulator.detector.chain import CHARGE, READOUT, Detector, Readout, detect
 from simulator.detector.fixed_pattern import FixedPattern, build_fixed_pattern
 
-__all__ = ["CHARGE", "READOUT", "FixedPattern", "Readout", "build_fixed_pattern", "detect"]
+__all__ = ["CHARGE", "READOUT", "Detector", "FixedPattern", "Readout", "build_fixed_pattern", "detect"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
+Map = NDArray[np.float64] | NDArray[np.float32]
+
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
@@ -21,9 +23,9 @@ class FixedPattern:
 
     Parameters
     ----------
-    prnu : (H, W) float64 or float
+    prnu : (H, W) array or float
         Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
-    dark_e : (H, W) float64 or float
+    dark_e : (H, W) array or float
         Mean dark electrons of each pixel over the exposure; a scalar where all pixels are alike.
     dead : (H, W) bool, optional
         Dead pixels and columns; None where there are none.
@@ -31,10 +33,18 @@ class FixedPattern:
         Hot pixels and columns, however little they glow; None where there are none.
     """
 
-    prnu: NDArray[np.float64] | float
-    dark_e: NDArray[np.float64] | float
+    prnu: Map | float
+    dark_e: Map | float
     dead: NDArray[np.bool_] | None = None
     hot: NDArray[np.bool_] | None = None
+
+    def single(self) -> FixedPattern:
+        """The same in single precision, as frames take it: half as much to fetch from slow memory each time, and no
+        pixel is known to seven digits."""
+        prnu, dark_e = (
+            map_.astype(np.float32) if isinstance(map_, np.ndarray) else map_ for map_ in (self.prnu, self.dark_e)
+        )
+        return replace(self, prnu=prnu, dark_e=dark_e)
 
     def bad_pixels(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Map of all defects, (H, W) bool: what a calibrated tracker may leave out."""

@@ -7,7 +7,7 @@ drawn from a table of the row's outcome (`level.py`), and the others gathered in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -38,6 +38,7 @@ from startracker.errors import InputError
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+Streams = Callable[[str], np.random.Generator]
 
 TILE = 2048
 """Pixels at a time. Part of what a seed means: pixel k takes word (k mod TILE) div (TILE/4) of the block of counter
@@ -46,50 +47,76 @@ _TILE, _QUARTER, _TWO = np.uint64(TILE), np.uint64(TILE // 4), np.uint64(2)
 _VALUES = 3
 _MANY = 4
 """Where more than one pixel in so many is off the level, the tile is walked as it lies."""
-_NO_KEY: Key = np.zeros(2, dtype=np.uint64)
 
 
 def walk(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any], level: float | None = None) -> None:
-    """Take an image through a row of steps.
+    """Take an image through a row of steps: see `Row`."""
+    Row(steps).walk(signal, out, level)
+
+
+class Row:
+    """A row of steps, ready for any number of images.
 
     Parameters
     ----------
-    signal : (H, W) float64, contiguous
-        Left as it is.
     steps : sequence of Step
         In their order.
-    out : (H, W) float64 or uint16, contiguous
-        Takes the outcome; may be `signal`. Whole numbers in range are needed for uint16: `CONVERT` comes last.
-    level : float, optional
-        Signal that many pixels share. Where their outcome has a table they take it from there, by the word of the first
-        random step: other numbers than without a level, of the same distribution.
-
-    Raises
-    ------
-    InputError
-        Where light is negative or not finite, or the mean of a Poisson number, with response and dark current, is not
-        in 0 to `LARGEST_MEAN`.
     """
-    if not (signal.flags.c_contiguous and out.flags.c_contiguous):
-        raise ValueError("walk works on C-contiguous arrays only")
-    how, rest = begin(steps)
-    values = np.zeros((len(rest), _VALUES))
-    keys = np.zeros((len(rest), 2), dtype=np.uint64)
-    for k, step in enumerate(rest):
-        values[k, : len(step.values)] = step.values
-        keys[k] = _NO_KEY if step.rng is None else draw_key(step.rng)
-    kernels = np.array([step.kernel for step in rest], dtype=np.int64)
-    pixels, target = signal.reshape(-1), out.reshape(-1)
-    table = None if level is None else level_table(level, how, rest, signal.size)
-    if level is None or table is None:
-        stopped = _walk(pixels, how, kernels, values, keys, target)
-    else:
-        chance = next(k for k, step in enumerate(rest) if step.rng is not None)
-        stopped = _walk_about_level(pixels, how, kernels, values, keys, float(level), table, keys[chance], target)
-    if stopped == LIGHT:
-        raise InputError("mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up")
-    if stopped == SHOT_NOISE:
-        raise InputError(f"a pixel's mean electrons cannot be counted: they must lie in 0 to {LARGEST_MEAN:g}")
+
+    def __init__(self, steps: Sequence[Step]) -> None:
+        self._how, self._rest = begin(steps)
+        self._values = np.zeros((len(self._rest), _VALUES))
+        for k, step in enumerate(self._rest):
+            self._values[k, : len(step.values)] = step.values
+        self._kernels = np.array([step.kernel for step in self._rest], dtype=np.int64)
+        self._random = [(k, step.rng) for k, step in enumerate(self._rest) if step.rng is not None]
+
+    def walk(
+        self, signal: FloatArray, out: NDArray[Any], level: float | None = None, streams: Streams | None = None
+    ) -> None:
+        """Take an image through the row.
+
+        Parameters
+        ----------
+        signal : (H, W) float64, contiguous
+            Left as it is.
+        out : (H, W) float64 or uint16, contiguous
+            Takes the outcome; may be `signal`. Whole numbers in range are needed for uint16: `CONVERT` comes last.
+        level : float, optional
+            Signal that many pixels share. Where their outcome has a table they take it from there, by the word of the
+            first random step: other numbers than without a level, of the same distribution.
+        streams : callable, optional
+            Gives the generators of steps that name their streams.
+
+        Raises
+        ------
+        InputError
+            Where light is negative or not finite, or the mean of a Poisson number, with response and dark current, is
+            not in 0 to `LARGEST_MEAN`.
+        """
+        if not (signal.flags.c_contiguous and out.flags.c_contiguous):
+            raise ValueError("walk works on C-contiguous arrays only")
+        how, kernels, values = self._how, self._kernels, self._values
+        keys = np.zeros((len(kernels), 2), dtype=np.uint64)
+        for k, source in self._random:
+            if isinstance(source, str):
+                assert streams is not None, "a step names its stream, and nobody gives it"
+                keys[k] = draw_key(streams(source))
+            else:
+                keys[k] = draw_key(source)
+        pixels, target = signal.reshape(-1), out.reshape(-1)
+        table = None if level is None else level_table(level, how, self._rest, signal.size)
+        if level is None or table is None:
+            stopped = _walk(pixels, how, kernels, values, keys, target)
+        else:
+            key = keys[self._random[0][0]]
+            stopped = _walk_about_level(pixels, how, kernels, values, keys, float(level), table, key, target)
+        if stopped == LIGHT:
+            raise InputError(
+                "mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up"
+            )
+        if stopped == SHOT_NOISE:
+            raise InputError(f"a pixel's mean electrons cannot be counted: they must lie in 0 to {LARGEST_MEAN:g}")
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -14,27 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
 
 LIGHT, PHOTO_RESPONSE, DARK_SIGNAL, SHOT_NOISE, CLIP, NORMAL_NOISE, BEND, AMPLIFY, CONVERT = range(9)
 _BEGINNING = (LIGHT, PHOTO_RESPONSE, DARK_SIGNAL)
-_NO_MAP: FloatArray = np.zeros(0)
+_NO_MAP: SingleArray = np.zeros(0, dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Step:
-    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream."""
+    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream or its name."""
 
     kernel: int
     values: tuple[float, ...] = ()
-    map: FloatArray = field(default_factory=lambda: _NO_MAP)
-    rng: np.random.Generator | None = None
+    map: SingleArray = field(default_factory=lambda: _NO_MAP)
+    rng: np.random.Generator | str | None = None
 
 
-def of_map(kernel: int, map_: FloatArray | float) -> Step:
-    """Step with a value for each pixel, or the same for all."""
+def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
+    """Step with a value for each pixel, to seven digits, or the same for all."""
     if np.ndim(map_) == 0:
         return Step(kernel, (float(map_),))
-    return Step(kernel, map=np.ascontiguousarray(map_, dtype=np.float64).reshape(-1))
+    return Step(kernel, map=np.ascontiguousarray(map_, dtype=np.float32).reshape(-1))
 
 
 _ALL_OF_IT, _NO_DARK = Step(PHOTO_RESPONSE, (1.0,)), Step(DARK_SIGNAL, (0.0,))
@@ -49,15 +50,15 @@ class Collection(NamedTuple):
         Whether the signal is light, which has to be finite and not negative.
     response, dark_e : float
         Of all pixels.
-    responses, darks_e : (N,) float64
+    responses, darks_e : (N,) float32
         Of each pixel, in place of those of all; empty where all are alike.
     """
 
     light: bool
     response: float
-    responses: FloatArray
+    responses: SingleArray
     dark_e: float
-    darks_e: FloatArray
+    darks_e: SingleArray
 
 
 def begin(steps: Sequence[Step]) -> tuple[Collection, list[Step]]:

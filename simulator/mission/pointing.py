@@ -105,13 +105,32 @@ def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
     InputError
         Where position and velocity span no plane.
     """
+    return _local_level(r_km, v_km_s)[0]
+
+
+def _local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> tuple[Attitude, float]:
+    """`local_level`, and its rate |r × v| / r², rad/s."""
     r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
-    place, momentum = r.tolist(), _cross(r.tolist(), v.tolist())
-    distance, turn = math.hypot(*place), math.hypot(*momentum)
-    if not turn > 1e-9 * distance * math.hypot(*v.tolist()):
+    matrix, rate_rad_s = _level_axes(r, v)
+    if math.isnan(rate_rad_s):
         raise InputError(f"no local level: position {r} km and velocity {v} km/s span no plane")
-    z, y = [-a / distance for a in place], [-a / turn for a in momentum]
-    return Attitude.from_matrix(np.array([_cross(y, z), y, z]), "icrs", "local_level")
+    return Attitude.from_matrix(matrix, "icrs", "local_level"), rate_rad_s
+
+
+@njit(cache=True, error_model="numpy")
+def _level_axes(r: FloatArray, v: FloatArray) -> tuple[FloatArray, float]:
+    """Kernel of `_local_level`: matrix (3, 3) and rate, NaN where position and velocity span no plane."""
+    axes, momentum = np.empty((3, 3)), np.empty(3)
+    momentum[0], momentum[1] = r[1] * v[2] - r[2] * v[1], r[2] * v[0] - r[0] * v[2]
+    momentum[2] = r[0] * v[1] - r[1] * v[0]
+    distance, speed = math.sqrt((r * r).sum()), math.sqrt((v * v).sum())
+    turn = math.sqrt((momentum * momentum).sum())
+    if not turn > 1e-9 * distance * speed:
+        return axes, math.nan
+    axes[1], axes[2] = momentum / -turn, r / -distance
+    y, z = axes[1], axes[2]
+    axes[0, 0], axes[0, 1], axes[0, 2] = y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]
+    return axes, turn / distance**2
 
 
 def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: np.random.Generator) -> Pointing:
@@ -135,9 +154,8 @@ def point(section: PointingSection, r_km: FloatArray, v_km_s: FloatArray, rng: n
     InputError
         For an unknown mounting, or a state without an orbital plane.
     """
-    nominal = _offset(section) @ local_level(r_km, v_km_s)
-    orbital_rate = math.hypot(*_cross(r_km.tolist(), v_km_s.tolist())) / float(r_km @ r_km)
-    return _pointing(section, nominal, _level_rate(orbital_rate), rng.uniform(-1.0, 1.0, 3))
+    level, orbital_rate = _local_level(r_km, v_km_s)
+    return _pointing(section, _offset(section) @ level, _level_rate(orbital_rate), rng.uniform(-1.0, 1.0, 3))
 
 
 def point_at_random(section: PointingSection, rng: np.random.Generator, orbital_rate_rad_s: float = 0.0) -> Pointing:
@@ -232,10 +250,6 @@ def boresight_path(orbit: Orbit, section: PointingSection, t_s: ArrayLike) -> Bo
     ra, dec = np.degrees(direction_to_radec(direction))
     ra_date, dec_date = np.degrees(direction_to_radec(of_date))
     return BoresightPath(ra, dec, ra_date, dec_date)
-
-
-def _cross(a: list[float], b: list[float]) -> list[float]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _axes(r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
@@ -150,11 +151,11 @@ class Psf:
         electrons : (N,) array
             Electrons of the stars.
         """
-        e = np.maximum(np.asarray(electrons, dtype=float), 1e-9)
+        e = np.asarray(electrons, dtype=float)
         if self.core is None or self.wing is None:
             limit_e = 2.0 * math.pi * self.sigma_px * self.sigma_y_px * WING_LIMIT_E
-            faint = np.sqrt(2.0 * np.log(np.maximum(e / limit_e, 1.0)))
-            return np.asarray(self.sigma_px * np.maximum(_LEAST_SIGMAS, faint))
+            return np.asarray(_gaussian_radius_px(e.ravel(), limit_e, self.sigma_px)).reshape(e.shape)
+        e = np.maximum(e, 1e-9)
         wanted = _reach(self.wing, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
         half = self.core_half_px
         winged = np.clip(wanted, least_radius(half, self.aspect), WING_RADIUS_PX - TAPER_PX - 1.0)
@@ -168,6 +169,15 @@ class Psf:
             return math.erf(1.0 / (scale * self.sigma_px)) * math.erf(1.0 / (scale * self.sigma_y_px))
         middle = self.core.shape[0] // 2
         return float(self.core[middle, middle].max())
+
+
+@njit(cache=True, error_model="numpy")
+def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) -> FloatArray:
+    """Kernel: where Gaussians whose peak is electrons (N,) / `limit_e` of the limit fall to it, and not too near."""
+    out = np.empty(len(electrons))
+    for n in range(len(electrons)):
+        out[n] = sigma_px * max(_LEAST_SIGMAS, math.sqrt(2.0 * math.log(max(electrons[n] / limit_e, 1.0))))
+    return out
 
 
 def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.jitter import JitterPath
 from startracker.camera import Camera
+from startracker.image_map import ImageMap, to_pixels
 
 FloatArray = NDArray[np.float64]
 
@@ -105,12 +106,13 @@ def star_paths(
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
     if jitter is None:
         nodes, weights = exposure_nodes(streak_px, feature_px)
-        return _places(camera, _turning(directions, turn, nodes / 2.0, math.cos(limit_rad)), len(nodes)), weights
+        xy = _turning_places(directions, turn, nodes / 2.0, math.cos(limit_rad), camera.image_map)
+        return np.asarray(xy), weights
     wander_px = wander_length_px(camera, jitter, exposure_s, limit_rad)
     nodes, weights = exposure_nodes(streak_px + wander_px, feature_px, jitter.max_hz * exposure_s)
     shaking = rotation_matrices(-jitter.at(nodes * exposure_s / 2.0))
     vectors = _turned(directions, shaking @ _rotations(turn, nodes / 2.0), math.cos(limit_rad))
-    return _places(camera, vectors, len(nodes)), weights
+    return camera.project(vectors).reshape(-1, len(nodes), 2), weights
 
 
 def path_limit_rad(camera: Camera, margin_px: float) -> float:
@@ -137,8 +139,7 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
         return 0.0
     # of a turn by θ a chord misses θ²/24 of its arc: few suffice for the small turns of most exposures
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
-    vectors = _turning(directions, turn, _ends(chords), math.cos(limit_rad))
-    return float(_longest(_places(camera, vectors, chords + 1)))
+    return float(_longest_turning(directions, turn, _ends(chords), math.cos(limit_rad), camera.image_map))
 
 
 @functools.lru_cache(maxsize=64)
@@ -162,16 +163,23 @@ def _longest(xy: FloatArray) -> float:
     return longest
 
 
-def _places(camera: Camera, vectors: FloatArray, moments: int) -> FloatArray:
-    """(N, K, 2) pixels of vectors (N K, 3), those of a star's K moments one after the other."""
-    return camera.project(vectors).reshape(-1, moments, 2)
+@njit(cache=True, error_model="numpy")
+def _turning_places(
+    directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float, image: ImageMap
+) -> FloatArray:
+    """Kernel: pixels (N, K, 2) of `_turned` by the rotation vectors `moments` (K,) × `turn`."""
+    vectors = _turned(directions, _rotations(turn, moments), least_z)
+    places: FloatArray = to_pixels(vectors, image).reshape(len(directions), len(moments), 2)
+    return places
 
 
 @njit(cache=True, error_model="numpy")
-def _turning(directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float) -> FloatArray:
-    """Kernel: `_turned` by the rotation vectors `moments` × `turn`."""
-    turned: FloatArray = _turned(directions, _rotations(turn, moments), least_z)
-    return turned
+def _longest_turning(
+    directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float, image: ImageMap
+) -> float:
+    """Kernel: `_longest` of the paths of `_turning_places`."""
+    length: float = _longest(_turning_places(directions, turn, moments, least_z, image))
+    return length
 
 
 @njit(cache=True, error_model="numpy")

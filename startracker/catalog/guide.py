@@ -20,7 +20,7 @@ from startracker.catalog.field_shape import FieldShape, field_shape
 from startracker.catalog.places import seen_directions
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import VoxelGrid, on_image, stars_around, stars_in_cone, voxel_grid
+from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image, voxel_grid
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.observer import Observer
@@ -238,10 +238,11 @@ class GuideDatabase:
         """The stars and the field as kernels take them; the grid and the outline are made when first asked for."""
         if not self._shape:
             self._shape.append(field_shape(self.camera))
-        return SkyView(self.directions, self.v_mag, self._cubes, self._shape[0], self.solid_angle_sr)
+        return SkyView(self.directions, self.v_mag, self.grid, self._shape[0], self.solid_angle_sr)
 
     @property
-    def _cubes(self) -> VoxelGrid:
+    def grid(self) -> VoxelGrid:
+        """Where the stars are, for kernels; made when first asked for."""
         if not self._grid:
             self._grid.append(voxel_grid(self.directions))
         return self._grid[0]
@@ -249,7 +250,7 @@ class GuideDatabase:
     def in_cone(self, axis: FloatArray, radius_rad: float) -> IntArray:
         """Indices of the guide stars within `radius_rad` of a unit vector, ascending (brightest first)."""
         x, y, z = map(float, axis)
-        near = stars_in_cone(x, y, z, math.cos(min(radius_rad, math.pi)), self.directions, self._cubes)
+        near = stars_in_cone(x, y, z, math.cos(min(radius_rad, math.pi)), self.directions, self.grid)
         near.sort()
         return np.asarray(near, dtype=np.int64)
 
@@ -262,12 +263,16 @@ class GuideDatabase:
         -------
         index (K,), vectors (K, 3) in the camera frame, pixels (K, 2); brightest first.
         """
-        half_diagonal = self.half_diagonal_rad if camera is None else camera.half_diagonal_rad
         camera = camera or self.camera
-        cosine = math.cos(min(half_diagonal + 1.5 * margin_px * camera.pixel_rad, math.pi))
-        index, vectors = stars_around(np.ascontiguousarray(matrix), cosine, self.directions, self._cubes)
-        found = on_image(index, vectors, camera.project(vectors), camera.width, camera.height, float(margin_px))
+        cosine = field_cosine(camera, margin_px)
+        matrix = np.ascontiguousarray(matrix)
+        found = stars_on_image(matrix, cosine, float(margin_px), self.directions, self.grid, camera.image_map)
         return found[0], found[1], found[2]
+
+
+def field_cosine(camera: Camera, margin_px: float = 0.0) -> float:
+    """Cosine of the largest angle between the boresight and a place on the image, grown by a margin."""
+    return math.cos(min(camera.half_diagonal_rad + 1.5 * margin_px * camera.pixel_rad, math.pi))
 
 
 def field_of(camera: Camera) -> tuple[float, float]:

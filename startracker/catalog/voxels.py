@@ -13,7 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["VoxelGrid", "on_image", "star_within", "stars_around", "stars_in_cone", "voxel_grid"]
+from startracker.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
+
+__all__ = ["VoxelGrid", "star_within", "stars_around", "stars_in_cone", "stars_on_image", "voxel_grid"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -126,20 +128,17 @@ def stars_around(
 
 
 @njit(cache=True, error_model="numpy")
-def on_image(
-    index: IntArray, vectors: FloatArray, xy: FloatArray, width: int, height: int, margin_px: float
+def stars_on_image(
+    matrix: FloatArray, cosine: float, margin_px: float, directions: FloatArray, grid: VoxelGrid, image: ImageMap
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Those of stars with pixels (K, 2) that lie on the image, grown by a margin: index, vectors and pixels."""
-    kept, count = np.empty(len(index), np.int64), 0
+    """Stars on an image, grown by a margin, at the attitude `matrix` (3, 3): ascending, their vectors (K, 3) in the
+    camera frame, and pixels (K, 2). None is farther from the boresight than an angle of this cosine."""
+    index, vectors = stars_around(matrix, cosine, directions, grid)
+    xy = to_pixels(vectors, image)
+    low, right, bottom = -0.5 - margin_px, image[WIDTH] - 0.5 + margin_px, image[HEIGHT] - 0.5 + margin_px
+    count = 0
     for k in range(len(index)):
-        x, y = xy[k, 0], xy[k, 1]
-        if (
-            x >= -0.5 - margin_px
-            and x < width - 0.5 + margin_px
-            and y >= -0.5 - margin_px
-            and y < height - 0.5 + margin_px
-        ):
-            kept[count] = k
+        if low <= xy[k, 0] < right and low <= xy[k, 1] < bottom:
+            index[count], vectors[count], xy[count] = index[k], vectors[k], xy[k]
             count += 1
-    kept = kept[:count]
-    return index[kept], vectors[kept], xy[kept]
+    return index[:count], vectors[:count], xy[:count]

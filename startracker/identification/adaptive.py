@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.bayes_factor import count_table
-from startracker.identification.hypothesis import Bench, hypothesis_of, magnitudes_or_nan, too_few
+from startracker.identification.hypothesis import Bench, hypothesis_of, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.search_state import Finds, Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, search_triangles, triangle_costs
@@ -93,6 +93,7 @@ _MOST_STARS = 120
 _BRIGHT = 9
 _LEAST_SIDE = 0.12
 _MOST_FINDS = 12
+_NO_PRIOR = np.eye(3)
 
 
 def adaptive(
@@ -129,7 +130,7 @@ def adaptive(
         observed.vectors,
         focal_slopes(observed.vectors),
         observed.sigma_rad,
-        magnitudes_or_nan(observed),
+        observed.magnitudes_or_nan(),
         count_table(len(observed), 2 * len(observed) + MOST_EXTRA),
     )
     near = (
@@ -191,10 +192,10 @@ def _enough(turn: _Turn, stars: int) -> int:
 
 
 def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
-    prior, matrix, cosine = bench.prior, np.eye(3), -2.0
+    prior, matrix, cosine = bench.prior, _NO_PRIOR, -2.0
     if prior is not None:
         slack = prior.radius_rad + 6.0 * turn.multiple * float(observed.sigma_rad.max()) + turn.focal_range
-        matrix, cosine = np.ascontiguousarray(prior.attitude.as_matrix()), math.cos(min(slack, math.pi))
+        matrix, cosine = prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
     tolerance, sure = bench.settings.magnitude_tolerance, bench.sure_evidence
     return Limits(
         turn.multiple,
@@ -203,7 +204,7 @@ def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
         turn.chance_hits,
         sure,
         turn.work,
-        np.ascontiguousarray(matrix),
+        matrix,
         cosine,
     )
 
@@ -257,8 +258,8 @@ class _Triangles:
 
 
 def _no_finds(n: int) -> Finds:
+    """Room for hypotheses; whoever looks at it knows how many there are."""
     h = _MOST_FINDS
     return Finds(
-        np.full(h, -np.inf), np.empty((h, 3, 3)), np.zeros(h), np.ones(h), np.zeros(h, np.int64),
-        np.full((h, n), -1, np.int64),
-    )  # fmt: skip
+        np.empty(h), np.empty((h, 3, 3)), np.empty(h), np.empty(h), np.empty(h, np.int64), np.empty((h, n), np.int64)
+    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -19,6 +20,7 @@ from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.verification import MOST_EXTRA, focal_slopes, match_nearest, verify_attitude
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
+from startracker.trace import Steps
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -105,7 +107,7 @@ def verify(
         observed.vectors,
         focal_slopes(observed.vectors),
         observed.sigma_rad,
-        magnitudes_or_nan(observed),
+        observed.magnitudes_or_nan(),
         guide.view,
         float(scale),
         focal is not None,
@@ -114,21 +116,23 @@ def verify(
     return hypothesis_of(found)
 
 
-def magnitudes_or_nan(observed: Observed) -> FloatArray:
-    """Instrumental magnitudes (N,), NaN where they are not known."""
-    magnitude = observed.magnitudes()
-    return np.full(len(observed), np.nan) if magnitude is None else magnitude
-
-
 def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) -> Hypothesis | None:
     """What `verify_attitude` says, as an object; None when fewer than three stars agree."""
     log_b, matrix, focal, scale, in_field, guide_of = found
     if not log_b > -math.inf:
         return None
-    seen = np.flatnonzero(guide_of >= 0)
-    pairs = np.empty((len(seen), 2), np.int64)
-    pairs[:, 0], pairs[:, 1] = seen, guide_of[seen]
-    return Hypothesis(matrix, pairs, float(log_b), float(scale), int(in_field), math.exp(focal))
+    return Hypothesis(matrix, _pairs(guide_of), float(log_b), float(scale), int(in_field), math.exp(focal))
+
+
+@njit(cache=True, error_model="numpy")
+def _pairs(guide_of: IntArray) -> IntArray:
+    """Pairs (M, 2) of observed stars and their guide stars (N,), where that is not −1."""
+    pairs, count = np.empty((len(guide_of), 2), np.int64), 0
+    for star in range(len(guide_of)):
+        if guide_of[star] >= 0:
+            pairs[count, 0], pairs[count, 1] = star, guide_of[star]
+            count += 1
+    return pairs[:count]
 
 
 def too_few(observed: Observed, least: int) -> Identification:
@@ -180,8 +184,10 @@ class Bench:
         """Logarithm of the chance that the best hypothesis is none: (1 + Σ B of the others) p / B, p the density."""
         if not self.standing:
             return 0.0
-        others = [h.log_evidence for h in self.standing[1:]]
-        return self._log_density + float(np.logaddexp.reduce([-self._gain, *others])) - self.standing[0].log_evidence
+        best, *others = (h.log_evidence for h in self.standing)
+        largest = max(-self._gain, *others) if others else -self._gain
+        rivals = math.exp(-self._gain - largest) + sum(math.exp(other - largest) for other in others)
+        return self._log_density + largest + math.log(rivals) - best
 
     @property
     def surely(self) -> bool:
@@ -228,7 +234,7 @@ class Bench:
             return Identification(Status.NO_MATCH, f"no attitude explains three stars: {seen}", steps=tuple(self.tried))
         best, chance, limit = self.standing[0], self.log_chance, self.settings.false_alarm_rate
         says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
-        steps = (*self.tried, *(_describe(h) for h in self.standing[:3]))
+        steps = Steps(tuple(self.tried), partial(_described, tuple(self.standing[:3])))
         if len(best.pairs) < self.settings.min_stars or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
@@ -241,6 +247,10 @@ class Bench:
         else:
             reason = f"{says}: by chance with probability {_power(chance)}, above the limit of {limit:.0e}"
         return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance, steps=steps)
+
+
+def _described(hypotheses: tuple[Hypothesis, ...]) -> tuple[str, ...]:
+    return tuple(map(_describe, hypotheses))
 
 
 def _describe(hypothesis: Hypothesis) -> str:

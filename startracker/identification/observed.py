@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
@@ -37,9 +40,23 @@ class Observed:
 
     def magnitudes(self) -> FloatArray | None:
         """Instrumental magnitudes −2.5 log₁₀ flux (N,), or None without a usable flux."""
-        if self.flux is None or not bool(np.all(np.isfinite(self.flux) & (self.flux > 0))):
-            return None
-        return -2.5 * np.log10(self.flux)
+        magnitude = self.magnitudes_or_nan()
+        return None if self.flux is None or (len(self) and math.isnan(magnitude[0])) else magnitude
+
+    def magnitudes_or_nan(self) -> FloatArray:
+        """The same, NaN for all where they are not known."""
+        return np.full(len(self), math.nan) if self.flux is None else np.asarray(_magnitudes(self.flux))
+
+
+@njit(cache=True, error_model="numpy")
+def _magnitudes(flux: FloatArray) -> FloatArray:
+    out = np.empty(len(flux))
+    for n in range(len(flux)):
+        if not 0.0 < flux[n] < math.inf:
+            out[:] = math.nan
+            break
+        out[n] = -2.5 * math.log10(flux[n])
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +81,7 @@ class Identification:
         Natural logarithm of the chance that the sky gives such agreement at random, over all attitudes.
     focal : float
         Factor of the focal length against the camera's, where that is a little off; else 1.
-    steps : tuple of str
+    steps : sequence of str
         What was tried and how far it got, for people.
     """
 
@@ -73,4 +90,4 @@ class Identification:
     pairs: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     log_false_alarm: float = 0.0
     focal: float = 1.0
-    steps: tuple[str, ...] = ()
+    steps: Sequence[str] = ()

@@ -36,6 +36,22 @@ def test_agrees_with_astropy(epoch, t_s):
     assert clock.jyear(t_s) == pytest.approx(expected.tt.jyear, abs=1e-12)
 
 
+@pytest.mark.parametrize("epoch", EPOCHS[:3])
+def test_labels_are_erfa_s_own_at_any_time(epoch):
+    """Over decades, at every ten milliseconds about leap seconds, and where rounding carries to another day."""
+    clock, rng = Clock(epoch), np.random.default_rng(1)
+    year_s, step_s = 31_557_600.0, 0.01
+    times = np.concatenate(
+        [
+            rng.uniform(-20.0, 27.0, 3000) * year_s,
+            np.arange(-600, 600) * step_s,
+            (datetime(1999, 1, 1, tzinfo=UTC) - epoch).total_seconds() + np.arange(-600, 600) * step_s,
+            (datetime(2030, 3, 1, tzinfo=UTC) - epoch).total_seconds() + np.arange(-40_000, -20_000) * 1e-3 + 1e-4,
+        ]
+    )
+    assert [clock.isot(t) for t in times] == [clock._isot_by_erfa(t) for t in times]
+
+
 def test_leap_second_of_2016_is_lived_through():
     # IERS Bulletin C 52: 2016-12-31T23:59:60 UTC; TAI − UTC went from 36 s to 37 s
     clock = Clock(datetime(2016, 12, 31, 23, 59, 59, tzinfo=UTC))

@@ -69,9 +69,10 @@ def test_frame_keeps_its_limits(keys, level, seed):
 def test_without_noise_it_is_a_formula(keys, level):
     off = {"shot_noise": False, "read_noise_e": 0.0, "reset_capacitance_ff": 0.0}
     section = make(**(keys | off))
-    pattern = build_fixed_pattern(section, 1)
+    pattern = build_fixed_pattern(section, 1).single()
     frame = expose(section, np.full((16, 24), level))
-    signal = np.minimum(level * pattern.prnu + pattern.dark_e, section.full_well_e) / frame.gain_e_per_dn
+    signal = level * np.float64(pattern.prnu) + pattern.dark_e
+    signal = np.minimum(signal, section.full_well_e) / frame.gain_e_per_dn
     signal = np.broadcast_to(signal + section.offset_dn, (16, 24))
     if section.adc_bits is not None:
         signal = np.clip(np.rint(signal), 0, 2**section.adc_bits - 1)

@@ -36,6 +36,18 @@ def seen(guide, attitude, sigma_px=0.0, seed=0, flux=True, camera=CAMERA):
     return index, Observed(CAMERA.unproject(xy), signal, np.full(len(xy), SIGMA))
 
 
+def test_magnitudes_need_a_flux_that_is_one():
+    vectors, sigma = np.zeros((3, 3)), np.ones(3)
+    flux = np.array([100.0, 3.5, 1e-3])
+    np.testing.assert_allclose(Observed(vectors, flux, sigma).magnitudes_or_nan(), -2.5 * np.log10(flux), rtol=1e-15)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        seen = Observed(vectors, np.array([100.0, wrong, 1.0]), sigma)
+        assert np.isnan(seen.magnitudes_or_nan()).all()
+        assert seen.magnitudes() is None
+    assert Observed(vectors, None, sigma).magnitudes() is None
+    assert np.isnan(Observed(vectors, None, sigma).magnitudes_or_nan()).all()
+
+
 def brute_force(vectors, directions, tolerance, focal_range):
     """Number of ordered guide triples that have the shape of three observed stars."""
     table = separation(directions[:, None], directions[None, :])

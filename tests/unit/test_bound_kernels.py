@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from simulator import Renderer, Scenario
+from simulator.detector.excess_noise import signal_gain
 from simulator.detector.fixed_pattern import FixedPattern
 from simulator.optics.smear import _longest, _rotations, _turned, star_paths
 from simulator.optics.splat import add_gaussians
@@ -53,15 +54,17 @@ def test_variances_are_those_of_whole_arrays(renderer, even_dark, shot_noise):
     rng = np.random.default_rng(4)
     section = renderer.scenario.detector.model_copy(update={"shot_noise": shot_noise})
     mean = rng.uniform(0.0, 1.2 * section.full_well_e, (40, 50))
-    dark = 12.0 if even_dark else rng.uniform(0.0, 400.0, mean.shape)
+    dark = 12.0 if even_dark else rng.uniform(0.0, 400.0, mean.shape).astype(np.float32)
     centres = np.array([[0, 0], [49, 39], [20, 10], [-30, 5]])
     star = rng.uniform(0.0, 5e3, (4, 7, 7))
-    found = bounds._variances(mean, FixedPattern(1.0, dark), section, centres, star)
+    found, maps = star.copy(), bounds._dark_e(FixedPattern(1.0, dark))
+    noise = bounds._noise(section)
+    bounds._variances_about(found, mean, maps, centres.astype(float), section.full_well_e, signal_gain(section), noise)
     offsets = np.arange(7) - 3
     columns, rows = centres[:, 0, None] + offsets, centres[:, 1, None] + offsets
     inside = ((rows >= 0) & (rows < 40))[:, :, None] & ((columns >= 0) & (columns < 50))[:, None, :]
     at = (np.clip(rows, 0, 39)[:, :, None], np.clip(columns, 0, 49)[:, None, :])
-    darkness = np.broadcast_to(dark, mean.shape)[at]
+    darkness = np.broadcast_to(dark, mean.shape)[at].astype(float)
     variance = bounds.pixel_variance_e2(mean[at], darkness, star, section)
     expected = np.where(inside & (mean[at] + darkness < section.full_well_e), variance, np.inf)
     assert 0 < np.isinf(expected[:3]).sum() < expected[:3].size

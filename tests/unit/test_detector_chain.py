@@ -1,9 +1,11 @@
 """The detector's chain: each effect off changes nothing, each draws from its own stream, each acts at its place."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from simulator.detector import CHARGE, READOUT, FixedPattern, build_fixed_pattern, detect
+from simulator.detector import CHARGE, READOUT, Detector, FixedPattern, build_fixed_pattern, detect
 from simulator.detector.fixed_pattern import dark_current_factor
 from simulator.detector.pixels import walk
 from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
@@ -173,10 +175,29 @@ def test_order_of_the_effects():
     ]
 
 
+@pytest.mark.parametrize("more", [{}, {"antiblooming": 0.5}])
+@pytest.mark.parametrize("keep_charge", [False, True])
+def test_a_detector_made_ready_reads_frame_after_frame(mean, more, keep_charge):
+    """Nothing of one frame is left in the next, though some effects on whole frames change them in place."""
+    chosen = section(**(ALL_ON | more))
+    pattern = build_fixed_pattern(chosen, 3)
+    ready = Detector(chosen, pattern)
+    for index in range(3):
+        streams = partial(stream, 5, trial=index)
+        read = ready.expose(mean + index, streams, keep_charge=keep_charge)
+        alone = detect(mean + index, chosen, pattern, streams, keep_charge=keep_charge)
+        assert np.array_equal(read.image, alone.image)
+        assert (read.saturation_dn, read.gain_e_per_dn) == (alone.saturation_dn, alone.gain_e_per_dn)
+        if keep_charge:
+            assert np.array_equal(read.electrons, alone.electrons)
+            assert np.array_equal(read.saturated, alone.saturated)
+
+
 def test_response_acts_on_light_and_not_on_dark_current(mean):
-    pattern = FixedPattern(np.full(mean.shape, 1.1), 7.0)
+    response = np.float32(1.1)
+    pattern = FixedPattern(np.full(mean.shape, response), 7.0)
     frame = detect(mean, noiseless(), pattern, lambda name: stream(1, name))
-    np.testing.assert_allclose(frame.electrons, 1.1 * mean + 7.0, rtol=1e-15)
+    np.testing.assert_allclose(frame.electrons, float(response) * mean + 7.0, rtol=1e-15)
 
 
 def test_a_pattern_may_be_one_number(mean):

@@ -49,7 +49,8 @@ def test_a_pixel_hangs_on_its_number_alone():
 def test_steps_without_chance_against_numpy():
     rng = stream(3, "steps")
     shape = (45, 67)  # not a whole number of tiles
-    signal, response, dark = rng.uniform(0, 3e4, shape), rng.uniform(0.9, 1.1, shape), rng.uniform(0, 100, shape)
+    signal = rng.uniform(0, 3e4, shape)
+    response, dark = (rng.uniform(*ends, shape).astype(np.float32) for ends in ((0.9, 1.1), (0, 100)))
     kept = signal.copy()
     steps = [
         of_map(PHOTO_RESPONSE, response),
@@ -78,12 +79,19 @@ def test_steps_without_chance_against_numpy():
     assert np.array_equal(signal, expected[-1])
 
 
-@pytest.mark.parametrize("response", [1.5, np.linspace(0.5, 1.5, 12)])
-@pytest.mark.parametrize("dark", [2.0, np.linspace(0.0, 5.0, 12)])
+@pytest.mark.parametrize("response", [1.5, np.linspace(0.5, 1.5, 12, dtype=np.float32)])
+@pytest.mark.parametrize("dark", [2.0, np.linspace(0.0, 5.0, 12, dtype=np.float32)])
 def test_one_number_for_all_pixels_or_a_map(response, dark):
     out = np.empty((3, 4))
     walk(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, response), of_map(DARK_SIGNAL, dark)], out)
-    assert np.array_equal(out.ravel(), np.broadcast_to(10.0 * response + dark, 12))
+    assert np.array_equal(out.ravel(), np.broadcast_to(10.0 * np.float64(response) + dark, 12))
+
+
+def test_maps_are_taken_in_single_precision():
+    light, response, dark = np.full((2, 3), 10.0), np.full((2, 3), 1.1), np.full((2, 3), 7.3)
+    out = np.empty((2, 3))
+    walk(light, [of_map(PHOTO_RESPONSE, response), of_map(DARK_SIGNAL, dark)], out)
+    assert np.array_equal(out, 10.0 * np.float64(np.float32(response)) + np.float32(dark))
 
 
 def test_what_begins_a_row_stands_at_its_beginning():

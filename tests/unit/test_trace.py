@@ -37,3 +37,7 @@ def test_steps_are_equal_to_a_tuple_of_them_and_can_be_sent():
     assert repr(steps) == repr((FIRST, SECOND))
     with pytest.raises(IndexError):
         Steps()[0]
+
+
+def test_plain_words_may_stand_in_place_of_steps():
+    assert Steps("one", ("two", "three"), lambda: "four", lambda: ("five",)) == ("one", "two", "three", "four", "five")

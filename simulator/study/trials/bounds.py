@@ -26,6 +26,7 @@ from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
 from simulator.scenario.schema import DetectorSection
 from startracker.camera import Camera
+from startracker.image_map import ImageMap, to_pixels
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,9 +65,9 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
     """
     if len(stars) < 2:
         return np.full(3, np.nan)
-    information = star_information(renderer, truth, stars)
-    slopes = pixel_slopes(renderer.focal_plane.true_camera, truth.attitude.apply(truth.sources.direction[stars]))
-    return np.asarray(_deviations_deg(information, slopes))
+    directions = truth.attitude.apply(truth.sources.direction[stars])
+    information = _information(renderer, truth, stars, directions)
+    return np.asarray(_deviations_deg(information, pixel_slopes(renderer.focal_plane.true_camera, directions)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,8 +91,7 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
     out."""
     sources = truth.sources
-    of_stars = sources.kind == "star"
-    return np.asarray(_brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, of_stars))
+    return np.asarray(_brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, sources.is_star))
 
 
 @njit(cache=True, error_model="numpy")
@@ -124,13 +124,17 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
     renderer, truth, stars
         As for `attitude_bound_deg`.
     """
-    scenario, plane = renderer.scenario, renderer.focal_plane
-    sources, detector = truth.sources, scenario.detector
-    information = np.zeros((len(stars), 2, 2))
     if not len(stars):
-        return information
+        return np.zeros((0, 2, 2))
+    return _information(renderer, truth, stars, truth.attitude.apply(truth.sources.direction[stars]))
+
+
+def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directions: FloatArray) -> FloatArray:
+    """`star_information` of stars seen along unit vectors (N, 3) in the camera."""
+    plane, sources, detector = renderer.focal_plane, truth.sources, renderer.scenario.detector
+    information = np.empty((len(stars), 2, 2))
     assert truth.mean_electrons is not None
-    directions = truth.attitude.apply(sources.direction[stars])
+    dark_e, gain, noise = _dark_e(renderer.pattern), signal_gain(detector), _noise(detector)
     paths, weights = star_paths(
         plane.true_camera, directions, truth.rate_camera_rad_s, detector.exposure_s, plane.psfs.feature_px
     )
@@ -139,12 +143,34 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
         wide = math.ceil(_HALF_WIDTHS * max(psf.sigma_px, psf.sigma_y_px) + 0.5 * streak_px)
         half = min(max(_LEAST_HALF, psf.core_half_px, wide), max(_MOST_HALF, math.ceil(0.5 * streak_px) + _LEAST_HALF))
         chosen = stars[members]
-        centres = np.rint(sources.xy[chosen]).astype(np.int64)
-        flux = sources.electrons[chosen]
-        share, slope_x, slope_y = image_slopes(psf, paths[members] - centres[:, None, :], weights, half)
-        variance = _variances(truth.mean_electrons, renderer.pattern, detector, centres, flux[:, None, None] * share)
-        information[members] = fisher_of_place(share, slope_x, slope_y, flux, variance)
+        centres = np.rint(sources.xy[chosen])
+        images, flux = image_slopes(psf, paths[members] - centres[:, None, :], weights, half), sources.electrons[chosen]
+        information[members] = _about_stars(
+            *images, flux, centres, truth.mean_electrons, dark_e, detector.full_well_e, gain, noise
+        )
     return information
+
+
+@njit(cache=True, error_model="numpy")
+def _about_stars(
+    share: FloatArray,
+    slope_x: FloatArray,
+    slope_y: FloatArray,
+    flux: FloatArray,
+    centres: FloatArray,
+    mean_e: FloatArray,
+    dark_e: FloatArray,
+    full_well_e: float,
+    gain: float,
+    noise: tuple[float, float, float, float],
+) -> FloatArray:
+    """Kernel: Fisher matrices (N, 2, 2) from images of unit flux and their slopes (N, M, M) about middle pixels."""
+    variance, out = share.copy(), np.empty((len(flux), 2, 2))
+    for n in range(len(flux)):
+        variance[n] *= flux[n]
+    _variances_about(variance, mean_e, dark_e, centres, full_well_e, gain, noise)
+    _fisher(out, share, slope_x, slope_y, flux, variance)
+    return out
 
 
 def fisher_of_place(
@@ -302,54 +328,54 @@ def mean_dark_e(detector: DetectorSection) -> float:
     return detector.dark_current_e_s * detector.exposure_s * factor
 
 
-def _variances(
-    mean_e: FloatArray, pattern: FixedPattern, detector: DetectorSection, centres: IntArray, star_e: FloatArray
-) -> FloatArray:
-    """Variances (N, M, M) of the pixels about stars; infinite off the image and where charge overflows."""
-    dark = pattern.dark_e if isinstance(pattern.dark_e, np.ndarray) else np.full((1, 1), pattern.dark_e)
-    out = np.empty_like(star_e)
-    _variances_about(out, mean_e, dark, centres, star_e, detector.full_well_e, signal_gain(detector), *_noise(detector))
-    return out
+def _dark_e(pattern: FixedPattern) -> FloatArray | NDArray[np.float32]:
+    """Dark electrons of each pixel, or a single one for all."""
+    return pattern.dark_e if isinstance(pattern.dark_e, np.ndarray) else np.full((1, 1), pattern.dark_e, np.float32)
 
 
 @njit(cache=True, error_model="numpy")
 def _variances_about(
-    out: FloatArray,
+    stars_e: FloatArray,
     mean_e: FloatArray,
     dark_e: FloatArray,
-    centres: IntArray,
-    star_e: FloatArray,
+    centres: FloatArray,
     full_well_e: float,
     gain: float,
-    of_light: float,
-    of_dark: float,
-    electronics: float,
-    prnu: float,
+    noise: tuple[float, float, float, float],
 ) -> None:
-    """Kernel of `_variances`; a single dark pixel stands for all."""
+    """Kernel: variances (N, M, M) of the pixels about stars in the place of their light; infinite off the image and
+    where charge overflows. A single dark pixel stands for all."""
     height, width = mean_e.shape
     uneven = dark_e.size > 1
-    half = star_e.shape[1] // 2
+    half = stars_e.shape[1] // 2
     for n in range(len(centres)):
-        for j in range(star_e.shape[1]):
-            row = centres[n, 1] + j - half
-            for i in range(star_e.shape[2]):
-                column = centres[n, 0] + i - half
-                out[n, j, i] = np.inf
+        top, left = int(centres[n, 1]) - half, int(centres[n, 0]) - half
+        for j in range(stars_e.shape[1]):
+            for i in range(stars_e.shape[2]):
+                row, column, star_e = top + j, left + i, stars_e[n, j, i]
+                stars_e[n, j, i] = np.inf
                 if 0 <= row < height and 0 <= column < width:
                     dark = dark_e[row, column] if uneven else dark_e[0, 0]
                     if gain * mean_e[row, column] + dark < full_well_e:
-                        out[n, j, i] = _variance(
-                            mean_e[row, column], dark, star_e[n, j, i], of_light, of_dark, electronics, prnu
-                        )
+                        stars_e[n, j, i] = _variance(mean_e[row, column], dark, star_e, *noise)
 
 
 def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
     """∂(x, y)/∂θ (N, 2, 3), pixels per radian: how stars seen along unit vectors (N, 3) in the camera move on the image
     when it turns by small rotation vectors θ, v → v − θ × v; central differences, which lens and distortion go through.
     """
-    xy = camera.project(_turned(vectors)).reshape(len(vectors), 2, 3, 2)
-    return np.asarray((xy[:, 0] - xy[:, 1]).transpose(0, 2, 1) / (2.0 * _TURN_RAD))
+    return np.asarray(_slopes(vectors, camera.image_map))
+
+
+@njit(cache=True, error_model="numpy")
+def _slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
+    """Kernel of `pixel_slopes`."""
+    xy, out = to_pixels(_turned(vectors), image), np.empty((len(vectors), 2, 3))
+    for n in range(len(vectors)):
+        for k in range(3):
+            for axis in range(2):
+                out[n, axis, k] = (xy[6 * n + k, axis] - xy[6 * n + 3 + k, axis]) / (2.0 * _TURN_RAD)
+    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -80,7 +80,7 @@ def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3
     A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
-    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.kind == "star", tolerance_px))
+    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.is_star, tolerance_px))
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,10 +122,19 @@ def _in_field(
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
     """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
     where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
-    if covariance_rad2 is None or not np.isfinite(error_deg).all():
+    return math.nan if covariance_rad2 is None else float(_normalised(error_deg, covariance_rad2))
+
+
+@njit(cache=True, error_model="numpy")
+def _normalised(error_deg: FloatArray, covariance_rad2: FloatArray) -> float:
+    """Kernel of `normalised_error_squared`."""
+    error, total = np.radians(error_deg), 0.0
+    if not math.isfinite(error[0] + error[1] + error[2]):
         return math.nan
-    error = np.radians(error_deg)
-    return float(error @ solve_symmetric(covariance_rad2, error))
+    scaled = solve_symmetric(covariance_rad2, error)
+    for axis in range(3):
+        total += error[axis] * scaled[axis]
+    return total
 
 
 def galactic_latitude_deg(attitude: Attitude) -> float:
@@ -136,8 +145,18 @@ def galactic_latitude_deg(attitude: Attitude) -> float:
 
 def argument_of_latitude_deg(orbit: Orbit, t_s: float) -> float:
     """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360)."""
-    of_date = true_of_date(orbit.clock, t_s)
-    (x, y, z), (vx, vy, vz) = ((of_date @ vector).tolist() for vector in orbit.state(t_s))
+    return float(_argument_of_latitude_deg(true_of_date(orbit.clock, t_s), *orbit.state(t_s)))
+
+
+@njit(cache=True, error_model="numpy")
+def _argument_of_latitude_deg(of_date: FloatArray, r_km: FloatArray, v_km_s: FloatArray) -> float:
+    """Kernel of `argument_of_latitude_deg`."""
+    state = np.zeros((2, 3))
+    for row in range(3):
+        for column in range(3):
+            state[0, row] += of_date[row, column] * r_km[column]
+            state[1, row] += of_date[row, column] * v_km_s[column]
+    (x, y, z), (vx, vy, vz) = state[0], state[1]
     a, b, c = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx  # angular momentum
     node_x, node_y = (-b, a) if a != 0.0 or b != 0.0 else (1.0, 0.0)  # no node: from the x axis
     momentum = math.sqrt(a * a + b * b + c * c)
@@ -210,7 +229,7 @@ class TrialRunner:
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
-        stars, bodies = _in_field(sources.xy, sources.v_mag, sources.kind == "star", camera.width, camera.height, limit)
+        stars, bodies = _in_field(sources.xy, sources.v_mag, sources.is_star, camera.width, camera.height, limit)
         residuals = solution.stars.residual_px.ravel()
         row |= {
             "stars_in_field": stars,
