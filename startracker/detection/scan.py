@@ -108,7 +108,7 @@ def _runs_above(
         Filtered signal of their pixels.
     """
     size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
-    # row, first column and last column + 1 of each run in turn; written at every pixel and kept where one begins or ends
+    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
     runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
     edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
     for n in range(np.uint64(len(groups))):
@@ -132,7 +132,7 @@ def _runs_above(
     if inside:
         runs[three * (edges >> one) + np.uint64(2)] = stop
         edges += one
-    return runs[: 3 * np.int64(edges // 2)].copy().reshape(-1, 3), signal[: np.int64(values)].copy()
+    return runs[: 3 * int(edges // 2)].copy().reshape(-1, 3), signal[: int(values)].copy()
 
 
 @njit(cache=True, error_model="numpy")
@@ -145,7 +145,7 @@ def _sample_row(
     for x in range(np.uint64(first), np.uint64(image.shape[1]), np.uint64(stride)):
         sample[place] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         place += np.uint64(is_value(image[row, x]))
-    return np.int64(place)
+    return int(place)
 
 
 @njit(cache=True, error_model="numpy")
