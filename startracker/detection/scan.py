@@ -17,7 +17,7 @@ from startracker.detection.objects import row_marks
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 
-__all__ = ["UNFILTERED", "kernel_half", "scan_rows"]
+__all__ = ["UNFILTERED", "kernel_half", "runs_above", "search_rows"]
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
@@ -95,47 +95,6 @@ def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out:
 
 
 @njit(cache=True, error_model="numpy")
-def _runs_above(
-    groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float
-) -> tuple[IntArray, FloatImage]:
-    """Runs of what is above threshold × noise, and its values, of groups of pixels in reading order.
-
-    Parameters
-    ----------
-    groups : uint64 array, shape (N, 2)
-        Row and first column of each group; the last group of a row may reach beyond it.
-    found : float32 array, shape (N, 8)
-        Filtered signal of their pixels.
-    """
-    size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
-    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
-    runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
-    edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
-    for n in range(np.uint64(len(groups))):
-        if inside and (groups[n, 0] != row or groups[n, 1] != stop):
-            runs[three * (edges >> one) + np.uint64(2)] = stop
-            edges, inside = edges + one, False
-        row, first = groups[n]
-        stop, share, cell = min(first + size, width), noise.share[row], np.uint64(noise.cell[row])
-        below = min(cell + one, np.uint64(len(lines)) - one)
-        for x in range(first, stop):
-            value, upper = found[n, x - first], lines[cell, x]
-            limit = threshold * (upper + share * (lines[below, x] - upper))
-            above = (value > limit) & is_value(image[row, x])
-            place = three * (edges >> one)
-            runs[place] = row
-            runs[place + one + (edges & one)] = x
-            edges += np.uint64(above != inside)
-            signal[values] = value
-            values += np.uint64(above)
-            inside = above
-    if inside:
-        runs[three * (edges >> one) + np.uint64(2)] = stop
-        edges += one
-    return runs[: 3 * int(edges // 2)].copy().reshape(-1, 3), signal[: int(values)].copy()
-
-
-@njit(cache=True, error_model="numpy")
 def _sample_row(
     work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, first: int, stride: int, sample: FloatImage,
     count: int,
@@ -149,15 +108,15 @@ def _sample_row(
 
 
 @njit(cache=True, error_model="numpy")
-def scan_rows(
+def search_rows(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
-) -> tuple[IntArray, FloatImage, FloatImage]:
-    """Runs of pixels whose filtered signal is above threshold × noise.
+) -> tuple[Places, FloatImage, FloatImage]:
+    """Groups of pixels of which some may be above threshold × noise, for `runs_above`, and a sample of the noise.
 
     Parameters
     ----------
     image : array, shape (H, W)
-        Pixels that are not finite, and those beyond the border, count as background, and are not above.
+        Pixels that are not finite, and those beyond the border, count as background.
     level, noise : Plane
         Background.
     half : array
@@ -169,12 +128,12 @@ def scan_rows(
 
     Returns
     -------
-    runs : int array, shape (R, 3)
-        Row, first column, last column + 1, in reading order.
-    signal : float32 array
-        Filtered signal of the pixels of the runs.
+    groups : uint64 array, shape (N, 2)
+        Row and first column of each group of eight, in reading order; the last of a row may reach beyond it.
+    found : float32 array, shape (N, 8)
+        Filtered signal of their pixels.
     sample : float32 array
-        Filtered signal over the noise.
+        Filtered signal over the noise, of finite pixels.
     """
     height, width = image.shape
     reach = len(half) - 1
@@ -230,5 +189,52 @@ def scan_rows(
             _least_limits(work, noise, centre, threshold, least)
             cell = cells[centre] if between else -1
         _filter_columns(work, rows, half, total, least, marks, width)
-    runs, signal = _runs_above(groups[:count], found[:count], image, noise, threshold)
-    return runs, signal, sample[:samples].copy()
+    return groups[:count].copy(), found[:count].copy(), sample[:samples].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def runs_above(
+    groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float
+) -> tuple[IntArray, FloatImage]:
+    """Runs of pixels whose filtered signal is above threshold × noise.
+
+    Parameters
+    ----------
+    groups, found : arrays
+        From `search_rows`, for at most this threshold.
+    image, noise : array and Plane
+        As there; pixels that are not finite are not above.
+
+    Returns
+    -------
+    runs : int array, shape (R, 3)
+        Row, first column, last column + 1, in reading order.
+    signal : float32 array
+        Filtered signal of the pixels of the runs.
+    """
+    size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
+    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
+    runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
+    edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
+    for n in range(np.uint64(len(groups))):
+        if inside and (groups[n, 0] != row or groups[n, 1] != stop):
+            runs[three * (edges >> one) + np.uint64(2)] = stop
+            edges, inside = edges + one, False
+        row, first = groups[n]
+        stop, share, cell = min(first + size, width), noise.share[row], np.uint64(noise.cell[row])
+        below = min(cell + one, np.uint64(len(lines)) - one)
+        for x in range(first, stop):
+            value, upper = found[n, x - first], lines[cell, x]
+            limit = threshold * (upper + share * (lines[below, x] - upper))
+            above = (value > limit) & is_value(image[row, x])
+            place = three * (edges >> one)
+            runs[place] = row
+            runs[place + one + (edges & one)] = x
+            edges += np.uint64(above != inside)
+            signal[values] = value
+            values += np.uint64(above)
+            inside = above
+    if inside:
+        runs[three * (edges >> one) + np.uint64(2)] = stop
+        edges += one
+    return runs[: 3 * int(edges // 2)].copy().reshape(-1, 3), signal[: int(values)].copy()
