@@ -26,17 +26,21 @@ IntArray = NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")
-def _is_peak(image: Image, x: int, y: int) -> bool:
+def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     """Whether no neighbour is brighter; of equal neighbours the first in reading order is the peak."""
-    height, width = image.shape
-    value = image[y, x]
-    for j in range(np.uint64(max(y - 1, 0)), np.uint64(min(y + 2, height))):
-        row, later = image[j], int(j) > y
-        for i in range(np.uint64(max(x - 1, 0)), np.uint64(min(x + 2, width))):
-            before = not later and (int(j) < y or int(i) < x)
-            if row[i] > value or (before and row[i] == value):
-                return False
-    return True
+    height, width = np.uint64(image.shape[0]), np.uint64(image.shape[1])
+    value, one = image[y, x], np.uint64(1)
+    before, after, above, below = x > 0, x + one < width, y > 0, y + one < height
+    left, right = x - np.uint64(before), x + np.uint64(after)
+    up, down = y - np.uint64(above), y + np.uint64(below)
+    # without a branch, as one in a few pixels is a peak; beyond the border the pixel itself stands for the missing one
+    higher = (image[y, right] > value) | (image[down, left] > value) | (image[down, x] > value)
+    higher |= (image[down, right] > value) | (image[up, left] > value) | (image[up, x] > value)
+    higher |= (image[up, right] > value) | (image[y, left] > value)
+    same = above & (
+        (image[up, x] == value) | (before & (image[up, left] == value)) | (after & (image[up, right] == value))
+    )
+    return not (higher | same | (before & (image[y, left] == value)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,29 +83,27 @@ def part_blends(
     """
     height, width = image.shape
     count = len(table)
-    capacity = 64
-    peak_x, peak_y = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    peak_object, signal = np.empty(capacity, np.int64), np.empty(capacity)
-    peaks = 0
+    pixels = 0
+    for index in range(len(runs)):
+        pixels += runs[index, 2] - runs[index, 1]
+    peak_x, peak_y = np.empty(pixels + 1, np.int64), np.empty(pixels + 1, np.int64)
+    peak_object, signal = np.empty(pixels + 1, np.int64), np.empty(pixels + 1)
+    last = np.uint64(0)
     for index in range(len(runs)):
         size = table[number[index], PIXELS]
         if size < _FEWEST_PIXELS or size > most_pixels:
             continue
-        y = runs[index, 0]
-        for x in range(runs[index, 1], runs[index, 2]):
-            if not _is_peak(image, x, y):
-                continue
-            if peaks == len(signal):
-                peak_x, peak_y = np.concatenate((peak_x, peak_x)), np.concatenate((peak_y, peak_y))
-                peak_object, signal = np.concatenate((peak_object, peak_object)), np.concatenate((signal, signal))
-            peak_x[peaks], peak_y[peaks], peak_object[peaks] = x, y, number[index]
-            signal[peaks] = np.float64(image[y, x]) - np.float64(level[y, x])
-            peaks += 1
+        y = np.uint64(runs[index, 0])
+        for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
+            # written for every pixel, kept for peaks
+            peak_x[last], peak_y[last], peak_object[last] = x, y, number[index]
+            last += np.uint64(_is_peak(image, x, y))
     # a peak that is its object's only one parts nothing
     of_object = np.zeros(count, np.int64)
-    for peak in range(peaks):
+    found, peaks = int(last), 0
+    for peak in range(found):
         of_object[peak_object[peak]] += 1
-    found, peaks = peaks, 0
+        signal[peak] = np.float64(image[peak_y[peak], peak_x[peak]]) - np.float64(level[peak_y[peak], peak_x[peak]])
     for peak in range(found):
         if of_object[peak_object[peak]] > 1:
             peak_x[peaks], peak_y[peaks] = peak_x[peak], peak_y[peak]

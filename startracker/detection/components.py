@@ -10,7 +10,7 @@ from startracker.detection.blends import part_blends
 from startracker.detection.forms import are_long
 from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
-from startracker.detection.scan import UNFILTERED, scan_rows
+from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.selection import select_smeared, select_spots
 from startracker.detection.spots import PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
 from startracker.detection.values import Image, as_pixels
@@ -77,9 +77,9 @@ def find_components(
     saturation = np.float32(np.inf if saturation_dn is None else saturation_dn)
     known, threshold = saturation_dn is not None, float(settings.threshold_sigma)
     if not settings.matched_filter:
-        runs, signal, _ = scan_rows(
-            pixels, background.level_plane, background.noise_plane, UNFILTERED, np.float32(threshold), pixels.size + 1
-        )
+        noise, limit = background.noise_plane, np.float32(threshold)
+        groups, found, _ = search_rows(pixels, background.level_plane, noise, UNFILTERED, limit, pixels.size + 1)
+        runs, signal = runs_above(groups, found, pixels, noise, limit)
         table, _ = measure_found(runs, signal, pixels, background, threshold, settings.max_pixels, saturation)
         return select_spots(table, settings, known, pixels, background)
     half = filter_half(settings.psf_sigma_px)

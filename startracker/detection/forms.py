@@ -138,22 +138,24 @@ def is_halo(table: FloatArray) -> Flags:
     """
     count = len(table)
     halo = np.zeros(count, np.bool_)
+    # side by side in memory
+    x, y, peaks = table[:, X_PEAK].copy(), table[:, Y_PEAK].copy(), table[:, PEAK_RESIDUAL].copy()
     faintest = np.inf
     for n in range(count):
-        faintest = min(faintest, table[n, PEAK_RESIDUAL])
+        faintest = min(faintest, peaks[n])
     for star in range(count):
-        peak = table[star, PEAK_RESIDUAL]
+        peak = peaks[star]
         if not peak > _HALO_TIMES * faintest:  # most objects of a frame are too faint for rings
             continue
         near = _HALO_RADII * math.sqrt(table[star, PIXELS] / np.pi) + _HALO_MARGIN_PX
         dark_radius = 1.9 * math.sqrt(table[star, FLUX] / (np.pi * peak))
         # no farther than the ring about as faint as the faintest
         reach = max(near, dark_radius * (_RING_MARGIN * 0.045 * peak / max(faintest, 1e-30)) ** (1.0 / 3.0)) + 1.0
-        for n in range(count):
-            dx, dy = table[n, X_PEAK] - table[star, X_PEAK], table[n, Y_PEAK] - table[star, Y_PEAK]
+        for n in range(np.uint64(count)):
+            dx, dy = x[n] - x[star], y[n] - y[star]
             if dx * dx + dy * dy > reach * reach:
                 continue
-            times = peak / table[n, PEAK_RESIDUAL]
+            times = peak / peaks[n]
             if times > _HALO_TIMES and not halo[n]:
                 distance = math.hypot(dx, dy)
                 ring = (distance / dark_radius) ** 3 < _RING_MARGIN * 0.045 * times

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background
-from startracker.detection.objects import cut_runs
-from startracker.detection.scan import kernel_half, scan_rows
+from startracker.detection.scan import kernel_half, runs_above, search_rows
 from startracker.detection.values import Image
 from startracker.errors import InputError
 
@@ -85,15 +84,14 @@ def search_filtered(
     """
     level, noise = background.level_plane, background.noise_plane
     stride = max(1, image.size // _SAMPLES) | 1
-    runs, signal, sample = scan_rows(image, level, noise, half, np.float32(threshold), stride)
-    if not len(sample):
-        return runs, signal, 1.0
-    middle, one, more = quantiles(sample, _SIGMA_QUANTILES)
-    # stars that fill a small image are no noise: none is more correlated than one that is the same in every pixel
-    largest = float(half[0] + 2.0 * half[1:].sum()) ** 2
-    excess = min(max(1.0, one - middle, (more - middle) / 1.5), largest)
-    if excess > 1.0:
-        runs, signal = cut_runs(runs, signal, np.ones(len(runs), np.bool_), noise, np.float32(excess * threshold))
+    groups, found, sample = search_rows(image, level, noise, half, np.float32(threshold), stride)
+    excess = 1.0
+    if len(sample):
+        middle, one, more = quantiles(sample, _SIGMA_QUANTILES)
+        # stars that fill a small image are no noise: none is more correlated than one that is the same in every pixel
+        largest = float(half[0] + 2.0 * half[1:].sum()) ** 2
+        excess = min(max(1.0, one - middle, (more - middle) / 1.5), largest)
+    runs, signal = runs_above(groups, found, image, noise, np.float32(excess * threshold))
     return runs, signal, excess
 
 

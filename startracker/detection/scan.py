@@ -2,6 +2,9 @@
 
 The filter is separable and symmetric; `half` is its middle and upper half. A row is filtered along x as it comes and
 waits in a ring until the rows that its column needs are there: everything happens in the processor's nearest cache.
+
+All rows are parts of one array, told by where they begin: numba counts a slice of an array in and out of use, which
+takes as long as a hundred pixels. Indices have no sign, as one that may be negative is compared with zero first.
 """
 
 from __future__ import annotations
@@ -10,19 +13,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from startracker.detection.objects import row_edges, row_marks
+from startracker.detection.objects import row_marks
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 
-__all__ = ["UNFILTERED", "kernel_half", "scan_rows"]
+__all__ = ["UNFILTERED", "kernel_half", "runs_above", "search_rows"]
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
 _PADDING = 17 * _LINE
 """Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
+_WORD = 8
+"""Pixels whose marks are one number, and such numbers that are looked at together."""
 
 FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+Places = NDArray[np.uint64]
 
 
 def kernel_half(kernel: NDArray[np.float64]) -> FloatImage:
@@ -36,61 +42,168 @@ UNFILTERED = kernel_half(np.ones(1))
 
 
 @njit(cache=True, error_model="numpy")
-def _residual_row(image: Image, level: Plane, y: int, out: FloatImage) -> None:
+def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.uint64) -> None:
     """Image minus level; zero where the image is not finite."""
-    width = len(out)
-    share, cell = level.share[y], level.cell[y]
-    row, upper, lower = image[y], level.lines[cell], level.lines[min(cell + 1, len(level.lines) - 1)]
-    zero = np.float32(0.0)
-    for x in range(width):
-        signal = np.float32(row[x]) - (upper[x] + share * (lower[x] - upper[x]))
-        out[x] = signal if is_value(row[x]) else zero
+    share, lines, row, cell = level.share[y], level.lines, np.uint64(y), np.uint64(level.cell[y])
+    below, zero = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.float32(0.0)
+    for x in range(np.uint64(image.shape[1])):
+        signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
+        work[out + x] = signal if is_value(image[row, x]) else zero
 
 
 @njit(cache=True, error_model="numpy")
-def _filter_row(padded: FloatImage, half: FloatImage, line: FloatImage) -> None:
-    """Correlation along x of a row that is padded by the filter's reach on both sides."""
-    width, reach = len(line), len(half) - 1
-    middle = padded[reach : reach + width]
+def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint64, width: int) -> None:
+    """Correlation along x of a row that has zeros on both sides."""
+    before, weight = row, half[0]
+    for n in range(1, len(half) - 1, 2):
+        near, far, k = half[n], half[n + 1], np.uint64(n)
+        a, b, c, d = row - k, row + k, row - k - np.uint64(1), row + k + np.uint64(1)
+        for x in range(np.uint64(width)):
+            value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
+            work[out + x] = value
+        before, weight = out, np.float32(1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _filter_columns(
+    work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
+    width: int,
+) -> None:  # fmt: skip
+    """Correlation along y of rows that begin at the places given, and marks where it exceeds the limits."""
+    reach = len(half) - 1
+    before, weight = rows[reach], half[0]
     for k in range(1, reach, 2):
-        weight, near, far = half[0], half[k], half[k + 1]
-        a, b = padded[reach - k : reach - k + width], padded[reach + k : reach + k + width]
-        c, d = padded[reach - k - 1 : reach - k - 1 + width], padded[reach + k + 1 : reach + k + 1 + width]
-        if k == 1:
-            for x in range(width):
-                line[x] = weight * middle[x] + near * (a[x] + b[x]) + far * (c[x] + d[x])
-        else:
-            for x in range(width):
-                line[x] += near * (a[x] + b[x]) + far * (c[x] + d[x])
+        near, far = half[k], half[k + 1]
+        a, b, c, d = rows[reach - k], rows[reach + k], rows[reach - k - 1], rows[reach + k + 1]
+        for x in range(np.uint64(width)):
+            value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
+            work[out + x] = value
+            marks[x] = value > work[least + x]
+        before, weight = out, np.float32(1.0)
 
 
 @njit(cache=True, error_model="numpy")
-def _least_limits(noise: Plane, y: int, threshold: float, out: FloatImage) -> None:
+def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
     """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
-    share, cell = noise.share[y], noise.cell[y]
-    upper, lower = noise.lines[cell], noise.lines[min(cell + 1, len(noise.lines) - 1)]
+    share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
+    below = min(cell + np.uint64(1), np.uint64(len(lines) - 1))
     less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
-    for x in range(len(out)):
-        value = min(upper[x], lower[x]) if 0.0 <= share <= 1.0 else upper[x] + share * (lower[x] - upper[x])
-        out[x] = threshold * value * less
+    for x in range(np.uint64(lines.shape[1])):
+        upper, lower = lines[cell, x], lines[below, x]
+        value = min(upper, lower) if 0.0 <= share <= 1.0 else upper + share * (lower - upper)
+        work[out + x] = threshold * value * less
 
 
 @njit(cache=True, error_model="numpy")
-def scan_rows(
+def _sample_row(
+    work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, first: int, stride: int, sample: FloatImage,
+    count: int,
+) -> int:  # fmt: skip
+    share, lines, row, cell = noise.share[y], noise.lines, np.uint64(y), np.uint64(noise.cell[y])
+    below, place = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
+    for x in range(np.uint64(first), np.uint64(image.shape[1]), np.uint64(stride)):
+        sample[place] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
+        place += np.uint64(is_value(image[row, x]))
+    return int(place)
+
+
+@njit(cache=True, error_model="numpy")
+def search_rows(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
-) -> tuple[IntArray, FloatImage, FloatImage]:
-    """Runs of pixels whose filtered signal is above threshold × noise.
+) -> tuple[Places, FloatImage, FloatImage]:
+    """Groups of pixels of which some may be above threshold × noise, for `runs_above`, and a sample of the noise.
 
     Parameters
     ----------
     image : array, shape (H, W)
-        Pixels that are not finite, and those beyond the border, count as background, and are not above.
+        Pixels that are not finite, and those beyond the border, count as background.
     level, noise : Plane
         Background.
     half : array
         From `kernel_half`.
+    threshold : float
+        Positive.
     stride : int
         The filtered signal of every `stride`-th pixel is sampled.
+
+    Returns
+    -------
+    groups : uint64 array, shape (N, 2)
+        Row and first column of each group of eight, in reading order; the last of a row may reach beyond it.
+    found : float32 array, shape (N, 8)
+        Filtered signal of their pixels.
+    sample : float32 array
+        Filtered signal over the noise, of finite pixels.
+    """
+    height, width = image.shape
+    reach = len(half) - 1
+    size = 2 * reach + 1
+    pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
+    work = np.zeros((size + 3) * pitch + _LINE, np.float32)
+    places = np.empty(size + 3, np.uint64)
+    for k in range(len(places)):
+        places[k] = (-work.ctypes.data // work.itemsize) % _LINE + k * pitch
+    rows, total, least, residual = places[:size], places[size], places[size + 1], places[size + 2]
+    marks, cell, cells, shares = row_marks(width), -1, noise.cell, noise.share
+    words = marks.view(np.uint64)
+    # room for all: memory that is never written costs nothing, arrays that grow in the loop are counted at every turn
+    found, groups = np.empty((height * len(words), _WORD), np.float32), np.empty((height * len(words), 2), np.uint64)
+    count = 0
+    sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
+    for y in range(height + reach + 1):
+        newest = rows[0]
+        for k in range(size - 1):
+            rows[k] = rows[k + 1]
+        rows[size - 1] = newest
+        if y < height:
+            _residual_row(image, level, y, work, residual)
+            _filter_row(work, residual, half, newest, width)
+        else:
+            for x in range(np.uint64(width)):
+                work[newest + x] = 0.0
+        # a row is looked at when the next comes, as what was just written is not yet there to read
+        done = y - reach - 1
+        if done >= 0:
+            # nearly every block of 64 pixels is sky, and looked at as eight numbers at once
+            for block in range(0, len(words), _WORD):
+                seen = np.uint64(0)
+                for word in range(block, block + _WORD):
+                    seen |= words[word]
+                if seen == 0:
+                    continue
+                for word in range(block, block + _WORD):
+                    if words[word] == 0:
+                        continue
+                    groups[count, 0], groups[count, 1] = done, _WORD * word
+                    for i in range(_WORD):
+                        found[count, i] = work[total + np.uint64(_WORD * word + i)]
+                    count += 1
+            samples = _sample_row(work, total, noise, image, done, place, stride, sample, samples)
+            place += (width - place + stride - 1) // stride * stride - width if place < width else -width
+        centre = y - reach
+        if not 0 <= centre < height:
+            continue
+        # first what is above the lower of the two lines' limits, which is quickly told, then what is above its own
+        between = 0.0 <= shares[centre] <= 1.0
+        if cells[centre] != cell or not between:
+            _least_limits(work, noise, centre, threshold, least)
+            cell = cells[centre] if between else -1
+        _filter_columns(work, rows, half, total, least, marks, width)
+    return groups[:count].copy(), found[:count].copy(), sample[:samples].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def runs_above(
+    groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float
+) -> tuple[IntArray, FloatImage]:
+    """Runs of pixels whose filtered signal is above threshold × noise.
+
+    Parameters
+    ----------
+    groups, found : arrays
+        From `search_rows`, for at most this threshold.
+    image, noise : array and Plane
+        As there; pixels that are not finite are not above.
 
     Returns
     -------
@@ -98,83 +211,30 @@ def scan_rows(
         Row, first column, last column + 1, in reading order.
     signal : float32 array
         Filtered signal of the pixels of the runs.
-    sample : float32 array
-        Filtered signal over the noise.
     """
-    height, width = image.shape
-    reach = len(half) - 1
-    size = 2 * reach + 1
-    pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
-    work = np.zeros((size + 3) * pitch + _LINE, np.float32)
-    ring = work[(-work.ctypes.data // work.itemsize) % _LINE :]
-    total, least, padded = ring[size * pitch :][:width], ring[(size + 1) * pitch :][:width], ring[(size + 2) * pitch :]
-    padded = padded[: width + 2 * reach]
-    above, cell = row_marks(width), -1
-    edges = np.empty(width + 2, np.int64)
-    runs, signal, count, values = np.empty((1024, 3), np.int64), np.empty(8192, np.float32), 0, 0
-    sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
-    for y in range(height + reach):
-        line = ring[(y % size) * pitch :][:width]
-        if y < height:
-            _residual_row(image, level, y, padded[reach : reach + width])
-            _filter_row(padded, half, line)
-        else:
-            line[:] = 0.0
-        centre = y - reach
-        if centre < 0:
-            continue
-        _filter_column(ring, pitch, half, centre, total)
-        row = image[centre]
-        # first what is above the lower of the two lines' limits, which is quickly told, then what is above its own
-        if noise.cell[centre] != cell or noise.share[centre] > 1.0 or noise.share[centre] < 0.0:
-            _least_limits(noise, centre, threshold, least)
-            cell = noise.cell[centre] if 0.0 <= noise.share[centre] <= 1.0 else -1
-        for x in range(width):
-            above[x] = total[x] > least[x]
-        changes = row_edges(above, width, edges)
-        if values + width > len(signal):
-            signal = np.concatenate((signal, np.empty(len(signal) + width, np.float32)))
-        if count + width > len(runs):
-            runs = np.concatenate((runs, np.empty((len(runs) + width, 3), np.int64)))
-        for k in range(0, changes, 2):
-            start = -1
-            for x in range(edges[k], edges[k + 1]):
-                if total[x] > threshold * noise[centre, x] and is_value(row[x]):
-                    start = x if start < 0 else start
-                    signal[values] = total[x]
-                    values += 1
-                elif start >= 0:
-                    runs[count, 0], runs[count, 1], runs[count, 2] = centre, start, x
-                    count += 1
-                    start = -1
-            if start >= 0:
-                runs[count, 0], runs[count, 1], runs[count, 2] = centre, start, edges[k + 1]
-                count += 1
-        while place < (centre + 1) * width:
-            x = place - centre * width
-            sample[samples] = total[x] / noise[centre, x]
-            samples += is_value(row[x])
-            place += stride
-    return runs[:count].copy(), signal[:values].copy(), sample[:samples].copy()
-
-
-@njit(cache=True, error_model="numpy")
-def _filter_column(rows: FloatImage, pitch: int, half: FloatImage, centre: int, out: FloatImage) -> None:
-    """Correlation along y about a row of a ring, whose rows begin `pitch` apart."""
-    width, reach = len(out), len(half) - 1
-    size = 2 * reach + 1
-    here = centre % size
-    middle = rows[here * pitch :][:width]
-    for k in range(1, reach, 2):
-        weight, near, far = half[0], half[k], half[k + 1]
-        # remainders without a division
-        a, b = here - k + (size if here < k else 0), here + k - (size if here + k >= size else 0)
-        c, d = a - 1 + (size if a == 0 else 0), b + 1 - (size if b + 1 == size else 0)
-        above, below = rows[a * pitch :][:width], rows[b * pitch :][:width]
-        higher, lower = rows[c * pitch :][:width], rows[d * pitch :][:width]
-        if k == 1:
-            for x in range(width):
-                out[x] = weight * middle[x] + near * (above[x] + below[x]) + far * (higher[x] + lower[x])
-        else:
-            for x in range(width):
-                out[x] += near * (above[x] + below[x]) + far * (higher[x] + lower[x])
+    size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
+    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
+    runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
+    edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
+    for n in range(np.uint64(len(groups))):
+        if inside and (groups[n, 0] != row or groups[n, 1] != stop):
+            runs[three * (edges >> one) + np.uint64(2)] = stop
+            edges, inside = edges + one, False
+        row, first = groups[n]
+        stop, share, cell = min(first + size, width), noise.share[row], np.uint64(noise.cell[row])
+        below = min(cell + one, np.uint64(len(lines)) - one)
+        for x in range(first, stop):
+            value, upper = found[n, x - first], lines[cell, x]
+            limit = threshold * (upper + share * (lines[below, x] - upper))
+            above = (value > limit) & is_value(image[row, x])
+            place = three * (edges >> one)
+            runs[place] = row
+            runs[place + one + (edges & one)] = x
+            edges += np.uint64(above != inside)
+            signal[values] = value
+            values += np.uint64(above)
+            inside = above
+    if inside:
+        runs[three * (edges >> one) + np.uint64(2)] = stop
+        edges += one
+    return runs[: 3 * int(edges // 2)].copy().reshape(-1, 3), signal[: int(values)].copy()

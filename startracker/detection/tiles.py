@@ -9,10 +9,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
-from startracker.detection.values import Image, is_value, is_whole
+from startracker.detection.values import Image, is_value
 
 __all__ = ["interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
 
+Tile = tuple[int, int, int, int]
+"""First row, last row + 1, first column, last column + 1."""
 _SAMPLES = 400
 _QUANTILE = 0.841345
 """One standard deviation above the mean of a normal distribution."""
@@ -21,7 +23,8 @@ _CLIPPINGS = 3
 _ROUNDING = 1.0 / math.sqrt(12.0)
 """Standard deviation of rounding to whole steps."""
 _SHIFT = 5
-_BINS = 2048
+_FARTHEST = 2.0**20
+"""Steps from one tile's quantile beyond which the next one's is not looked for."""
 _LARGEST_WHOLE = 2.0**31
 _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
@@ -80,16 +83,47 @@ def whole_step(values: NDArray[np.float32]) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width: float) -> tuple[float, float]:
+def _find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
+    """Value at place k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
+
+    Not a number where no value of the lattice is it. From tile to tile it moves by a step or two, which makes counting
+    what is lower and what is not higher, at many places at once, faster than any sorting.
+    """
+    low, high, place, stride = -np.inf, np.inf, near, step
+    while high - low > 1.5 * step:
+        value, lower, not_higher = np.float32(place), np.int32(0), np.int32(0)
+        for i in range(np.uint64(count)):
+            lower = np.int32(lower + np.int32(values[i] < value))
+            not_higher = np.int32(not_higher + np.int32(values[i] <= value))
+        if lower <= k < not_higher:
+            return float(value)
+        if k < lower:
+            high = place
+        else:
+            low = place
+        if abs(high - low) < np.inf:
+            place = low + step * math.floor(0.5 * (high - low) / step)
+        elif stride > step * _FARTHEST:
+            break
+        else:
+            place += stride if k >= not_higher else -stride
+            stride *= 2.0
+    return np.nan
+
+
+# whole numbers, and what lies on a lattice, have the same sums in any order
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width: float) -> tuple[float, float, int]:
+    """Mean and standard deviation of the values within a half width of a centre, and how many these are."""
     total, squares, n = 0.0, 0.0, 0
-    for i in range(count):
-        d = float(values[i]) - centre
-        if abs(d) <= half_width:
-            total += d
-            squares += d * d
-            n += 1
+    for i in range(np.uint64(count)):
+        d = np.float64(values[i]) - centre
+        kept = d if abs(d) <= half_width else 0.0
+        total += kept
+        squares += kept * kept
+        n += int(abs(d) <= half_width)
     mean = total / n
-    return centre + mean, math.sqrt(max(squares / n - mean * mean, 0.0))
+    return centre + mean, math.sqrt(max(squares / n - mean * mean, 0.0)), n
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,104 +133,24 @@ def _clip(spread: float, step: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _sample_statistics(sample: NDArray[np.float32], count: int, step: float) -> tuple[float, float, float]:
-    """Median, clipped mean and clipped standard deviation of sample[:count], by sorting; reorders it."""
-    half = count // 2
-    median = select_kth(sample, 0, count, half)
-    # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
-    mean, std = median, select_kth(sample, half, count, int(_QUANTILE * count)) - median
-    for _ in range(_CLIPPINGS):
-        mean, std = _clipped(sample, count, median, _clip(std, step))
-        std /= _CLIPPED_STD
-    return median, mean, std
+def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float32]) -> int:
+    """Every so manyth pixel of a tile's rows, and how many are finite; each row begins farther than the one before.
 
-
-@njit(cache=True, error_model="numpy")
-def _count(
-    tile: Image, stride: int, phase: int, step: float, origin: float, bins: NDArray[np.int16]
-) -> tuple[int, int, bool]:
-    """Count a tile's sample into bins; returns how many are below them and in all, and whether all are on the lattice.
-
-    The columns of a row are those of `tile_statistics`, (phase + shift × row) % stride, without a division.
+    So a bad column does not fill the sample.
     """
-    inverse, first_bin = 1.0 / step, int(origin)
-    height, width = tile.shape
+    y0, y1, x0, x1 = tile
     # numbers without a sign as indices: a signed one may be negative, which costs a comparison each time
-    size, pace, start, stop = np.uint64(len(bins)), np.uint64(stride), np.uint64(phase), np.uint64(width)
-    below, count, on_lattice = 0, 0, True
-    for y in range(height):
-        x, row = start, tile[y]
-        start += np.uint64(_SHIFT % stride)
-        start -= pace if start >= pace else np.uint64(0)
-        if is_whole(tile) and step == 1.0:
-            while x < stop:
-                # one comparison tells what is below or above the bins
-                place = np.uint64(np.int64(row[x]) - first_bin)
-                if place < size:
-                    bins[place] += np.int16(1)
-                else:
-                    below += int(np.int64(row[x]) < first_bin)
-                count += 1
-                x += pace
-            continue
+    first, stop, pace = np.uint64(x0), np.uint64(x1), np.uint64(stride)
+    shift, start, used = np.uint64(_SHIFT % stride), np.uint64(x0 + y0 * _SHIFT % stride), np.uint64(0)
+    for y in range(np.uint64(y0), np.uint64(y1)):
+        x = start
         while x < stop:
-            value = (np.float64(row[x]) - origin) * inverse
-            if 0.0 <= value < len(bins):
-                k = np.uint64(value)
-                on_lattice &= value == k
-                bins[k] += np.int16(1)
-                count += 1
-            elif abs(value) < np.inf:
-                below += int(value < 0.0)
-                count += 1
+            sample[used] = image[y, x]
+            used += np.uint64(is_value(image[y, x]))
             x += pace
-    return below, count, on_lattice
-
-
-@njit(cache=True, error_model="numpy")
-def _counted_statistics(
-    tile: Image, stride: int, phase: int, step: float, around: float, bins: NDArray[np.int16]
-) -> tuple[float, float, float]:
-    """The same numbers of a tile's sample by counting the values of a lattice of width `step` about `around`.
-
-    Not a number where that fails: a value is off the lattice, or what is beyond the bins counts. `bins` is, and stays,
-    zero.
-    """
-    size, inverse = len(bins), 1.0 / step
-    half = size // 2
-    origin = around - step * half
-    below, count, on_lattice = _count(tile, stride, phase, step, origin, bins)
-    k, wanted = half - 1, count // 2
-    inside = below + int(bins[:half].sum())
-    while inside - bins[k] > wanted and k > 0:
-        inside -= int(bins[k])
-        k -= 1
-    while inside <= wanted and k < size - 1:
-        k += 1
-        inside += int(bins[k])
-    middle, wanted = k, int(_QUANTILE * count)
-    while inside <= wanted and k < size - 1:
-        k += 1
-        inside += int(bins[k])
-    known = on_lattice and below <= count // 2 and inside > wanted
-    mean, std = 0.0, (k - middle) * step
-    for _ in range(_CLIPPINGS):
-        if not known:
-            break
-        # the largest k step within the half width
-        reach = int(_clip(std, step) * inverse)
-        known = middle - reach >= 0 and middle + reach < size
-        n, total, squares = 0, 0, 0
-        for k in range(max(middle - reach, 0), min(middle + reach + 1, size)):
-            here = int(bins[k])
-            n += here
-            total += here * (k - middle)
-            squares += here * (k - middle) ** 2
-        mean = total / n
-        std = step * math.sqrt(max(squares / n - mean * mean, 0.0)) / _CLIPPED_STD
-    bins[:] = 0
-    median = origin + step * middle
-    return (median, median + step * mean, std) if known else (np.nan, np.nan, np.nan)
+        start += shift
+        start -= pace if start >= first + pace else np.uint64(0)
+    return int(used)
 
 
 @njit(cache=True, error_model="numpy")
@@ -205,8 +159,8 @@ def tile_statistics(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Clipped mean and standard deviation of each of rows × columns tiles; NaN for one without finite pixels.
 
-    `step` is the digitisation step: the clipping never falls between neighbouring values. Values that are multiples of
-    it are counted instead of sorted, which is six times faster and gives the same numbers.
+    `step` is the digitisation step: the clipping never falls between neighbouring values, and the quantiles of values
+    that are multiples of it are found faster.
     """
     height, width = image.shape
     level = np.full((rows, columns), np.nan)
@@ -214,25 +168,29 @@ def tile_statistics(
     size = ((height + rows - 1) // rows) * ((width + columns - 1) // columns)
     stride = max(1, size // _SAMPLES)
     sample = np.empty(size // stride + 2 * ((height + rows - 1) // rows) + 2, np.float32)
-    bins = np.zeros(_BINS, np.int16)
-    median = np.nan
+    median = upper = np.nan
     for tile_row in range(rows):
         y0, y1 = tile_row * height // rows, (tile_row + 1) * height // rows
         for tile_column in range(columns):
             x0, x1 = tile_column * width // columns, (tile_column + 1) * width // columns
-            # the start moves from row to row, so that a bad column does not fill the sample
-            phase, mean = (y0 * _SHIFT) % stride, np.nan
-            if step > 0.0 and not math.isnan(median):
-                median, mean, std = _counted_statistics(image[y0:y1, x0:x1], stride, phase, step, median, bins)
-            if math.isnan(mean):
-                count = 0
-                for y in range(y0, y1):
-                    for x in range(x0 + (y * _SHIFT) % stride, x1, stride):
-                        sample[count] = image[y, x]
-                        count += is_value(image[y, x])
-                if count == 0:
-                    continue
-                median, mean, std = _sample_statistics(sample, count, step)
+            count = _take_sample(image, (y0, y1, x0, x1), stride, sample)
+            if count == 0:
+                continue
+            half, high = count // 2, int(_QUANTILE * count)
+            if step > 0.0:
+                median = _find_kth(sample, count, half, step, median)
+                upper = _find_kth(sample, count, high, step, upper)
+            if not step > 0.0 or math.isnan(median) or math.isnan(upper):
+                median = select_kth(sample, 0, count, half)
+                # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
+                upper = select_kth(sample, half, count, high)
+            mean, std, before = median, upper - median, -1
+            for _ in range(_CLIPPINGS):
+                mean, std, kept = _clipped(sample, count, median, _clip(std, step))
+                std /= _CLIPPED_STD
+                if kept == before:  # the same ones, as all lie about the median
+                    break
+                before = kept
             level[tile_row, tile_column], noise[tile_row, tile_column] = mean, std
     return level, noise
 

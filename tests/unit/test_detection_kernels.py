@@ -10,7 +10,7 @@ from startracker.detection.hits import peak_share
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
-from startracker.detection.scan import UNFILTERED, scan_rows
+from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
 from startracker.detection.spots import (
     COLUMNS,
@@ -33,6 +33,11 @@ from startracker.detection.values import as_image, as_pixels, is_value, whole_ra
 
 def rng(*key):
     return np.random.default_rng([31, *key])
+
+
+def scan_rows(image, level, noise, half, threshold, stride):
+    groups, found, sample = search_rows(image, level, noise, half, threshold, stride)
+    return *runs_above(groups, found, image, noise, threshold), sample
 
 
 def a_plane(height=23, width=17):
@@ -270,6 +275,26 @@ def test_scan_finds_what_is_above_a_noise_that_varies(share):
     assert np.array_equal(marked, above)
     assert np.array_equal(signal, image[above])
     np.testing.assert_allclose(sample, (image / noise[y, x])[np.isfinite(image)], rtol=1e-6)
+
+
+@pytest.mark.parametrize("width", [5, 64, 203])
+def test_runs_above_a_higher_threshold_are_those_of_a_search_for_it(width):
+    image = rng(28, width).normal(0, 1, (30, width)).astype(np.float32)
+    image[rng(29).random(image.shape) < 0.02] = np.nan
+    planes = as_plane(np.zeros_like(image)), as_plane(np.full_like(image, 0.5))
+    groups, found, _ = search_rows(image, *planes, filter_half(None), np.float32(1.0), 7)
+    higher = scan_rows(image, *planes, filter_half(None), np.float32(2.5), 7)
+    for one, other in zip(runs_above(groups, found, image, planes[1], np.float32(2.5)), higher[:2], strict=True):
+        assert np.array_equal(one, other)
+    signal = np.nan_to_num(image.astype(float))
+    for axis in (0, 1):
+        signal = ndimage.correlate1d(signal, matched_kernel(0.8), axis, mode="constant")
+    above = (signal > 1.25) & np.isfinite(image)
+    marked = np.zeros(image.shape, bool)
+    for row, first, last in higher[0]:
+        marked[row, first:last] = True
+    assert np.array_equal(marked, above)
+    np.testing.assert_allclose(higher[1], signal[above], atol=1e-5)  # 50 products of float32 numbers below 8
 
 
 def test_brightest_first_is_a_sort_by_flux_then_place():
