@@ -52,12 +52,16 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
-    """Angle of a radius, NaN beyond the largest: Newton's steps, halved intervals where they leave the bracket."""
+    """Angle of a radius, NaN beyond the largest.
+
+    Newton's steps; the bracket is halved where they leave it, or are not half as long as the step before: between two
+    bends of the curve they can go to and fro for ever.
+    """
     if equisolid:
         return 2.0 * math.asin(0.5 * radius) if radius <= 2.0 * math.sin(0.5 * limit) else math.nan
     if not radius <= _radius(limit, k, False):
         return math.nan
-    low, high = 0.0, limit
+    low, high, change = 0.0, limit, limit
     theta = min(radius, limit)
     for _ in range(100):
         excess = _radius(theta, k, False) - radius
@@ -68,7 +72,7 @@ def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float
         t = theta * theta
         slope = 1.0 + t * (3.0 * k[0] + t * (5.0 * k[1] + t * (7.0 * k[2] + t * 9.0 * k[3])))
         moved = theta - excess / slope
-        if not low <= moved <= high:
+        if not low <= moved <= high or abs(moved - theta) > 0.5 * change:
             moved = 0.5 * (low + high)
         change, theta = abs(moved - theta), float(moved)
         if change <= 2e-16 * (1.0 + theta):

@@ -38,6 +38,16 @@ def test_there_and_back_over_a_field_of_180_degrees(k, focal, aspect, parity, se
     np.testing.assert_allclose(camera.project(again), pixels, rtol=0, atol=limit)
 
 
+def test_a_lens_of_which_newtons_steps_went_to_and_fro():
+    k = (0.0, 0.06777054942782072, 0.0, -0.002066145703859815)
+    lens = Distortion(k1=k[0], k2=k[1], k3=k[2], k4=k[3])
+    camera = Camera(1000.0, 1000.0, 5000.0, 4000.0, 10000, 8000, lens, 1, "fisheye")
+    theta = np.linspace(0.0, 0.999 * limit_rad(k), 20001)
+    vectors = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    pixels = camera.project(vectors)
+    np.testing.assert_allclose(camera.project(camera.unproject(pixels)), pixels, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "fisheye"])
 def test_fields_of_view(projection):
     camera = Camera.from_fov(170.0, 1000, 500, projection=projection)
