@@ -102,8 +102,9 @@ class SceneBuilder:
         self.orbit = build_orbit(scenario.orbit, scenario.epoch)
         self._round_s = round_s(scenario.pointing, self.orbit.period_s)
         catalog = by_place(load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit))
-        self.sky = SkyIndex(catalog)
         self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
+        catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # 80 bytes a star, and of no more use
+        self.sky = SkyIndex(catalog)
         self._jitter = load_spectrum(scenario.pointing.jitter, scenario.base_dir)
         target = scenario.pointing.target
         self._target = find_target(target, catalog) if isinstance(target, str) else None

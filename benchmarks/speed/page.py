@@ -96,6 +96,7 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
         ("help_s", "`boresight --help`", 0.3, "s"),
         ("first_frame_s", "`boresight render cubesat`, a cold process", 5.0, "s"),
         ("run_megabytes", "memory of a process of a run", 400.0, "MB"),
+        ("report_megabytes", "the same of a run of `cubesat.yaml` with its report", 400.0, "MB"),
     ):
         if name in processes:
             row(what, processes[name], limit, unit)

@@ -19,6 +19,7 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     InputError
         Where the folder holds no run, or a file cannot be read or written.
     """
+    from simulator.study.report.drawing import drawn_apart
     from simulator.study.report.page import build_report, html_of
     from simulator.study.report.pdf import pdf_of
     from simulator.study.trials.columns import Columns
@@ -36,9 +37,9 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     except (OSError, ValueError) as error:  # pyarrow's errors are of these classes
         raise InputError(f"{files['trials.parquet']}: cannot be read ({str(error).splitlines()[0]})") from error
     report = build_report(scenario, summary, columns, budget=told)
-    pages: dict[str, str | bytes] = {"report.html": html_of(report)}
+    pages: dict[str, str | bytes] = {"report.html": drawn_apart(html_of, report)}
     if pdf:
-        pages["report.pdf"] = pdf_of(report)
+        pages["report.pdf"] = drawn_apart(pdf_of, report)
     for name, page in pages.items():
         write_atomically(folder / name, page)
     print(f"{folder}: {', '.join(pages)}")

@@ -5,6 +5,7 @@ Colours are those of Okabe & Ito (2008), told apart by the colour-blind and in g
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
     """An image as the camera sees it, with its detections and its identified stars."""
     height, width = image.shape
     figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
-    draw_solution(grid[0, 0], np.asarray(image, dtype=float), solution)
+    draw_solution(grid[0, 0], shades_of(np.asarray(image, dtype=float)), solution)
     return figure
 
 
@@ -91,7 +92,7 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     height, width = frame.image.shape
     figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
     ax = grid[0, 0]
-    _show_sky(ax, np.asarray(frame.image, dtype=float))
+    _show_sky(ax, shades_of(np.asarray(frame.image, dtype=float)))
     inside = np.flatnonzero(frame.camera.contains(truth.sources.xy))
     for i in inside[np.argsort(-truth.sources.electrons[inside])][:names]:
         _label(ax, truth.sources.xy[i], width, truth.sources.name[i], truth.sources.id[i], truth.sources.v_mag[i])
@@ -103,29 +104,71 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     return figure
 
 
-def _show_sky(ax: Axes, image: NDArray[Any], preview_px: int | None = None) -> None:
-    """Image in reversed grey with an arcsinh stretch: sky white, stars dark, faint and bright at once.
+_FEW_GREYS = 24
 
-    With `preview_px` it is drawn from at most so many samples a side, each the brightest pixel of its block so that no
-    star is lost, and in few greys: a small file.
+
+@dataclass(frozen=True, eq=False)
+class Shades:
+    """An image as it is drawn.
+
+    Parameters
+    ----------
+    grey : array
+        How dark; `whole` is black.
+    whole : int
+        1 for real numbers, more for a small picture of few greys.
+    width, height : int
+        Of the image itself.
     """
-    low = float(np.nanmedian(image))
-    spread = float(np.nanmedian(np.abs(image - low))) * 1.4826 or float(np.nanstd(image)) or 1.0
+
+    grey: NDArray[Any]
+    whole: int
+    width: int
+    height: int
+
+
+def shades_of(image: NDArray[Any], preview_px: int | None = None) -> Shades:
+    """Reversed grey with an arcsinh stretch: sky white, stars dark, faint and bright at once.
+
+    With `preview_px` at most so many samples a side, each the brightest pixel of its block so that no star is lost, and
+    in few greys: a small file.
+    """
+    low, high, spread = _levels(image)
     soft = 4.0 * spread  # the noise stays pale, stars grow dark at once
-    top = max(float(np.nanpercentile(image, 99.97)), low + 5 * soft)
-    extent = (-0.5, image.shape[1] - 0.5, image.shape[0] - 0.5, -0.5)
+    top = max(high, low + 5 * soft)
     samples = image if preview_px is None else _brightest_of_blocks(image, -(-max(image.shape) // preview_px))
     stretched = np.arcsinh(np.clip(samples - low, 0, None) / soft) / np.arcsinh((top - low) / soft)
-    if preview_px is not None:
-        stretched = np.round(stretched * 24) / 24
-    ax.imshow(stretched, cmap="Greys", vmin=0, vmax=1.1, origin="upper", interpolation="nearest", extent=extent)
+    height, width = image.shape
+    if preview_px is None:
+        return Shades(stretched, 1, width, height)
+    return Shades(np.minimum(np.round(stretched * _FEW_GREYS), 255).astype(np.uint8), _FEW_GREYS, width, height)
+
+
+def _show_sky(ax: Axes, shades: Shades) -> None:
+    from matplotlib import colormaps
+
+    width, height = shades.width, shades.height
+    # bytes: resampled as real numbers it takes eight times the memory
+    rgba = colormaps["Greys"](shades.grey / shades.whole / 1.1, bytes=True)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    ax.imshow(rgba, origin="upper", interpolation="nearest", extent=extent)
     ax.grid(visible=False)
     for side in ("top", "right"):
         ax.spines[side].set_visible(True)
-    ax.set_xlim(-0.5, image.shape[1] - 0.5)
-    ax.set_ylim(image.shape[0] - 0.5, -0.5)
+    ax.set_xlim(-0.5, width - 0.5)
+    ax.set_ylim(height - 0.5, -0.5)
     ax.set_xlabel("column [px]")
     ax.set_ylabel("row [px]")
+
+
+def _levels(image: NDArray[Any]) -> tuple[float, float, float]:
+    """Median, 99.97th percentile and robust standard deviation; as float32, exact for 16 bits, to save memory."""
+    values = image.astype(np.float32)
+    low, high = float(np.nanmedian(values)), float(np.nanpercentile(values, 99.97))
+    values -= np.float32(low)
+    np.abs(values, out=values)
+    spread = float(np.nanmedian(values, overwrite_input=True)) * 1.4826
+    return low, high, spread or float(np.nanstd(image)) or 1.0
 
 
 def _brightest_of_blocks(image: NDArray[Any], block: int) -> NDArray[Any]:
@@ -134,11 +177,9 @@ def _brightest_of_blocks(image: NDArray[Any], block: int) -> NDArray[Any]:
     return np.asarray(padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block).max(axis=(1, 3)))
 
 
-def draw_solution(
-    ax: Axes, image: NDArray[Any], solution: Solution, names: int = 25, preview_px: int | None = None
-) -> None:
+def draw_solution(ax: Axes, shades: Shades, solution: Solution, names: int = 25) -> None:
     """Draw an image in reversed grey with what was detected and identified, the brightest `names` stars by name."""
-    _show_sky(ax, image, preview_px)
+    _show_sky(ax, shades)
     if len(solution.centroids):
         ax.plot(*solution.centroids.T, "s", ms=9, mfc="none", mec=ORANGE, mew=0.7,
                 label=f"detected ({len(solution.centroids)})")  # fmt: skip
@@ -147,18 +188,22 @@ def draw_solution(
                 label=f"identified ({solution.matched})")  # fmt: skip
         for i in np.argsort(solution.stars.v_mag)[:names]:
             stars = solution.stars
-            _label(ax, stars.xy[i], image.shape[1], stars.name[i], stars.catalog_id[i], stars.v_mag[i])
+            _label(ax, stars.xy[i], shades.width, stars.name[i], stars.catalog_id[i], stars.v_mag[i])
     if solution.solved:
         ax.set_title(
             f"RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°"
             + (f"  field {solution.fov_deg:.3f}°" if solution.fov_deg else ""),
-            fontsize=7 if preview_px else 9,
+            fontsize=7 if shades.whole > 1 else 9,
         )
     else:
         ax.set_title(f"{solution.status}: {solution.reason}", fontsize=9, wrap=True)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(
-            fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.13 if preview_px else -0.09), ncols=3, frameon=False
+            fontsize=8,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.13 if shades.whole > 1 else -0.09),
+            ncols=3,
+            frameon=False,
         )
 
 

@@ -18,8 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
-from startracker.catalog.voxels import star_within
 from startracker.estimation.kernels import triple_product
+from startracker.identification.marked_sky import mark_sky, no_marks
+from startracker.identification.other_stars import enough_hits, least_hits, look_beyond, no_others, pair_frame
 from startracker.identification.search_state import Finds, Limits, Pairs, Stars
 from startracker.identification.verification import (
     GATE_SIGMAS,
@@ -34,8 +35,8 @@ IntArray = NDArray[np.int64]
 
 PAIR_SIGMAS = 3.7
 """A true side is measured within this many standard errors: 2e-4 of them are lost, and there are other triangles."""
-_MANY_HITS = 100.0
-_LOOK_AT = 48
+_MANY_FOUND, _USUAL_SIGMA = 200, 1.5
+"""Triangles found after which the sky is marked, for stars of up to so many median errors."""
 _LEVER = 1.5
 _ABERRATION = 1.02e-4
 _VERIFY_FROM = 7.0
@@ -57,25 +58,12 @@ def _window(separation: NDArray[np.float32], low: float, high: float) -> tuple[i
 
 
 @njit(cache=True, error_model="numpy")
-def _pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
-    """Rows of `frame` (3, 3): the middle of two directions, their difference, and the normal to both."""
-    sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    # the sum and the difference of unit vectors are at right angles
-    s, d = 1.0 / math.sqrt(sx * sx + sy * sy + sz * sz), 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-    sx, sy, sz, dx, dy, dz = sx * s, sy * s, sz * s, dx * d, dy * d, dz * d
-    frame[0, 0], frame[0, 1], frame[0, 2] = sx, sy, sz
-    frame[1, 0], frame[1, 1], frame[1, 2] = dx, dy, dz
-    frame[2, 0], frame[2, 1], frame[2, 2] = sy * dz - sz * dy, sz * dx - sx * dz, sx * dy - sy * dx
-
-
-@njit(cache=True, error_model="numpy")
 def attitude_of_pair(b1: FloatArray, b2: FloatArray, r1: FloatArray, r2: FloatArray) -> FloatArray:
     """Attitude (3, 3) that takes the middle of two reference directions and their difference to the observed ones."""
     out = np.zeros((3, 3))
     seen, real = np.empty((3, 3)), np.empty((3, 3))
-    _pair_frame(b1, b2, seen)
-    _pair_frame(r1, r2, real)
+    pair_frame(b1, b2, seen)
+    pair_frame(r1, r2, real)
     for row in range(3):
         for column in range(3):
             for axis in range(3):
@@ -97,19 +85,6 @@ def _attitude_of_three(b: FloatArray, r: FloatArray, sigma: FloatArray) -> Float
     if math.isfinite(change[0] + change[1] + change[2]):
         matrix = turned(matrix, change[0], change[1], change[2])
     return matrix
-
-
-@njit(cache=True, error_model="numpy")
-def least_hits(mean: float, chance: float) -> int:
-    """Fewest hits that come by chance with a probability below `chance` where `mean` come on average (Poisson)."""
-    if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead
-        return int(mean + 5.0 * math.sqrt(mean)) + 1
-    term, tail, hits = math.exp(-mean), 1.0, 0
-    while tail > chance:
-        tail -= term
-        hits += 1
-        term *= mean / hits
-    return max(hits, 1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -152,50 +127,6 @@ def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float
 
 
 @njit(cache=True, error_model="numpy")
-def _in_frame_of_pair(j: int, k: int, i: int, vectors: FloatArray, coordinates: FloatArray) -> int:
-    """Coordinates of the brightest other stars along a pair's middle, its difference, and across both; how many."""
-    frame = np.empty((3, 3))
-    _pair_frame(vectors[j], vectors[k], frame)
-    count = 0
-    for star in range(len(vectors)):
-        if count == len(coordinates):
-            break
-        if star in (i, j, k):
-            continue
-        for axis in range(3):
-            row = frame[axis]
-            coordinates[count, axis] = row[0] * vectors[star, 0] + row[1] * vectors[star, 1] + row[2] * vectors[star, 2]
-        coordinates[count, 3] = star
-        count += 1
-    return count
-
-
-@njit(cache=True, error_model="numpy")
-def _enough_hits(
-    u: FloatArray, w: FloatArray, shrink: float, coordinates: FloatArray, gate2: FloatArray, need: int, sky: SkyView
-) -> bool:
-    """Whether enough of the other stars fall on guide stars when the pair is where `u` and `w` are."""
-    if need == 0:
-        return True
-    frame = np.empty((3, 3))
-    _pair_frame(u, w, frame)
-    hits, left = 0, len(coordinates)
-    for star in range(len(coordinates)):
-        if hits + left < need:
-            return False
-        left -= 1
-        p, q, r = coordinates[star, 0], coordinates[star, 1] * shrink, coordinates[star, 2] * shrink
-        x = p * frame[0, 0] + q * frame[1, 0] + r * frame[2, 0]
-        y = p * frame[0, 1] + q * frame[1, 1] + r * frame[2, 1]
-        z = p * frame[0, 2] + q * frame[1, 2] + r * frame[2, 2]
-        if star_within(x, y, z, gate2[star], sky.directions, sky.grid):
-            hits += 1
-            if hits >= need:
-                return True
-    return False
-
-
-@njit(cache=True, error_model="numpy")
 def _weigh_triangle(
     obs: IntArray, gid: IntArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
 ) -> tuple[int, int]:
@@ -224,6 +155,12 @@ def _weigh_triangle(
     if found[0] > _WORTH_A_SECOND_LOOK:
         count = _keep(finds, count, found)
     return count, _VERIFY_WORK
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _room(scratch: NDArray[np.int32], size: int) -> NDArray[np.int32]:
+    """The same array, or a longer one where it has no room for one more than `size`."""
+    return scratch if len(scratch) > size else np.empty(2 * size + 1, np.int32)
 
 
 @njit(cache=True, error_model="numpy")
@@ -260,15 +197,18 @@ def search_triangles(
     head = np.full(len(sky.directions), -1, np.int32)
     following = np.empty(0, np.int32)
     partner = np.empty(0, np.int32)
+    at_i, at_j = np.empty(0, np.int32), np.empty(0, np.int32)
     obs, gid = np.empty(3, np.int64), np.empty(3, np.int64)
-    others = np.empty((_LOOK_AT, 4))
-    gate2 = np.empty(_LOOK_AT)
+    others, marks = no_others(), no_marks()
+    gate = GATE_SIGMAS * _LEVER * limits.scale
     density = len(sky.directions) / (4.0 * math.pi)
     work, done, found = 0.0, 0, 0
     wide = limits.focal_range
     for t in range(len(triples)):
         if work > limits.work:
             break
+        if found > _MANY_FOUND and marks.reach2 < 0.0:
+            marks = mark_sky(sky.directions, _USUAL_SIGMA * gate * np.median(stars.sigma))
         done += 1
         i, j, k = triples[t]
         # i opposite the longest side
@@ -297,76 +237,77 @@ def search_triangles(
         m_ij = stars.magnitude[i] - stars.magnitude[j]
         m_ik = stars.magnitude[i] - stars.magnitude[k]
         size = 2 * (high_ik - low_ik)
-        if len(following) < size:
-            following, partner = np.empty(2 * size, np.int32), np.empty(2 * size, np.int32)
-        looked = _in_frame_of_pair(j, k, i, stars.vectors, others)
+        following, partner = _room(following, size), _room(partner, size)
+        looked = look_beyond(j, k, i, stars, gate, others)
         mean = 0.0
         for star in range(looked):
-            gate2[star] = (GATE_SIGMAS * _LEVER * limits.scale * stars.sigma[int(others[star, 3])]) ** 2
-            mean += math.pi * gate2[star] * density
+            mean += math.pi * others.gate2[star] * density
         need = min(least_hits(mean, limits.chance_hits), looked)
         filled = 0
         for p in range(low_ik, high_ik):
             a, c = pairs.first[p], pairs.second[p]
             fainter = sky.v_mag[a] - sky.v_mag[c]
-            if not abs(m_ik - fainter) > limits.magnitude_tolerance:
-                following[filled], partner[filled] = head[a], c
-                head[a] = filled
-                filled += 1
-            if not abs(m_ik + fainter) > limits.magnitude_tolerance:
-                following[filled], partner[filled] = head[c], a
-                head[c] = filled
-                filled += 1
+            # no branches: which way round a pair fits is not to be foreseen
+            known, fits = head[a], not abs(m_ik - fainter) > limits.magnitude_tolerance
+            following[filled], partner[filled] = known, c
+            head[a] = filled if fits else known
+            filled += fits
+            known, fits = head[c], not abs(m_ik + fainter) > limits.magnitude_tolerance
+            following[filled], partner[filled] = known, a
+            head[c] = filled if fits else known
+            filled += fits
         work += 4.0 * size + 4.0 * (high_ij - low_ij)
+        at_i, at_j, joined = _room(at_i, 2 * (high_ij - low_ij)), _room(at_j, 2 * (high_ij - low_ij)), 0
         for p in range(low_ij, high_ij):
-            for turn in range(2):
-                a, b = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
-                at = head[a]
-                if at < 0 or abs(m_ij - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
+            a, b = pairs.first[p], pairs.second[p]
+            fainter = sky.v_mag[a] - sky.v_mag[b]
+            at_i[joined], at_j[joined] = a, b
+            joined += (head[a] >= 0) & (not abs(m_ij - fainter) > limits.magnitude_tolerance)
+            at_i[joined], at_j[joined] = b, a
+            joined += (head[b] >= 0) & (not abs(m_ij + fainter) > limits.magnitude_tolerance)
+        for p in range(joined):
+            a, b = at_i[p], at_j[p]
+            at = head[a]
+            x, y, z = sky.directions[b, 0], sky.directions[b, 1], sky.directions[b, 2]
+            while at >= 0:
+                c, at = partner[at], following[at]
+                work += 4.0
+                cosine = x * sky.directions[c, 0] + y * sky.directions[c, 1] + z * sky.directions[c, 2]
+                if not cos_low <= cosine <= cos_high or b == c:
                     continue
-                u = sky.directions[b]
-                while at >= 0:
-                    c, at = partner[at], following[at]
-                    work += 4.0
-                    w = sky.directions[c]
-                    cosine = u[0] * w[0] + u[1] * w[1] + u[2] * w[2]
-                    if not cos_low <= cosine <= cos_high or b == c:
-                        continue
-                    v = sky.directions[a]
-                    real = triple_product(v, u, w)
-                    if seen * real <= 0.0 and abs(seen) > thin:
-                        continue
-                    focal = 0.0
-                    if wide > 0.0:
-                        r_ij, r_ik = math.log(ij / _chord_angle(v, u)), math.log(ik / _chord_angle(v, w))
-                        r_jk = math.log(jk / _chord_angle(u, w))
-                        if (
-                            abs(r_ij - r_jk) > t_ij / ij + t_jk / jk
-                            or abs(r_ik - r_jk) > t_ik / ik + t_jk / jk
-                            or abs(r_ij - r_ik) > t_ij / ij + t_ik / ik
-                        ):
-                            continue
-                        focal = (r_ij * ij + r_ik * ik + r_jk * jk) / (ij + ik + jk)
-                    if not (
-                        _fits_prior(stars.vectors[i], v, limits)
-                        and _fits_prior(stars.vectors[j], u, limits)
-                        and _fits_prior(stars.vectors[k], w, limits)
+                v, u, w = sky.directions[a], sky.directions[b], sky.directions[c]
+                real = triple_product(v, u, w)
+                if seen * real <= 0.0 and abs(seen) > thin:
+                    continue
+                focal = 0.0
+                if wide > 0.0:
+                    r_ij, r_ik = math.log(ij / _chord_angle(v, u)), math.log(ik / _chord_angle(v, w))
+                    r_jk = math.log(jk / _chord_angle(u, w))
+                    if (
+                        abs(r_ij - r_jk) > t_ij / ij + t_jk / jk
+                        or abs(r_ik - r_jk) > t_ik / ik + t_jk / jk
+                        or abs(r_ij - r_ik) > t_ij / ij + t_ik / ik
                     ):
                         continue
-                    found += 1
-                    work += _CANDIDATE_WORK
-                    if not _enough_hits(u, w, 1.0 - focal, others[:looked], gate2, need, sky):
-                        continue
-                    obs[0], obs[1], obs[2] = i, j, k
-                    gid[0], gid[1], gid[2] = a, b, c
-                    before = count
-                    count, cost = _weigh_triangle(obs, gid, focal, stars, sky, limits, finds, count)
-                    work += cost
-                    if count > before and finds.log_b[:count].max() > limits.sure:
-                        work = math.inf
-                        at = -1
-                if work > limits.work:
-                    break
+                    focal = (r_ij * ij + r_ik * ik + r_jk * jk) / (ij + ik + jk)
+                if not (
+                    _fits_prior(stars.vectors[i], v, limits)
+                    and _fits_prior(stars.vectors[j], u, limits)
+                    and _fits_prior(stars.vectors[k], w, limits)
+                ):
+                    continue
+                found += 1
+                work += _CANDIDATE_WORK
+                if not enough_hits(u, w, 1.0 - focal, others, looked, need, sky, marks):
+                    continue
+                obs[0], obs[1], obs[2] = i, j, k
+                gid[0], gid[1], gid[2] = a, b, c
+                before = count
+                count, cost = _weigh_triangle(obs, gid, focal, stars, sky, limits, finds, count)
+                work += cost
+                if count > before and finds.log_b[:count].max() > limits.sure:
+                    work = math.inf
+                    at = -1
             if work > limits.work:
                 break
         for p in range(low_ik, high_ik):

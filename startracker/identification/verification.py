@@ -111,10 +111,18 @@ def match_nearest(
     """
     owner[: len(places)] = -1
     count = 0
+    across = np.empty((2, len(places)))  # column by column, for several places at a time
+    for j in range(len(places)):
+        across[0, j], across[1, j] = places[j, 0], places[j, 1]
     for i in range(len(points)):
         index[i], distance[i] = -1, np.inf
         best, at = gate[i] ** 2, -1
         x, y = points[i, 0], points[i, 1]
+        near = 0
+        for j in range(len(places)):
+            near += (across[0, j] - x) ** 2 + (across[1, j] - y) ** 2 <= best
+        if near == 0:
+            continue
         for j in range(len(places)):
             d = places[j, 0] - x
             d2 = d * d

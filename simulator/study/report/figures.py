@@ -44,6 +44,7 @@ LEAST_TRIALS = 20
 """Fewer solved trials than this say nothing about a trend."""
 MANY_POINTS = 1500
 """More points than this are drawn as pixels, so that the page stays small."""
+_SKY_LIMIT_MAG = 4.5
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
         Panel(
             "Where the camera looked",
             "Boresights of the trials in the Sanson–Flamsteed projection, ICRS.",
-            functools.partial(draw_sky, columns, catalog),
+            functools.partial(draw_sky, columns, catalog.brighter_than(_SKY_LIMIT_MAG)),
             height_in=4.3,
             wide=True,
         ),
@@ -276,7 +277,7 @@ _ECLIPTIC_POLE = (270.0, 66.5607)
 _GALACTIC_POLE = (192.85948, 27.12825)  # J2000, Hipparcos catalogue vol. 1, section 1.5.3
 
 
-def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes, magnitude_limit: float = 4.5) -> None:
+def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes, magnitude_limit: float = _SKY_LIMIT_MAG) -> None:
     """Boresights of all trials over the sky, Sanson–Flamsteed projection, right ascension growing to the left."""
 
     def plane(ra_deg: NDArray[Any], dec_deg: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

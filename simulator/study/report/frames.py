@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.plots import draw_solution
+from simulator.study.plots import draw_solution, shades_of
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import Panel
 from simulator.study.trials.trial import TrialRunner, solve_frame
@@ -63,7 +63,7 @@ def frame_panels(
         made[index] = Panel(
             f"Trial {index}, the {what}",
             f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
-            functools.partial(draw_solution, image=frame.image, solution=solution, names=8, preview_px=512),
+            functools.partial(draw_solution, shades=shades_of(frame.image, 512), solution=solution, names=8),
             height_in=4.2 * min(1.3, height / width) + 0.35,
         )
     return [(panel, index) for index, panel in made.items()]

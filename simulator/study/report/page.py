@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from simulator.scenario import Scenario
 from simulator.study.html_page import render_page
 from simulator.study.report.content import Content, content_of
+from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
 from simulator.study.statistics import BODY_AXES
@@ -107,5 +108,5 @@ def report_html(
     runner: TrialRunner | None = None,
     budget: Mapping[str, Any] | None = None,
 ) -> str:
-    """`build_report` and `html_of` in one: the page alone."""
-    return html_of(build_report(scenario, summary, columns, runner=runner, budget=budget))
+    """`build_report` and `html_of` in one: the page alone, drawn apart."""
+    return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner, budget=budget))

@@ -53,6 +53,10 @@ class Columns(Mapping[str, NDArray[Any]]):
             self._cache.popitem(last=False)
         return array
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Another process reads columns again rather than getting them in its mail."""
+        return self.__dict__ | {"_cache": OrderedDict()}
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._schema.names)
 

@@ -1,0 +1,134 @@
+"""Whether the observed stars beyond a triangle fall on guide stars, with the triangle where it was found.
+
+They are taken along in the frame of the triangle's farthest two stars. By chance few of them hit, so that the hits
+decide what is worth a verification.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.catalog.sky_view import SkyView
+from startracker.catalog.voxels import star_within
+from startracker.identification.marked_sky import Marks, is_marked
+from startracker.identification.search_state import Stars
+
+__all__ = ["Others", "enough_hits", "least_hits", "look_beyond", "no_others", "pair_frame"]
+
+FloatArray = NDArray[np.float64]
+
+_MANY_HITS = 100.0
+_LOOK_AT = 48
+
+
+@njit(cache=True, error_model="numpy")
+def pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
+    """Rows of `frame` (3, 3): the middle of two directions, their difference, and the normal to both."""
+    sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    # the sum and the difference of unit vectors are at right angles
+    s, d = 1.0 / math.sqrt(sx * sx + sy * sy + sz * sz), 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    sx, sy, sz, dx, dy, dz = sx * s, sy * s, sz * s, dx * d, dy * d, dz * d
+    frame[0, 0], frame[0, 1], frame[0, 2] = sx, sy, sz
+    frame[1, 0], frame[1, 1], frame[1, 2] = dx, dy, dz
+    frame[2, 0], frame[2, 1], frame[2, 2] = sy * dz - sz * dy, sz * dx - sx * dz, sx * dy - sy * dx
+
+
+class Others(NamedTuple):
+    """Observed stars beyond a triangle's own, to be looked for in the sky, and what that takes.
+
+    Parameters
+    ----------
+    along : (3, 48)
+        Coordinates along a pair's middle, its difference, and across both.
+    gate2 : (48,)
+        Square of the distance up to which a guide star is one's own.
+    near : uint8 (48,)
+        Scratch: whether a guide star may be there.
+    frame : (3, 3)
+        Scratch.
+    """
+
+    along: FloatArray
+    gate2: FloatArray
+    near: NDArray[np.uint8]
+    frame: FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def no_others() -> Others:
+    """Room for them."""
+    n = _LOOK_AT
+    return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
+
+
+@njit(cache=True, error_model="numpy")
+def look_beyond(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
+    """Fill in the brightest other stars in the frame of the pair j, k; how many, at gates of so many sigma."""
+    frame = others.frame
+    pair_frame(stars.vectors[j], stars.vectors[k], frame)
+    count = 0
+    for star in range(len(stars.vectors)):
+        if count == _LOOK_AT:
+            break
+        if star in (i, j, k):
+            continue
+        x, y, z = stars.vectors[star, 0], stars.vectors[star, 1], stars.vectors[star, 2]
+        for axis in range(3):
+            others.along[axis, count] = frame[axis, 0] * x + frame[axis, 1] * y + frame[axis, 2] * z
+        others.gate2[count] = (gate * stars.sigma[star]) ** 2
+        count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def enough_hits(
+    u: FloatArray, w: FloatArray, shrink: float, others: Others, looked: int, need: int, sky: SkyView, marks: Marks
+) -> bool:
+    """Whether enough of the other stars fall on guide stars when the pair is where `u` and `w` are."""
+    if need == 0:
+        return True
+    frame, near, marked, possible = others.frame, others.near, marks.reach2 > 0.0, looked
+    pair_frame(u, w, frame)
+    a, b, c = frame[0, 0], frame[1, 0], frame[2, 0]
+    d, e, f = frame[0, 1], frame[1, 1], frame[2, 1]
+    g, h, i = frame[0, 2], frame[1, 2], frame[2, 2]
+    if marked:
+        possible = 0
+        for star in range(looked):  # no branches: several stars at a time
+            p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
+            x, y, z = p * a + q * b + r * c, p * d + q * e + r * f, p * g + q * h + r * i
+            near[star] = is_marked(x, y, z, marks) | (others.gate2[star] > marks.reach2)
+            possible += near[star]
+    hits = 0
+    for star in range(looked):
+        if hits + possible < need:
+            return False
+        if marked and not near[star]:
+            continue
+        possible -= 1
+        p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
+        x, y, z = p * a + q * b + r * c, p * d + q * e + r * f, p * g + q * h + r * i
+        if star_within(x, y, z, others.gate2[star], sky.directions, sky.grid):
+            hits += 1
+            if hits >= need:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def least_hits(mean: float, chance: float) -> int:
+    """Fewest hits that come by chance with a probability below `chance` where `mean` come on average (Poisson)."""
+    if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead
+        return int(mean + 5.0 * math.sqrt(mean)) + 1
+    term, tail, hits = math.exp(-mean), 1.0, 0
+    while tail > chance:
+        tail -= term
+        hits += 1
+        term *= mean / hits
+    return max(hits, 1)
