@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
 from startracker.centroid.psf_sums import fill_window, sums_of_one
+from startracker.centroid.window import row_of
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 
@@ -57,9 +58,9 @@ def _read(
     """Signal above the background in a window, row by row, and its variance in the dark; how many pixels count."""
     count, n = 0, np.uint64(0)
     for j in range(top, top + high):
-        values, share, part = image[j, left : left + wide], level.share[j], noise.share[j]
-        upper, lower = _lines(level, j, left, wide)
-        quiet, loud = _lines(noise, j, left, wide)
+        values = image[j, left : left + wide]
+        upper, lower, share = row_of(level, j, left, wide)
+        quiet, loud, part = row_of(noise, j, left, wide)
         for i in range(wide):
             usable = is_value(values[i]) and np.float64(values[i]) < ceiling
             above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
@@ -68,14 +69,6 @@ def _read(
             count += int(usable)
             n += np.uint64(1)
     return count
-
-
-@njit(cache=True, error_model="numpy")
-def _lines(plane: Plane, y: int, left: int, wide: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lines of a map above and below a row, from one column on."""
-    cell = plane.cell[y]
-    below = min(cell + 1, len(plane.lines) - 1)
-    return plane.lines[cell, left : left + wide], plane.lines[below, left : left + wide]
 
 
 @njit(cache=True, error_model="numpy")
