@@ -26,8 +26,8 @@ _CONVERGED = 1e-13
 _UNGUARDED = 8
 _STEEP = 0.05
 """Slope from which Newton's method is tried without a bracket."""
-_NEAR = 1e-7
-"""From there its next step, the last one, ends within 1e-13."""
+_NEAR = 1e-6
+"""From there its next step, the last one, ends within 1e-11."""
 _GUESSES, _STEP_PX = 9, 0.125
 _FLAT = 1e-6
 """Slope of the mean against the centre below which the window no longer tells the position."""

@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.moments import Prepared, column_medians
+from startracker.centroid.moments import Prepared, median
 from startracker.centroid.psf_kernel import fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
+from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 
 __all__ = ["fit_gaussians", "frame_psf", "is_alone"]
 
-FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _SHAPE_STARS = 9
 """Brightest clean stars whose shapes are fitted."""
+_FEWEST_ALONE = 3
 _LARGEST_HALF_PX = 8
 _NODES = np.polynomial.legendre.leggauss(3)[0] / 2.0
 _WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
@@ -37,8 +38,8 @@ _STREAK_RATIO = 1.5
 @njit(cache=True, error_model="numpy")
 def fit_gaussians(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
+    level: Plane,
+    noise: Plane,
     xs: FloatArray,
     ys: FloatArray,
     half: int,
@@ -100,7 +101,7 @@ def fit_gaussians(
                     gradient[3] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
                     gradient[4] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
                     gradient[5] = ia * ic * uu + (ia * ib + ic * ic) * uv + ic * ib * vv - ic * total
-                    d = value - level[j, i]
+                    d = value - np.float64(level[j, i])
                     light = flux * total if flux > 0.0 else max(d, 0.0)
                     weight = 1.0 / (np.float64(noise[j, i]) ** 2 + light * inverse_gain)
                     above += weight * total * d
@@ -150,6 +151,34 @@ def is_alone(positions: FloatArray, chosen: IntArray, reach: float) -> NDArray[n
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def _frame_shape(
+    image: Image,
+    level: Plane,
+    noise: Plane,
+    saturated: NDArray[np.bool_],
+    edge: NDArray[np.bool_],
+    positions: FloatArray,
+    half: int,
+    start_xx: float,
+    start_yy: float,
+    inverse_gain: float,
+) -> tuple[FloatArray, FloatArray, tuple[float, float, float], int]:
+    """Positions x and y of the brightest clean stars, medians of their shapes, and how many tell theirs."""
+    clean = np.flatnonzero(~(saturated | edge) & np.isfinite(positions[:, 0] + positions[:, 1]))[: 2 * _SHAPE_STARS]
+    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
+    clean = (alone if len(alone) >= _FEWEST_ALONE else clean)[:_SHAPE_STARS]
+    x, y = positions[clean, 0], positions[clean, 1]
+    shapes = fit_gaussians(image, level, noise, x, y, half, start_xx, start_yy, inverse_gain)
+    told = np.isfinite(shapes[:, 0])
+    xx, yy, xy = start_xx, start_yy, 0.0
+    if told.any():
+        xx, yy, xy = median(shapes[told, 0]), median(shapes[told, 1]), median(shapes[told, 2])
+        if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
+            xx, yy, xy = start_xx, start_yy, 0.0
+    return x, y, (xx, yy, xy), np.sum(told)
+
+
 def frame_psf(
     frame: Prepared, spots: Spots, positions: FloatArray, sigmas: tuple[float, float], reach_px: float
 ) -> PsfModel:
@@ -168,25 +197,28 @@ def frame_psf(
     reach_px : float
         Least half width of the table.
     """
-    start = np.maximum(np.square(sigmas), SMALLEST_SIGMA_PX**2)
-    clean = np.flatnonzero(~spots.saturated & ~spots.edge & np.isfinite(positions).all(axis=1))[: 2 * _SHAPE_STARS]
-    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
-    clean = (alone if len(alone) >= 3 else clean)[:_SHAPE_STARS]
+    start_xx, start_yy = (max(sigma**2, SMALLEST_SIGMA_PX**2) for sigma in sigmas)
     half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
-    x, y = positions[clean].T.copy()
-    shapes = fit_gaussians(frame.image, frame.level, frame.noise, x, y, half, start[0], start[1], frame.inverse_gain)
-    shapes = shapes[np.isfinite(shapes).all(axis=1)]
-    xx, yy, xy = column_medians(shapes) if len(shapes) else (start[0], start[1], 0.0)
-    if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
-        xx, yy, xy = start[0], start[1], 0.0
+    x, y, (xx, yy, xy), told = _frame_shape(
+        frame.image,
+        frame.level,
+        frame.noise,
+        spots.saturated,
+        spots.edge,
+        positions,
+        half,
+        start_xx,
+        start_yy,
+        frame.inverse_gain,
+    )
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
     minor, major = middle - spread, middle + spread
-    if major < _STREAK_RATIO**2 * minor or not len(shapes):
+    if major < _STREAK_RATIO**2 * minor or not told:
         return ellipse
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    window = np.full(len(clean), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
+    window = np.full(len(x), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
     length = math.sqrt(12.0 * (major - minor))
     along, across = length * math.cos(angle), length * math.sin(angle)
     round_one = gaussian_psf(minor, minor, radius_px=radius)
