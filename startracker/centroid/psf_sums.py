@@ -89,13 +89,17 @@ def fill(
             at_x, at_y = first_x + px[n] * oversampling, first_y + py[n] * oversampling
             out[0, n], out[1, n], out[2, n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
         return
-    _along(axes[0], oversampling, first_x + low_x * oversampling, weights[0], lines[0], lines[1])
-    _along(axes[1], oversampling, first_y + low_y * oversampling, weights[1], lines[2], lines[3])
     share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
     share, by_x, by_y = out[0], out[1], out[2]
-    for n in range(len(px)):
-        i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
-        share[n], by_x[n], by_y[n] = share_x[i] * share_y[j], slope_x[i] * share_y[j], share_x[i] * slope_y[j]
+    out[:, : len(px)] = 0.0
+    for term in range(0, len(axes), 2):
+        _along(axes[term], oversampling, first_x + low_x * oversampling, weights[0], share_x, slope_x)
+        _along(axes[term + 1], oversampling, first_y + low_y * oversampling, weights[1], share_y, slope_y)
+        for n in range(len(px)):
+            i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
+            share[n] += share_x[i] * share_y[j]
+            by_x[n] += slope_x[i] * share_y[j]
+            by_y[n] += share_x[i] * slope_y[j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,14 +127,20 @@ def fill_window(
                 share[n], by_x[n], by_y[n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
                 n += np.uint64(1)
         return
-    _along(axes[0], oversampling, first_x, weights[0], lines[0], lines[1])
-    _along(axes[1], oversampling, first_y, weights[1], lines[2], lines[3])
     share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
-    for j in range(high):
-        s, t = share_y[j], slope_y[j]
-        for i in range(wide):
-            share[n], by_x[n], by_y[n] = share_x[i] * s, slope_x[i] * s, share_x[i] * t
-            n += np.uint64(1)
+    for term in range(0, len(axes), 2):
+        _along(axes[term], oversampling, first_x, weights[0], share_x, slope_x)
+        _along(axes[term + 1], oversampling, first_y, weights[1], share_y, slope_y)
+        n = np.uint64(0)
+        for j in range(high):
+            s, t = share_y[j], slope_y[j]
+            for i in range(wide):
+                p, px, py = share_x[i] * s, slope_x[i] * s, share_x[i] * t
+                if term == 0:
+                    share[n], by_x[n], by_y[n] = p, px, py
+                else:
+                    share[n], by_x[n], by_y[n] = share[n] + p, by_x[n] + px, by_y[n] + py
+                n += np.uint64(1)
 
 
 @njit(cache=True, error_model="numpy")

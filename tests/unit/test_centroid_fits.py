@@ -216,10 +216,10 @@ def test_bad_input(method):
         METHODS[method](image, flat(image), spots, CentroidSettings(psf="no such file"), 1.0)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.2])
-def test_light_in_pixels_is_the_interpolated_table(tilt):
+@pytest.mark.parametrize(("tilt", "axes"), [(0.0, 2), (-0.05, 8), (0.2, 0)])
+def test_light_in_pixels_is_the_interpolated_table(tilt, axes):
     psf = gaussian_psf(0.8, 1.1, tilt, radius_px=5.0)
-    assert len(psf.axes) == (0 if tilt else 2)
+    assert len(psf.axes) == axes
     x, y, weights = 40.3, 17.6, np.empty((2, 8))
     j, i = (axis.ravel() for axis in np.mgrid[10:26, 32:51])  # beyond the table on every side
     first = [interpolate(len(psf.table), psf.oversampling, -place, weights, n) for n, place in enumerate((x, y))]
