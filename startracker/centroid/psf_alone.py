@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
 from startracker.centroid.psf_sums import fill_window, sums_of_one
-from startracker.centroid.window import row_of
+from startracker.centroid.window import read_pixels
 from startracker.detection.plane import Plane
-from startracker.detection.values import Image, is_value
+from startracker.detection.values import Image
 
 __all__ = [
     "ACCEPTED_PX",
@@ -40,35 +40,6 @@ them and 1e-4 px."""
 ACCEPTED_PX = 1e-3
 WEIGHINGS = 3
 LARGEST_GROWTH = 2.0
-
-
-@njit(cache=True, error_model="numpy")
-def _read(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    left: int,
-    top: int,
-    wide: int,
-    high: int,
-    ceiling: float,
-    signal: FloatArray,
-    dark: FloatArray,
-) -> int:
-    """Signal above the background in a window, row by row, and its variance in the dark; how many pixels count."""
-    count, n = 0, np.uint64(0)
-    for j in range(top, top + high):
-        values = image[j, left : left + wide]
-        upper, lower, share = row_of(level, j, left, wide)
-        quiet, loud, part = row_of(noise, j, left, wide)
-        for i in range(wide):
-            usable = is_value(values[i]) and np.float64(values[i]) < ceiling
-            above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
-            sigma = np.float64(quiet[i] + part * (loud[i] - quiet[i]))
-            signal[n], dark[n] = above if usable else 0.0, sigma**2 if usable else np.inf
-            count += int(usable)
-            n += np.uint64(1)
-    return count
 
 
 @njit(cache=True, error_model="numpy")
@@ -100,10 +71,7 @@ def fit_alone(
     reweigh: bool,
     out: FloatArray,
 ) -> None:
-    """Fits of the stars of which `stars` are the numbers, see `startracker.centroid.psf_kernel.fit_stars`, to `out`.
-
-    Pixels that do not count, not finite or at the ceiling, have no signal and an infinite variance.
-    """
+    """Fits of the stars of which `stars` are the numbers, see `startracker.centroid.psf_kernel.fit_stars`, to `out`."""
     height, width = image.shape
     side = 2 * halves.max() + 1 if len(halves) else 0
     every_signal, every_dark, every_variance = np.empty(side * side), np.empty(side * side), np.empty(side * side)
@@ -116,7 +84,7 @@ def fit_alone(
         wide, high = min(cx + half + 1, width) - left, min(cy + half + 1, height) - top
         pixels = wide * high
         signal, dark, variances = every_signal[:pixels], every_dark[:pixels], every_variance[:pixels]
-        count = _read(image, level, noise, left, top, wide, high, ceiling, signal, dark)
+        count = read_pixels(image, level, noise, left, top, wide, high, ceiling, signal, dark)
         if count <= 3:
             continue
         fill_window(table, axes, oversampling, left - x, top - y, wide, high, shares, weights, lines)

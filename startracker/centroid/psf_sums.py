@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["fill", "fill_window", "interpolate", "interpolated", "sums", "sums_of_one"]
+__all__ = ["fill", "fill_window", "interpolate", "interpolated", "normal_equations", "sums", "sums_of_one"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -235,3 +235,30 @@ def sums_of_one(
     normal[0, 0], normal[1, 0], normal[1, 1] = xx, xy, yy
     normal[2, 0], normal[2, 1], normal[2, 2] = xf, yf, ff
     return chi2
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+def normal_equations(
+    slopes: FloatArray,
+    weights: FloatArray,
+    residuals: FloatArray,
+    count: int,
+    normal: FloatArray,
+    right: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Normal matrix, its lower half, and right side of so many weighted pixels, whose model has the slopes (M, N).
+
+    The sums are in any order, as those of `sums_of_one`; `work` is working space for N numbers.
+    """
+    for a in range(len(slopes)):
+        slope, total = slopes[a], 0.0
+        for n in range(count):
+            work[n] = slope[n] * weights[n]
+            total += work[n] * residuals[n]
+        right[a] = total
+        for b in range(a + 1):
+            other, total = slopes[b], 0.0
+            for n in range(count):
+                total += work[n] * other[n]
+            normal[a, b] = total

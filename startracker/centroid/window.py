@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
 from startracker.detection.plane import Plane
-from startracker.detection.values import Image
+from startracker.detection.values import Image, is_value
 
-__all__ = ["MEASURED", "measure_stars", "measure_widths", "read_window", "row_of"]
+__all__ = ["MEASURED", "measure_stars", "measure_widths", "read_pixels", "read_window"]
 
 FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -31,11 +31,43 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 
 
 @njit(cache=True, error_model="numpy")
-def row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, FloatImage, np.float32]:
+def _row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, FloatImage, np.float32]:
     """A stretch of one row of a map: the lines above and below it, and how far it is from the one to the other."""
     cell = plane.cell[y]
     below = min(cell + 1, len(plane.lines) - 1)
     return plane.lines[cell, left : left + wide], plane.lines[below, left : left + wide], plane.share[y]
+
+
+@njit(cache=True, error_model="numpy")
+def read_pixels(
+    image: Image,
+    level: Plane,
+    noise: Plane,
+    left: int,
+    top: int,
+    wide: int,
+    high: int,
+    ceiling: float,
+    signal: FloatArray,
+    dark: FloatArray,
+) -> int:
+    """Signal above the background in a window, row by row, and its variance in the dark; how many pixels count.
+
+    Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
+    """
+    count, n = 0, np.uint64(0)
+    for j in range(top, top + high):
+        values = image[j, left : left + wide]
+        upper, lower, share = _row_of(level, j, left, wide)
+        quiet, loud, part = _row_of(noise, j, left, wide)
+        for i in range(wide):
+            usable = is_value(values[i]) and np.float64(values[i]) < ceiling
+            above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
+            sigma = np.float64(quiet[i] + part * (loud[i] - quiet[i]))
+            signal[n], dark[n] = above if usable else 0.0, sigma**2 if usable else np.inf
+            count += int(usable)
+            n += np.uint64(1)
+    return count
 
 
 @njit(cache=True, error_model="numpy")
@@ -61,8 +93,8 @@ def read_window(image: Image, level: Plane, noise: Plane, x: int, y: int, half: 
     v, vi, vj, vii, vjj, vij = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(low_y, high_y + 1):
         values = image[y + j, left : left + wide]
-        upper, lower, share = row_of(level, y + j, left, wide)
-        quiet, loud, part = row_of(noise, y + j, left, wide)
+        upper, lower, share = _row_of(level, y + j, left, wide)
+        quiet, loud, part = _row_of(noise, y + j, left, wide)
         row, row_i, row_ii, noisy, noisy_i, noisy_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for n in range(wide):
             i = low_x + n

@@ -8,7 +8,15 @@ from startracker.centroid import METHODS, maximum_likelihood
 from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import is_alone
-from startracker.centroid.psf_sums import fill, fill_window, interpolate, interpolated, sums, sums_of_one
+from startracker.centroid.psf_sums import (
+    fill,
+    fill_window,
+    interpolate,
+    interpolated,
+    normal_equations,
+    sums,
+    sums_of_one,
+)
 from startracker.detection import Background, Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -265,6 +273,17 @@ def test_sums_over_pixels_against_matrix_products(weigh):
             assert (np.abs(right - exact) <= eps * terms).all()
             exact, terms = (gradient * weight) @ gradient.T, (size * weight) @ size.T
             assert (np.abs(normal - np.tril(exact)) <= eps * terms).all()
+
+
+def test_normal_equations_against_matrix_products():
+    random = np.random.default_rng(8)
+    slopes, weights, residuals = random.normal(size=(6, 49)), random.uniform(0.1, 2, 49), random.normal(size=49)
+    normal, right, count, eps = np.zeros((6, 6)), np.empty(6), 42, 49 * np.finfo(float).eps
+    normal_equations(slopes, weights, residuals, count, normal, right, np.empty(49))
+    rows, weighted = slopes[:, :count], (slopes * weights)[:, :count]
+    # sums of n terms in any two orders are within n roundings of the sum of the terms' sizes
+    assert (np.abs(right - weighted @ residuals[:count]) <= eps * (np.abs(weighted) @ np.abs(residuals[:count]))).all()
+    assert (np.abs(normal - np.tril(weighted @ rows.T)) <= eps * (np.abs(weighted) @ np.abs(rows).T)).all()
 
 
 def test_stars_alone():
