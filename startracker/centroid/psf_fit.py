@@ -13,6 +13,7 @@ from startracker.centroid.psf_kernel import fit_stars, group_stars, weighted_mom
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids
+from startracker.centroid.window import MEASURED
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
@@ -147,31 +148,56 @@ def _fit(
         return Centroids.none()
     moments, sigmas = measure_moments(frame, spots)
     psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
-    x, y = start[:, 0].copy(), start[:, 1].copy()
-    group = group_stars(x, y, (halves + math.ceil(_WIDTHS * psf.sigma_px)).astype(float))
-    fits = fit_stars(
+    table, group = _fit_found(
         frame.image,
         frame.level,
         frame.noise,
         *psf.samples,
-        group,
-        x,
-        y,
+        start,
+        moments,
         halves,
+        float(math.ceil(_WIDTHS * psf.sigma_px)),
         ceilings,
         frame.inverse_gain,
         frame.settings.flat_field_error,
         reweigh,
     )
-    misfit = fits[:, 6] / fits[:, 7]
-    inflation = np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)
-    table = fits[:, :6].copy()
-    table[:, 3:] *= inflation[:, None]
-    failed = ~np.isfinite(table).all(axis=1)
-    table[failed] = moments[failed]
-    # a star measured by its moment counts as apart from its group
-    group[failed] = len(spots) + np.flatnonzero(failed)
     return collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
+
+
+@njit(cache=True, error_model="numpy")
+def _fit_found(
+    image: Image,
+    level: Plane,
+    noise: Plane,
+    table: FloatArray,
+    axes: FloatArray,
+    oversampling: int,
+    start: FloatArray,
+    moments: FloatArray,
+    halves: IntArray,
+    apart: float,
+    ceilings: FloatArray,
+    inverse_gain: float,
+    flat_error: float,
+    reweigh: bool,
+) -> tuple[FloatArray, IntArray]:
+    """Measurements (N, 6) by fits, or by moments where these fail, and the number of each star's group."""
+    x, y = start[:, 0].copy(), start[:, 1].copy()
+    group = group_stars(x, y, halves + apart)
+    fits = fit_stars(
+        image, level, noise, table, axes, oversampling, group, x, y, halves, ceilings, inverse_gain, flat_error, reweigh
+    )
+    out = np.empty((len(x), MEASURED))
+    for n in range(len(x)):
+        fit = fits[n]
+        misfit, usual = fit[6] / fit[7], 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / fit[7])
+        out[n] = fit[:MEASURED]
+        out[n, 3:] *= misfit if misfit > usual else 1.0
+        if not np.isfinite(out[n]).all():
+            # a star measured by its moment counts as apart from its group
+            out[n], group[n] = moments[n], len(x) + n
+    return out, group
 
 
 def _start(

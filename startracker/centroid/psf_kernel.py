@@ -9,7 +9,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums, sums_of_one
+from startracker.centroid.psf_alone import (
+    ACCEPTED_PX,
+    CONVERGED_PX,
+    FITTED,
+    ITERATIONS,
+    LARGEST_GROWTH,
+    LONGEST_STEP_PX,
+    WEIGHINGS,
+    fit_alone,
+)
+from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums
+from startracker.detection.plane import Plane
 from startracker.detection.values import Image
 
 __all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
@@ -18,21 +29,8 @@ FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-FITTED = 8
-"""Columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom."""
 MOST_TOGETHER = 8
 """Stars fitted jointly at most."""
-
-_ITERATIONS = 25
-_LONGEST_STEP_PX = 0.5
-_CONVERGED_PX = 2e-4
-"""Of the last step; the steps shrink tenfold and more, so that the next would be below 2e-5."""
-_CONVERGED_SIGMA = 0.02
-"""Of the last step of a star alone, in its own standard errors, where it is accepted: the next would be below 0.002 of
-them and 1e-4 px."""
-_ACCEPTED_PX = 1e-3
-_WEIGHINGS = 3
-_LARGEST_GROWTH = 2.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -98,8 +96,8 @@ def _without(
 @njit(cache=True, error_model="numpy")
 def _fit_group(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
+    level: Plane,
+    noise: Plane,
     table: FloatArray,
     axes: FloatArray,
     oversampling: int,
@@ -144,24 +142,18 @@ def _fit_group(
         flux[k] = _amplitude(shares[k, 0], signal[used:end])
         if not flux[k] > 0.0:
             return
-        used = end if m == 1 else _without(px, py, signal, dark, used, end, image, lowest_ceiling, cx, cy, half, k)
+        used = _without(px, py, signal, dark, used, end, image, lowest_ceiling, cx, cy, half, k)
     if used <= size:
         return
     px, py, signal, dark = px[:used], py[:used], signal[:used], dark[:used]
     variances, gradient = np.empty(used), np.empty(size)
     normal, right = np.zeros((size, size)), np.zeros(size)
     chi2, step = 0.0, 1.0
-    for iteration in range(_ITERATIONS):
-        weigh = reweigh or iteration < _WEIGHINGS
-        if m > 1 or iteration > 0:  # a star alone has had its first
-            for k in range(m):
-                fill(table, axes, oversampling, x[k], y[k], px, py, low_x, low_y, shares[k], weights, lines)
-        if m == 1:
-            chi2 = sums_of_one(
-                shares[0], flux[0], signal, dark, variances, inverse_gain, flat_error, weigh, normal, right
-            )
-        else:
-            chi2 = sums(shares, flux, signal, dark, variances, inverse_gain, flat_error, weigh, gradient, normal, right)
+    for iteration in range(ITERATIONS):
+        weigh = reweigh or iteration < WEIGHINGS
+        for k in range(m):
+            fill(table, axes, oversampling, x[k], y[k], px, py, low_x, low_y, shares[k], weights, lines)
+        chi2 = sums(shares, flux, signal, dark, variances, inverse_gain, flat_error, weigh, gradient, normal, right)
         if not factorise(normal, size):
             return
         score = right.copy()
@@ -173,22 +165,20 @@ def _fit_group(
             longest = max(longest, abs(right[3 * star]), abs(right[3 * star + 1]))
         if not math.isfinite(longest):
             return
-        short = min(1.0, _LONGEST_STEP_PX / longest) if longest > 0.0 else 1.0
+        short = min(1.0, LONGEST_STEP_PX / longest) if longest > 0.0 else 1.0
         for star in range(m):
             x[star] += short * right[3 * star]
             y[star] += short * right[3 * star + 1]
             growth = 1.0 + short * right[3 * star + 2]
-            flux[star] *= min(max(growth, 1.0 / _LARGEST_GROWTH), _LARGEST_GROWTH)
+            flux[star] *= min(max(growth, 1.0 / LARGEST_GROWTH), LARGEST_GROWTH)
             if abs(x[star] - cx[star]) > half[star] or abs(y[star] - cy[star]) > half[star]:
                 return
         step = longest
-        enough = m == 1 and (reweigh or iteration > _WEIGHINGS) and step < _ACCEPTED_PX
-        enough = enough and gain < _CONVERGED_SIGMA**2
-        if step < _CONVERGED_PX or enough:
+        if step < CONVERGED_PX:
             # what the last step gains is known; matrix and χ² are those of its start but for that
             chi2, step = chi2 - gain, 0.0
             break
-    if step > _ACCEPTED_PX:
+    if step > ACCEPTED_PX:
         return
     column = np.empty(size)
     for star in range(m):
@@ -205,8 +195,8 @@ def _fit_group(
 @njit(cache=True, error_model="numpy")
 def fit_stars(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
+    level: Plane,
+    noise: Plane,
     table: FloatArray,
     axes: FloatArray,
     oversampling: int,
@@ -226,7 +216,7 @@ def fit_stars(
     table, axes, oversampling
         Of a `startracker.centroid.psf_model.PsfModel`.
     group : int array, shape (N,)
-        Stars of equal number are fitted together over the union of their windows.
+        Stars of equal number, that of one of them, are fitted together over the union of their windows.
     xs, ys : array, shape (N,)
         Start.
     halves : int array, shape (N,)
@@ -245,12 +235,18 @@ def fit_stars(
     Parameters of a star: x, y and ln(flux), so that the normal matrix is well scaled.
     """
     out = np.full((len(xs), FITTED), np.nan)
+    number = np.zeros(len(xs), np.int64)
     for index in range(len(xs)):
-        if group[index] == index:
-            members = np.flatnonzero(group == index)
+        number[group[index]] += 1
+    fit_alone(
+        image, level, noise, table, axes, oversampling, np.flatnonzero(number == 1), xs, ys, halves, ceilings,
+        inverse_gain, flat_error, reweigh, out,
+    )  # fmt: skip
+    for index in range(len(xs)):
+        if number[index] > 1:
             _fit_group(
-                image, level, noise, table, axes, oversampling, members, xs, ys, halves, ceilings, inverse_gain,
-                flat_error, reweigh, out,
+                image, level, noise, table, axes, oversampling, np.flatnonzero(group == index), xs, ys, halves,
+                ceilings, inverse_gain, flat_error, reweigh, out,
             )  # fmt: skip
     return out
 
@@ -293,7 +289,7 @@ def weighted_moments(
         cx, cy = round(x), round(y)
         move = 1.0
         weights = np.empty((2, 8))
-        for _ in range(4 * _ITERATIONS):
+        for _ in range(4 * ITERATIONS):
             first_x = interpolate(table.shape[0], oversampling, -x, weights, 0)
             first_y = interpolate(table.shape[0], oversampling, -y, weights, 1)
             wd, wp, dx1, dy1, px1, py1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -321,17 +317,17 @@ def weighted_moments(
                 move = np.inf
                 break
             sx, sy = (dx1 - flux * px1, dy1 - flux * py1) if correct else (dx1, dy1)
-            if move < _CONVERGED_PX:
+            if move < CONVERGED_PX:
                 break
             step_x = (jyy * sx - jxy * sy) / (cross * flux)
             step_y = (jxx * sy - jyx * sx) / (cross * flux)
             move = max(abs(step_x), abs(step_y))
-            short = min(1.0, _LONGEST_STEP_PX / move) if move > 0.0 else 1.0
+            short = min(1.0, LONGEST_STEP_PX / move) if move > 0.0 else 1.0
             x, y = x + short * step_x, y + short * step_y
             if not (abs(x - cx) <= half and abs(y - cy) <= half):
                 move = np.inf
                 break
-        if not move < _ACCEPTED_PX:
+        if not move < ACCEPTED_PX:
             continue
         scale = 1.0 / (cross * flux) ** 2
         out[index, 0], out[index, 1], out[index, 2] = x, y, flux

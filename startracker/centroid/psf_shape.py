@@ -10,20 +10,23 @@ from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.moments import Prepared, column_medians
+from startracker.centroid.moments import Prepared, median
 from startracker.centroid.psf_kernel import fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
+from startracker.centroid.psf_sums import normal_equations
+from startracker.centroid.window import read_pixels
+from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 
 __all__ = ["fit_gaussians", "frame_psf", "is_alone"]
 
-FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _SHAPE_STARS = 9
 """Brightest clean stars whose shapes are fitted."""
+_FEWEST_ALONE = 3
 _LARGEST_HALF_PX = 8
 _NODES = np.polynomial.legendre.leggauss(3)[0] / 2.0
 _WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
@@ -37,8 +40,8 @@ _STREAK_RATIO = 1.5
 @njit(cache=True, error_model="numpy")
 def fit_gaussians(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
+    level: Plane,
+    noise: Plane,
     xs: FloatArray,
     ys: FloatArray,
     half: int,
@@ -54,8 +57,10 @@ def fit_gaussians(
     height, width = image.shape
     out = np.full((len(xs), 3), np.nan)
     side, nodes = 2 * half + 1, len(_NODES)
-    gradient, normal, right = np.empty(6), np.empty((6, 6)), np.empty(6)
-    # the Gaussian is a product of one factor along x, one along y and one of both, which steps from row to row
+    gradient, normal, right = np.empty(6), np.zeros((6, 6)), np.empty(6)
+    slopes, pixels = np.empty((6, side * side)), np.empty((5, side * side))
+    signal, dark, weights, residuals, work = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4]
+    # the Gaussian is a product of one factor along x, one along y and one of both, which steps from pixel to pixel
     along_x, along_y = np.empty(nodes * side), np.empty(nodes * side)
     both, step_y = np.empty((nodes, nodes * side)), np.empty(nodes * side)
     for index in range(len(xs)):
@@ -64,21 +69,32 @@ def fit_gaussians(
         flux = -1.0
         low_x, high_x = max(cx - half, 0), min(cx + half + 1, width)
         low_y, high_y = max(cy - half, 0), min(cy + half + 1, height)
+        wide, high = high_x - low_x, high_y - low_y
+        read_pixels(image, level, noise, low_x, low_y, wide, high, np.inf, signal, dark)
         for _ in range(_STEPS):
-            normal[:], right[:] = 0.0, 0.0
             above, below = 0.0, 0.0
             determinant = a * b - c * c
             ia, ib, ic = b / determinant, a / determinant, -c / determinant
             scale = 1.0 / (2.0 * math.pi * math.sqrt(determinant))
-            for k in range(nodes * (high_x - low_x)):
+            for k in range(nodes * wide):
                 u = low_x + k // nodes + _NODES[k % nodes] - x
                 along_x[k] = scale * _WEIGHTS[k % nodes] * math.exp(-0.5 * ia * u * u)
-                step_y[k] = math.exp(-ic * u)
-                for t in range(nodes):
-                    both[t, k] = math.exp(-ic * u * (low_y + _NODES[t] - y))
-            for k in range(nodes * (high_y - low_y)):
+                if k < nodes:
+                    step_y[k] = math.exp(-ic * u)
+            for t in range(nodes):
+                v = low_y + _NODES[t] - y
+                for k in range(nodes):
+                    both[t, k] = math.exp(-ic * (low_x + _NODES[k] - x) * v)
+                step_x = math.exp(-ic * v)
+                for k in range(nodes, nodes * wide):
+                    both[t, k] = step_x * both[t, k - nodes]
+            step_both = math.exp(-ic)
+            for k in range(nodes, nodes * wide):
+                step_y[k] = step_both * step_y[k - nodes]
+            for k in range(nodes * high):
                 v = low_y + k // nodes + _NODES[k % nodes] - y
                 along_y[k] = _WEIGHTS[k % nodes] * math.exp(-0.5 * ib * v * v)
+            pixel = np.uint64(0)
             for j in range(low_y, high_y):
                 for i in range(low_x, high_x):
                     total, u1, v1, uu, uv, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -93,30 +109,27 @@ def fit_gaussians(
                         g = along_y[(j - low_y) * nodes + t]
                         total, u1, uu = total + g * row, u1 + g * row_u, uu + g * row_uu
                         v1, uv, vv = v1 + g * row * v, uv + g * row_u * v, vv + g * row * v * v
-                    value = np.float64(image[j, i])
-                    if not math.isfinite(value):
-                        continue
+                    d, variance = signal[pixel], dark[pixel]
                     gradient[0], gradient[1], gradient[2] = ia * u1 + ic * v1, ic * u1 + ib * v1, total
                     gradient[3] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
                     gradient[4] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
                     gradient[5] = ia * ic * uu + (ia * ib + ic * ic) * uv + ic * ib * vv - ic * total
-                    d = value - level[j, i]
                     light = flux * total if flux > 0.0 else max(d, 0.0)
-                    weight = 1.0 / (np.float64(noise[j, i]) ** 2 + light * inverse_gain)
+                    weight = 1.0 / (variance + light * inverse_gain)
                     above += weight * total * d
                     below += weight * total * total
                     if flux > 0.0:
                         residual = d - flux * total
                         for m in range(6):
-                            g = weight * flux * gradient[m]
-                            right[m] += g * residual
-                            for n in range(m + 1):
-                                normal[m, n] += g * flux * gradient[n]
+                            slopes[m, pixel] = flux * gradient[m]
+                        weights[pixel], residuals[pixel] = weight, residual
+                    pixel += np.uint64(1)
             if flux <= 0.0:
                 flux = above / below
                 if not flux > 0.0:
                     break
                 continue
+            normal_equations(slopes, weights, residuals, wide * high, normal, right, work)
             for m in range(6):
                 normal[m, m] *= 1.0 + 1e-9
                 if not normal[m, m] > 0.0:
@@ -150,6 +163,34 @@ def is_alone(positions: FloatArray, chosen: IntArray, reach: float) -> NDArray[n
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def _frame_shape(
+    image: Image,
+    level: Plane,
+    noise: Plane,
+    saturated: NDArray[np.bool_],
+    edge: NDArray[np.bool_],
+    positions: FloatArray,
+    half: int,
+    start_xx: float,
+    start_yy: float,
+    inverse_gain: float,
+) -> tuple[FloatArray, FloatArray, tuple[float, float, float], int]:
+    """Positions x and y of the brightest clean stars, medians of their shapes, and how many tell theirs."""
+    clean = np.flatnonzero(~(saturated | edge) & np.isfinite(positions[:, 0] + positions[:, 1]))[: 2 * _SHAPE_STARS]
+    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
+    clean = (alone if len(alone) >= _FEWEST_ALONE else clean)[:_SHAPE_STARS]
+    x, y = positions[clean, 0], positions[clean, 1]
+    shapes = fit_gaussians(image, level, noise, x, y, half, start_xx, start_yy, inverse_gain)
+    told = np.isfinite(shapes[:, 0])
+    xx, yy, xy = start_xx, start_yy, 0.0
+    if told.any():
+        xx, yy, xy = median(shapes[told, 0]), median(shapes[told, 1]), median(shapes[told, 2])
+        if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
+            xx, yy, xy = start_xx, start_yy, 0.0
+    return x, y, (xx, yy, xy), np.sum(told)
+
+
 def frame_psf(
     frame: Prepared, spots: Spots, positions: FloatArray, sigmas: tuple[float, float], reach_px: float
 ) -> PsfModel:
@@ -168,25 +209,28 @@ def frame_psf(
     reach_px : float
         Least half width of the table.
     """
-    start = np.maximum(np.square(sigmas), SMALLEST_SIGMA_PX**2)
-    clean = np.flatnonzero(~spots.saturated & ~spots.edge & np.isfinite(positions).all(axis=1))[: 2 * _SHAPE_STARS]
-    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
-    clean = (alone if len(alone) >= 3 else clean)[:_SHAPE_STARS]
+    start_xx, start_yy = (max(sigma**2, SMALLEST_SIGMA_PX**2) for sigma in sigmas)
     half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
-    x, y = positions[clean].T.copy()
-    shapes = fit_gaussians(frame.image, frame.level, frame.noise, x, y, half, start[0], start[1], frame.inverse_gain)
-    shapes = shapes[np.isfinite(shapes).all(axis=1)]
-    xx, yy, xy = column_medians(shapes) if len(shapes) else (start[0], start[1], 0.0)
-    if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
-        xx, yy, xy = start[0], start[1], 0.0
+    x, y, (xx, yy, xy), told = _frame_shape(
+        frame.image,
+        frame.level,
+        frame.noise,
+        spots.saturated,
+        spots.edge,
+        positions,
+        half,
+        start_xx,
+        start_yy,
+        frame.inverse_gain,
+    )
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
     minor, major = middle - spread, middle + spread
-    if major < _STREAK_RATIO**2 * minor or not len(shapes):
+    if major < _STREAK_RATIO**2 * minor or not told:
         return ellipse
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    window = np.full(len(clean), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
+    window = np.full(len(x), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
     length = math.sqrt(12.0 * (major - minor))
     along, across = length * math.cos(angle), length * math.sin(angle)
     round_one = gaussian_psf(minor, minor, radius_px=radius)

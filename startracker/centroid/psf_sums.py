@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["fill", "interpolate", "interpolated", "sums", "sums_of_one"]
+__all__ = ["fill", "fill_window", "interpolate", "interpolated", "normal_equations", "sums", "sums_of_one"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -89,13 +89,58 @@ def fill(
             at_x, at_y = first_x + px[n] * oversampling, first_y + py[n] * oversampling
             out[0, n], out[1, n], out[2, n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
         return
-    _along(axes[0], oversampling, first_x + low_x * oversampling, weights[0], lines[0], lines[1])
-    _along(axes[1], oversampling, first_y + low_y * oversampling, weights[1], lines[2], lines[3])
     share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
     share, by_x, by_y = out[0], out[1], out[2]
-    for n in range(len(px)):
-        i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
-        share[n], by_x[n], by_y[n] = share_x[i] * share_y[j], slope_x[i] * share_y[j], share_x[i] * slope_y[j]
+    out[:, : len(px)] = 0.0
+    for term in range(0, len(axes), 2):
+        _along(axes[term], oversampling, first_x + low_x * oversampling, weights[0], share_x, slope_x)
+        _along(axes[term + 1], oversampling, first_y + low_y * oversampling, weights[1], share_y, slope_y)
+        for n in range(len(px)):
+            i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
+            share[n] += share_x[i] * share_y[j]
+            by_x[n] += slope_x[i] * share_y[j]
+            by_y[n] += share_x[i] * slope_y[j]
+
+
+@njit(cache=True, error_model="numpy")
+def fill_window(
+    table: FloatArray,
+    axes: FloatArray,
+    oversampling: int,
+    dx: float,
+    dy: float,
+    wide: int,
+    high: int,
+    out: FloatArray,
+    weights: FloatArray,
+    lines: FloatArray,
+) -> None:
+    """`fill` for all pixels of a window, row by row, whose first one is at (dx, dy) from the star."""
+    size = axes.shape[1] if len(axes) else table.shape[0]
+    first_x = interpolate(size, oversampling, dx, weights, 0)
+    first_y = interpolate(size, oversampling, dy, weights, 1)
+    share, by_x, by_y, n = out[0], out[1], out[2], np.uint64(0)
+    if not len(axes):
+        for j in range(high):
+            for i in range(wide):
+                at_x, at_y = first_x + i * oversampling, first_y + j * oversampling
+                share[n], by_x[n], by_y[n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
+                n += np.uint64(1)
+        return
+    share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
+    for term in range(0, len(axes), 2):
+        _along(axes[term], oversampling, first_x, weights[0], share_x, slope_x)
+        _along(axes[term + 1], oversampling, first_y, weights[1], share_y, slope_y)
+        n = np.uint64(0)
+        for j in range(high):
+            s, t = share_y[j], slope_y[j]
+            for i in range(wide):
+                p, px, py = share_x[i] * s, slope_x[i] * s, share_x[i] * t
+                if term == 0:
+                    share[n], by_x[n], by_y[n] = p, px, py
+                else:
+                    share[n], by_x[n], by_y[n] = share[n] + p, by_x[n] + px, by_y[n] + py
+                n += np.uint64(1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -157,7 +202,8 @@ def sums(
     return chi2
 
 
-@njit(cache=True, error_model="numpy")
+# sums in any order: added up in the order of the pixels each sum waits for the one before, five times as long
+@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
 def sums_of_one(
     shares: FloatArray,
     flux: float,
@@ -170,7 +216,7 @@ def sums_of_one(
     normal: FloatArray,
     right: FloatArray,
 ) -> float:
-    """The sums of `sums` for a star alone, whose `shares` are (3, N), without an array in the loop."""
+    """The sums of `sums` for a star alone, whose `shares` are (3, N), without an array in the loop, to rounding."""
     chi2, rx, ry, rf, xx, xy, yy, xf, yf, ff = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     share, by_x, by_y = shares[0], shares[1], shares[2]
     for n in range(len(variances)):
@@ -189,3 +235,30 @@ def sums_of_one(
     normal[0, 0], normal[1, 0], normal[1, 1] = xx, xy, yy
     normal[2, 0], normal[2, 1], normal[2, 2] = xf, yf, ff
     return chi2
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+def normal_equations(
+    slopes: FloatArray,
+    weights: FloatArray,
+    residuals: FloatArray,
+    count: int,
+    normal: FloatArray,
+    right: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Normal matrix, its lower half, and right side of so many weighted pixels, whose model has the slopes (M, N).
+
+    The sums are in any order, as those of `sums_of_one`; `work` is working space for N numbers.
+    """
+    for a in range(len(slopes)):
+        slope, total = slopes[a], 0.0
+        for n in range(count):
+            work[n] = slope[n] * weights[n]
+            total += work[n] * residuals[n]
+        right[a] = total
+        for b in range(a + 1):
+            other, total = slopes[b], 0.0
+            for n in range(count):
+                total += work[n] * other[n]
+            normal[a, b] = total

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from startracker.centroid.bias import invert_moment, invert_moments, window_moments
-from startracker.detection.values import Image
+from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
+from startracker.detection.plane import Plane
+from startracker.detection.values import Image, is_value
 
-__all__ = ["MEASURED", "measure_stars", "measure_widths", "read_window"]
+__all__ = ["MEASURED", "measure_stars", "measure_widths", "read_pixels", "read_window"]
 
 FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+Moments: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 MEASURED = 6
 """Columns of a measurement: x, y, flux, var x, var y, cov xy."""
 
@@ -28,20 +31,52 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 
 
 @njit(cache=True, error_model="numpy")
-def read_window(
+def _row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, FloatImage, np.float32]:
+    """A stretch of one row of a map: the lines above and below it, and how far it is from the one to the other."""
+    cell = plane.cell[y]
+    below = min(cell + 1, len(plane.lines) - 1)
+    return plane.lines[cell, left : left + wide], plane.lines[below, left : left + wide], plane.share[y]
+
+
+@njit(cache=True, error_model="numpy")
+def read_pixels(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
-    x: int,
-    y: int,
-    half: int,
-    inverse_gain: float,
-) -> FloatArray:
+    level: Plane,
+    noise: Plane,
+    left: int,
+    top: int,
+    wide: int,
+    high: int,
+    ceiling: float,
+    signal: FloatArray,
+    dark: FloatArray,
+) -> int:
+    """Signal above the background in a window, row by row, and its variance in the dark; how many pixels count.
+
+    Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
+    """
+    count, n = 0, np.uint64(0)
+    for j in range(top, top + high):
+        values = image[j, left : left + wide]
+        upper, lower, share = _row_of(level, j, left, wide)
+        quiet, loud, part = _row_of(noise, j, left, wide)
+        for i in range(wide):
+            usable = is_value(values[i]) and np.float64(values[i]) < ceiling
+            above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
+            sigma = np.float64(quiet[i] + part * (loud[i] - quiet[i]))
+            signal[n], dark[n] = above if usable else 0.0, sigma**2 if usable else np.inf
+            count += int(usable)
+            n += np.uint64(1)
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def read_window(image: Image, level: Plane, noise: Plane, x: int, y: int, half: int, inverse_gain: float) -> Moments:
     """Moments of the signal over the pixels within `half` of (x, y) that lie on the image.
 
     Returns
     -------
-    array, shape (12,)
+    tuple of 12 numbers
         Signal S; mean x and y about (x, y); variances of x and y; the noise variances of the two means and their
         covariance; limits low x, high x, low y, high y of the window about (x, y). S is NaN when a pixel is not finite.
 
@@ -52,36 +87,52 @@ def read_window(
     height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
-    total, sum_x, sum_y, sum_xx, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0
+    left, wide = x + low_x, high_x - low_x + 1
+    # sums of the signal and of its variance, times 1, i, j, i², j², ij
+    s, si, sj, sii, sjj = 0.0, 0.0, 0.0, 0.0, 0.0
+    v, vi, vj, vii, vjj, vij = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(low_y, high_y + 1):
-        for i in range(low_x, high_x + 1):
-            signal = np.float64(image[y + j, x + i]) - np.float64(level[y + j, x + i])
-            total += signal
-            sum_x += signal * i
-            sum_y += signal * j
-            sum_xx += signal * i * i
-            sum_yy += signal * j * j
-    out = np.empty(12)
-    mean_x, mean_y = sum_x / total, sum_y / total
-    noise_x, noise_y, noise_xy = 0.0, 0.0, 0.0
-    for j in range(low_y, high_y + 1):
-        for i in range(low_x, high_x + 1):
-            signal = np.float64(image[y + j, x + i]) - np.float64(level[y + j, x + i])
-            variance = np.float64(noise[y + j, x + i]) ** 2 + max(signal, 0.0) * inverse_gain
-            noise_x += (i - mean_x) ** 2 * variance
-            noise_y += (j - mean_y) ** 2 * variance
-            noise_xy += (i - mean_x) * (j - mean_y) * variance
-    out[0], out[1], out[2] = total, mean_x, mean_y
-    out[3], out[4] = sum_xx / total - mean_x**2, sum_yy / total - mean_y**2
-    out[5], out[6], out[7] = noise_x / total**2, noise_y / total**2, noise_xy / total**2
-    out[8], out[9], out[10], out[11] = low_x, high_x, low_y, high_y
-    return out
+        values = image[y + j, left : left + wide]
+        upper, lower, share = _row_of(level, y + j, left, wide)
+        quiet, loud, part = _row_of(noise, y + j, left, wide)
+        row, row_i, row_ii, noisy, noisy_i, noisy_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(wide):
+            i = low_x + n
+            signal = np.float64(values[n]) - np.float64(upper[n] + share * (lower[n] - upper[n]))
+            sigma = np.float64(quiet[n] + part * (loud[n] - quiet[n]))
+            variance = sigma * sigma + max(signal, 0.0) * inverse_gain
+            row, row_i, row_ii = row + signal, row_i + signal * i, row_ii + signal * i * i
+            noisy, noisy_i, noisy_ii = noisy + variance, noisy_i + variance * i, noisy_ii + variance * i * i
+        s, si, sj, sii, sjj = s + row, si + row_i, sj + row * j, sii + row_ii, sjj + row * j * j
+        v, vi, vj, vii, vjj, vij = (
+            v + noisy,
+            vi + noisy_i,
+            vj + noisy * j,
+            vii + noisy_ii,
+            vjj + noisy * j * j,
+            vij + noisy_i * j,
+        )
+    mx, my = si / s, sj / s
+    noise_x, noise_y = vii - 2.0 * mx * vi + mx * mx * v, vjj - 2.0 * my * vj + my * my * v
+    noise_xy = vij - mx * vj - my * vi + mx * my * v
+    return (
+        s,
+        mx,
+        my,
+        sii / s - mx * mx,
+        sjj / s - my * my,
+        noise_x / s**2,
+        noise_y / s**2,
+        noise_xy / s**2,
+        float(low_x),
+        float(high_x),
+        float(low_y),
+        float(high_y),
+    )
 
 
 @njit(cache=True, error_model="numpy")
-def measure_widths(
-    image: Image, level: FloatImage, noise: FloatImage, xs: IntArray, ys: IntArray, half: int
-) -> FloatArray:
+def measure_widths(image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, half: int) -> FloatArray:
     """Gaussian widths (N, 2) of stars whose brightest pixels are given; NaN where the window does not tell.
 
     Each axis on its own: mean and variance of the marginal over the window, inverted for centre and width.
@@ -100,7 +151,7 @@ def measure_widths(
 
 
 @njit(cache=True, error_model="numpy")
-def _recentred(image: Image, level: FloatImage, noise: FloatImage, x: int, y: int, half: int) -> tuple[int, int]:
+def _recentred(image: Image, level: Plane, noise: Plane, x: int, y: int, half: int) -> tuple[int, int]:
     """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
     height, width = image.shape
     for _ in range(8):
@@ -115,10 +166,20 @@ def _recentred(image: Image, level: FloatImage, noise: FloatImage, x: int, y: in
 
 
 @njit(cache=True, error_model="numpy")
+def _centre(
+    moment: float, sigma: float, low: int, high: int, half: int, centres: FloatArray
+) -> tuple[float, float, float]:
+    """Centre of a moment, see `invert_from`; for a whole window from the table, so that the first step is the last."""
+    guess = guess_centre(moment, centres) if low == -half and high == half else moment
+    centre, slope, light = invert_from(guess, moment, sigma, low, high)
+    return centre, slope, light
+
+
+@njit(cache=True, error_model="numpy")
 def measure_stars(
     image: Image,
-    level: FloatImage,
-    noise: FloatImage,
+    level: Plane,
+    noise: Plane,
     xs: IntArray,
     ys: IntArray,
     pixels: IntArray,
@@ -145,6 +206,7 @@ def measure_stars(
     """
     height, width = image.shape
     out = np.full((len(xs), MEASURED), np.nan)
+    centres_x, centres_y = centres_of_means(sigma_x, half), centres_of_means(sigma_y, half)
     for index in range(len(xs)):
         x, y = xs[index], ys[index]
         if saturated[index]:
@@ -164,10 +226,12 @@ def measure_stars(
             if not w[0] > 0.0:
                 break
             if correct:
-                dx, slope_x = invert_moment(w[1], sigma_x, int(w[8]), int(w[9]))
-                dy, slope_y = invert_moment(w[2], sigma_y, int(w[10]), int(w[11]))
+                dx, slope_x, light_x = _centre(w[1], sigma_x, int(w[8]), int(w[9]), half, centres_x)
+                dy, slope_y, light_y = _centre(w[2], sigma_y, int(w[10]), int(w[11]), half, centres_y)
             else:
                 dx, dy, slope_x, slope_y = w[1], w[2], 1.0, 1.0
+                light_x = window_moments(dx, sigma_x, int(w[8]), int(w[9]))[0]
+                light_y = window_moments(dy, sigma_y, int(w[10]), int(w[11]))[0]
             move_x = round(min(max(dx, -half), half))
             move_y = round(min(max(dy, -half), half))
             x_next = min(max(x + move_x, 0), width - 1)
@@ -178,12 +242,8 @@ def measure_stars(
                 x, y = x_next, y_next
         if not w[0] > 0.0 or not (math.isfinite(slope_x) and math.isfinite(slope_y)):
             continue
-        inside = (
-            window_moments(dx, sigma_x, int(w[8]), int(w[9]))[0]
-            * window_moments(dy, sigma_y, int(w[10]), int(w[11]))[0]
-        )
         out[index, 0], out[index, 1] = x + dx, y + dy
-        out[index, 2] = w[0] / max(inside, 0.05)
+        out[index, 2] = w[0] / max(light_x * light_y, 0.05)
         # light that stays within one pixel says little of where, but never less than that it is this pixel
         if sigma_x < _WITHIN_PIXEL:
             slope_x = min(slope_x, math.sqrt(1.0 + _PIXEL_VARIANCE / w[5]))

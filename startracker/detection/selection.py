@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.forms import brightest_first, is_halo, measure_forms
 from startracker.detection.matched import quantiles
-from startracker.detection.plane import sample_plane
+from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.scan import UNFILTERED
 from startracker.detection.smear import agrees, common_motion, motion_at
 from startracker.detection.spots import (
@@ -31,6 +32,7 @@ __all__ = ["select_smeared", "select_spots"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 _FLAT_TOP_PIXELS = 5
@@ -40,6 +42,7 @@ _LOOKED_AT = 6
 """Objects examined for each star asked for: the brightest; an image full of noise has thousands."""
 _QUIET_QUANTILE = 0.25
 _QUIET_STEP_PX = 16
+_FAINTER = "fainter than the brightest"
 
 
 def select_spots(
@@ -78,28 +81,19 @@ def select_spots(
     rejected: dict[str, int] = {}
     if not len(table):
         return Spots.none()
-    saturated = is_saturated(table, saturation_known)
-    fewest = settings.min_pixels if half is None else 1
-    index, small, large, dark = brightest_first(table, fewest, settings.max_pixels)
-    _note(rejected, "too small", small)
-    _note(rejected, "too large", large)
-    _note(rejected, "without signal", dark)
-    most = max(settings.max_stars, 0)
-    _note(rejected, "fainter than the brightest", len(index) - _LOOKED_AT * most)
-    index = index[: _LOOKED_AT * most]
-    table, saturated = table[index], saturated[index]
-
+    fewest, most = settings.min_pixels if half is None else 1, max(settings.max_stars, 0)
+    table, saturated, left_out = _brightest(table, saturation_known, fewest, settings.max_pixels, _LOOKED_AT * most)
     forms = measure_forms(table, settings.max_axis_ratio)
     quiet = 0.0
     if settings.isolation > 0.0:
         # where there are branches, the noise of the tiles is theirs
         noise = sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX)
         quiet = excess * settings.threshold_sigma * quantiles(noise, (_QUIET_QUANTILE,))[0]
-    verdict = judge_objects(
+    x, y, flux, pixels, full, edge, centre, streak, verdicts = _judge(
         table,
         saturated,
-        is_halo(table),
         forms.long,
+        forms.centre,
         image,
         background.level_plane,
         background.noise_plane,
@@ -110,34 +104,73 @@ def select_spots(
         settings.isolation,
         most,
     )
-    for number, reason in zip(np.bincount(verdict, minlength=len(REASONS) + 1)[1:].tolist(), REASONS, strict=True):
-        _note(rejected, reason, number)
+    reasons = ("too small", "too large", "without signal", _FAINTER, *REASONS)
+    for reason, number in zip(reasons, (*left_out, *verdicts.tolist()), strict=True):
+        if number > 0:
+            rejected[reason] = rejected.get(reason, 0) + number
+    return Spots(x, y, flux, pixels, full, edge, centre, streak, rejected)
+
+
+@njit(cache=True, error_model="numpy")
+def _brightest(
+    table: FloatArray, saturation_known: bool, fewest: int, largest: int, most: int
+) -> tuple[FloatArray, Flags, tuple[int, int, int, int]]:
+    """The brightest objects, which of them are saturated, and how many are too small, large, dark and faint."""
+    saturated = is_saturated(table, saturation_known)
+    index, small, large, dark = brightest_first(table, fewest, largest)
+    fainter = len(index) - most
+    index = index[:most]
+    return table[index], saturated[index], (small, large, dark, fainter)
+
+
+@njit(cache=True, error_model="numpy")
+def _judge(
+    table: FloatArray,
+    saturated: Flags,
+    long: Flags,
+    centre: FloatArray,
+    image: Image,
+    level: Plane,
+    noise: Plane,
+    half: FloatImage,
+    reject_hits: bool,
+    offsets: IntArray,
+    ends: IntArray,
+    quiet: float,
+    isolation: float,
+    most: int,
+) -> tuple[IntArray, IntArray, FloatArray, IntArray, Flags, Flags, FloatArray, FloatArray, IntArray]:
+    """Columns of `Spots` for the objects that are stars, and the number of the others by verdict."""
+    verdict = judge_objects(
+        table, saturated, is_halo(table), long, image, level, noise, half, reject_hits, offsets, ends, quiet, isolation,
+        most,
+    )  # fmt: skip
+    number = np.zeros(len(REASONS) + 1, np.int64)
+    for n in range(len(verdict)):
+        number[verdict[n]] += 1
     chosen = np.flatnonzero(verdict == STAR)
-    x, y = table[chosen, X_PEAK].astype(np.int64), table[chosen, Y_PEAK].astype(np.int64)
-    return Spots(
-        x,
-        y,
-        table[chosen, FLUX],
-        table[chosen, PIXELS].astype(np.int64),
+    stars = table[chosen]
+    return (
+        stars[:, X_PEAK].astype(np.int64),
+        stars[:, Y_PEAK].astype(np.int64),
+        stars[:, FLUX].copy(),
+        stars[:, PIXELS].astype(np.int64),
         saturated[chosen],
-        table[chosen, EDGE] > 0,
-        forms.centre[chosen],
+        stars[:, EDGE] > 0.0,
+        centre[chosen],
         np.zeros((len(chosen), 2)),
-        rejected,
+        number[1:],
     )
 
 
+@njit(cache=True, error_model="numpy")
 def is_saturated(table: FloatArray, saturation_known: bool) -> Flags:
     """Objects with a saturated pixel; the level not known: those of the highest value, if one has a flat top."""
     if saturation_known or not len(table):
-        return np.asarray(table[:, SATURATED] > 0)
+        return table[:, SATURATED] > 0.0
     highest = table[:, PEAK] == table[:, PEAK].max()
-    return np.asarray(highest & (highest & (table[:, AT_PEAK] >= _FLAT_TOP_PIXELS)).any())
-
-
-def _note(rejected: dict[str, int], reason: str, number: int) -> None:
-    if number > 0:
-        rejected[reason] = rejected.get(reason, 0) + number
+    flat: Flags = highest & np.any(highest & (table[:, AT_PEAK] >= _FLAT_TOP_PIXELS))
+    return flat
 
 
 def select_smeared(
@@ -173,7 +206,7 @@ def select_smeared(
     rejected = {
         "streak": int(np.count_nonzero(forms.long)) - int(np.count_nonzero(fits)),
         "not smeared as the frame": int(np.count_nonzero(~forms.long)),
-        "fainter than the brightest": int(np.count_nonzero(fits)) - len(chosen),
+        _FAINTER: int(np.count_nonzero(fits)) - len(chosen),
     }
     nearest = np.rint(forms.centre[chosen]).astype(np.int64)
     return Spots(

@@ -8,7 +8,15 @@ from startracker.centroid import METHODS, maximum_likelihood
 from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import is_alone
-from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums, sums_of_one
+from startracker.centroid.psf_sums import (
+    fill,
+    fill_window,
+    interpolate,
+    interpolated,
+    normal_equations,
+    sums,
+    sums_of_one,
+)
 from startracker.detection import Background, Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -216,18 +224,20 @@ def test_bad_input(method):
         METHODS[method](image, flat(image), spots, CentroidSettings(psf="no such file"), 1.0)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.2])
-def test_light_in_pixels_is_the_interpolated_table(tilt):
+@pytest.mark.parametrize(("tilt", "axes"), [(0.0, 2), (-0.05, 8), (0.2, 0)])
+def test_light_in_pixels_is_the_interpolated_table(tilt, axes):
     psf = gaussian_psf(0.8, 1.1, tilt, radius_px=5.0)
-    assert len(psf.axes) == (0 if tilt else 2)
+    assert len(psf.axes) == axes
     x, y, weights = 40.3, 17.6, np.empty((2, 8))
     j, i = (axis.ravel() for axis in np.mgrid[10:26, 32:51])  # beyond the table on every side
     first = [interpolate(len(psf.table), psf.oversampling, -place, weights, n) for n, place in enumerate((x, y))]
     places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
     expected = np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places]).T
-    out = np.empty((3, len(i)))
-    fill(psf.table, psf.axes, psf.oversampling, x, y, i, j, 32, 10, out, weights, np.empty((4, 19)))
-    np.testing.assert_allclose(out, expected, rtol=1e-11, atol=1e-18)
+    out, lines = np.empty((2, 3, len(i))), np.empty((4, 19))
+    fill(psf.table, psf.axes, psf.oversampling, x, y, i, j, 32, 10, out[0], weights, lines)
+    fill_window(psf.table, psf.axes, psf.oversampling, 32 - x, 10 - y, 19, 16, out[1], weights, lines)
+    np.testing.assert_allclose(out[0], expected, rtol=1e-11, atol=1e-18)
+    np.testing.assert_allclose(out[1], expected, rtol=1e-11, atol=1e-18)
     assert (expected[0] > 0).sum() in range(50, 130)
     assert (expected == 0.0).all(axis=0).any()
 
@@ -253,10 +263,27 @@ def test_sums_over_pixels_against_matrix_products(weigh):
         np.testing.assert_allclose(right, gradient @ ((signal - total) / variance), rtol=1e-9)
         np.testing.assert_allclose(normal, np.tril((gradient / variance) @ gradient.T), rtol=1e-9, atol=1e-12)
         if len(stars) == 1:
-            joint = normal.copy(), right.copy()
-            assert sums_of_one(shares[0], flux[0], *pixels, normal, right) == chi2
-            assert np.array_equal(joint[0], normal)
-            assert np.array_equal(joint[1], right)
+            # sums of n terms in any two orders are within n roundings of the sum of the terms' sizes
+            normal[:], right[:] = 0.0, 0.0
+            again = sums_of_one(shares[0], flux[0], *pixels, normal, right)
+            size, weight = np.abs(gradient), 1.0 / variance
+            eps, away = 60 * np.finfo(float).eps, np.abs(signal - total)
+            assert abs(again - weight @ away**2) <= eps * again
+            exact, terms = gradient @ (weight * (signal - total)), size @ (weight * away)
+            assert (np.abs(right - exact) <= eps * terms).all()
+            exact, terms = (gradient * weight) @ gradient.T, (size * weight) @ size.T
+            assert (np.abs(normal - np.tril(exact)) <= eps * terms).all()
+
+
+def test_normal_equations_against_matrix_products():
+    random = np.random.default_rng(8)
+    slopes, weights, residuals = random.normal(size=(6, 49)), random.uniform(0.1, 2, 49), random.normal(size=49)
+    normal, right, count, eps = np.zeros((6, 6)), np.empty(6), 42, 49 * np.finfo(float).eps
+    normal_equations(slopes, weights, residuals, count, normal, right, np.empty(49))
+    rows, weighted = slopes[:, :count], (slopes * weights)[:, :count]
+    # sums of n terms in any two orders are within n roundings of the sum of the terms' sizes
+    assert (np.abs(right - weighted @ residuals[:count]) <= eps * (np.abs(weighted) @ np.abs(residuals[:count]))).all()
+    assert (np.abs(normal - np.tril(weighted @ rows.T)) <= eps * (np.abs(weighted) @ np.abs(rows).T)).all()
 
 
 def test_stars_alone():

@@ -6,10 +6,19 @@ from scipy.special import erf
 from scipy.stats import norm
 
 from startracker.centroid import METHODS, first_moment
-from startracker.centroid.bias import invert_moment, invert_moments, moment_bias, window_moments
+from startracker.centroid.bias import (
+    centres_of_means,
+    guess_centre,
+    invert_from,
+    invert_moment,
+    invert_moments,
+    moment_bias,
+    window_moments,
+)
 from startracker.centroid.moments import SYSTEMATIC_PX, measure_psf_sigma
 from startracker.centroid.window import read_window
 from startracker.detection import Background, Spots, estimate, find_components
+from startracker.detection.plane import as_plane
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings, DetectionSettings
 
@@ -85,6 +94,22 @@ def test_inverse_is_exact(sigma):
         assert both == pytest.approx((centre, sigma), abs=1e-6)
 
 
+@pytest.mark.parametrize(("sigma", "half"), [(0.4, 1), (0.8, 2), (1.5, 2), (2.5, 3)])
+def test_a_guess_from_the_table_is_near_the_centre(sigma, half):
+    table = centres_of_means(sigma, half)
+    for centre in np.linspace(-0.99, 0.99, 34):
+        light, mean, *_ = window_moments(centre, sigma, -half, half)
+        guess = guess_centre(mean, table)
+        # cubic over an eighth of a pixel: h⁴ / 384 times the fourth derivative, which grows as σ falls
+        assert guess == pytest.approx(centre, abs=1e-5 if sigma > 0.5 else 2e-3)
+        found, _, seen = invert_from(guess, mean, sigma, -half, half)
+        assert found == pytest.approx(centre, abs=1e-10)
+        assert seen == pytest.approx(light, rel=1e-6)
+    far = window_moments(1.2, sigma, -half, half)[1]
+    assert guess_centre(far, table) == far
+    assert guess_centre(-far, table) == -far
+
+
 @pytest.mark.parametrize("moment", [2.0, -2.5, 7.0])
 def test_moment_that_no_star_explains(moment):
     assert invert_moment(moment, 1.0, -2, 2)[1] == np.inf
@@ -103,7 +128,7 @@ def test_read_window_against_numpy():
     rng = np.random.default_rng(1)
     image, level = rng.normal(50, 9, (20, 30)).astype(np.float32), np.full((20, 30), 30, np.float32)
     noise = rng.uniform(1, 3, (20, 30)).astype(np.float32)
-    found = read_window(image, level, noise, 12, 9, 2, 0.5)
+    found = read_window(image, as_plane(level), as_plane(noise), 12, 9, 2, 0.5)
     k = np.arange(-2, 3)
     signal = (image - level).astype(float)[7:12, 10:15]
     variance = noise.astype(float)[7:12, 10:15] ** 2 + np.maximum(signal, 0) * 0.5

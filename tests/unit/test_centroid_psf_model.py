@@ -27,6 +27,18 @@ def test_gaussian_against_scipy(xx, yy, xy):
     assert -1e-4 < outside < 0.03
 
 
+@pytest.mark.parametrize("xy", [0.02, -0.06, 0.08])
+def test_a_tilted_gaussian_is_a_sum_of_products(xy):
+    psf = gaussian_psf(0.8, 1.1, xy, radius_px=4.0)
+    assert 6 <= len(psf.axes) <= 10
+    density, middle = multivariate_normal(cov=[[0.8, xy], [xy, 1.1]]), len(psf.table) // 2
+    for column, row in [(0, 0), (3, -5), (-9, 8), (14, 16)]:
+        corner = np.array([column, row]) / psf.oversampling - 0.5
+        exact = density.cdf(corner + 1.0, lower_limit=corner)
+        # what the terms left out have, and the tolerance of SciPy's integral
+        assert psf.table[middle + row, middle + column] == pytest.approx(exact, abs=1e-5 * psf.table.max())
+
+
 def test_noise_area_is_that_of_king():
     # King 1983: 4πσ² for a Gaussian; the pixel adds 1/12 to σ² of so wide a one
     assert gaussian_psf(4.0, 4.0, radius_px=12.0).noise_area_px == pytest.approx(4 * np.pi * (4 + 1 / 12), rel=1e-3)

@@ -17,6 +17,7 @@ from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
 from startracker.centroid.window import read_window
 from startracker.detection import find_components
+from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
 from startracker.settings import CentroidSettings, DetectionSettings
 
@@ -79,7 +80,7 @@ def star_stamps(
 def moments(stamps: FloatArray) -> FloatArray:
     """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's own kernel."""
     side = 2 * _HALF + 1
-    level, noise = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
+    level, noise = as_plane(np.zeros((side, side), np.float32)), as_plane(np.ones((side, side), np.float32))
     return np.array(
         [read_window(stamp.astype(np.float32), level, noise, _HALF, _HALF, _HALF, 0.0)[1] for stamp in stamps]
     )
