@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 
-__all__ = ["interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
+__all__ = ["find_kth", "interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
 
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
@@ -83,7 +83,7 @@ def whole_step(values: NDArray[np.float32]) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
+def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
     """Value at place k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
     Not a number where no value of the lattice is it. From tile to tile it moves by a step or two, which makes counting
@@ -102,7 +102,9 @@ def _find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near
         else:
             low = place
         if abs(high - low) < np.inf:
-            place = low + step * math.floor(0.5 * (high - low) / step)
+            place = low + step * np.rint(0.5 * (high - low) / step)
+            if not low < place < high:  # too large for its step to be told
+                break
         elif stride > step * _FARTHEST:
             break
         else:
@@ -178,8 +180,8 @@ def tile_statistics(
                 continue
             half, high = count // 2, int(_QUANTILE * count)
             if step > 0.0:
-                median = _find_kth(sample, count, half, step, median)
-                upper = _find_kth(sample, count, high, step, upper)
+                median = find_kth(sample, count, half, step, median)
+                upper = find_kth(sample, count, high, step, upper)
             if not step > 0.0 or math.isnan(median) or math.isnan(upper):
                 median = select_kth(sample, 0, count, half)
                 # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again

@@ -1,5 +1,7 @@
 """Kernels of detection against plain NumPy and SciPy twins."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -27,7 +29,7 @@ from startracker.detection.spots import (
 )
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.surroundings import is_clutter, ring_pixels, ring_space
-from startracker.detection.tiles import smooth_tiles, tile_statistics, whole_step
+from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
 from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
 
@@ -82,6 +84,21 @@ def test_tiles_far_apart_and_of_any_step(step, far):
     for tile in ((0, 0), (2, 3)):
         assert counted[0][tile] == pytest.approx(500 * step, abs=step * 6 / 3)
         assert counted[1][tile] == pytest.approx(exact.std(), rel=0.2)
+
+
+def test_places_on_a_lattice_are_those_of_sorted_values():
+    """Steps of any size, values that are on the lattice, off it, or too large for the step: the value or none."""
+    random, found = rng(8), 0
+    for trial in range(400):
+        step = 10.0 ** random.uniform(-6, 6)
+        origin = step * random.normal() * 10.0 ** random.uniform(0, 9)
+        values = origin + step * random.integers(-40, 40, 100) * (1.0 if trial % 2 else random.choice([1.0, 0.37, 1e6]))
+        values = values.astype(np.float32)
+        k = int(random.integers(100))
+        got = find_kth(values, 100, k, step, float(random.choice(values)))
+        assert math.isnan(got) or got == np.sort(values)[k]
+        found += not math.isnan(got)
+    assert found > 100
 
 
 def test_counting_gives_the_clipped_moments_of_the_sample():
