@@ -95,7 +95,9 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     _show_sky(ax, shades_of(np.asarray(frame.image, dtype=float)))
     inside = np.flatnonzero(frame.camera.contains(truth.sources.xy))
     for i in inside[np.argsort(-truth.sources.electrons[inside])][:names]:
-        _label(ax, truth.sources.xy[i], width, truth.sources.name[i], truth.sources.id[i], truth.sources.v_mag[i])
+        _label(
+            ax, truth.sources.xy[i], (height, width), truth.sources.name[i], truth.sources.id[i], truth.sources.v_mag[i]
+        )
     ax.set_title(
         f"{frame.scenario} {frame.index}  {frame.utc} UTC  RA {truth.attitude.ra_deg:.4f}°  "
         f"Dec {truth.attitude.dec_deg:+.4f}°  roll {truth.attitude.roll_deg:.3f}°",
@@ -188,7 +190,7 @@ def draw_solution(ax: Axes, shades: Shades, solution: Solution, names: int = 25)
                 label=f"identified ({solution.matched})")  # fmt: skip
         for i in np.argsort(solution.stars.v_mag)[:names]:
             stars = solution.stars
-            _label(ax, stars.xy[i], shades.width, stars.name[i], stars.catalog_id[i], stars.v_mag[i])
+            _label(ax, stars.xy[i], (shades.height, shades.width), stars.name[i], stars.catalog_id[i], stars.v_mag[i])
     if solution.solved:
         ax.set_title(
             f"RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°"
@@ -207,15 +209,15 @@ def draw_solution(ax: Axes, shades: Shades, solution: Solution, names: int = 25)
         )
 
 
-def _label(ax: Axes, xy: NDArray[Any], width: int, name: Any, number: Any, v_mag: float) -> None:
+def _label(ax: Axes, xy: NDArray[Any], shape: tuple[int, ...], name: Any, number: Any, v_mag: float) -> None:
     """Name, or number, and magnitude beside a star, on the side where there is room."""
     from matplotlib.patheffects import withStroke
 
-    right = xy[0] > 0.82 * width
+    right, top = xy[0] > 0.82 * shape[1], xy[1] < 0.04 * shape[0]
     ax.annotate(
         f"{' '.join(str(name).split()) or number} {v_mag:.1f}",
         (float(xy[0]), float(xy[1])),
-        xytext=(-8 if right else 8, 4),
+        xytext=(-8 if right else 8, -9 if top else 4),
         textcoords="offset points",
         fontsize=6.5,
         color=BLUE,
