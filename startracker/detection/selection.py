@@ -34,12 +34,14 @@ FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Columns = tuple[IntArray, IntArray, FloatArray, IntArray, Flags, Flags, FloatArray, FloatArray]
 
 _FLAT_TOP_PIXELS = 5
 """Pixels that share the highest value of a flat top; a star centred on a corner has four of them."""
 _STREAK_PIXELS, _STREAK_RATIO = 12, 1.5
-_LOOKED_AT = 6
-"""Objects examined for each star asked for: the brightest; an image full of noise has thousands."""
+_LOOKED_AT, _LOOKED_AT_MORE = 6, 36
+"""Objects examined for each star asked for: the brightest; an image full of noise has thousands. More where these are
+too few stars, or all as sharp as hot pixels, of which a warm detector has thousands too."""
 _QUIET_QUANTILE = 0.25
 _QUIET_STEP_PX = 16
 _FAINTER = "fainter than the brightest"
@@ -76,39 +78,44 @@ def select_spots(
     -------
     Spots
         With the number of objects left out by reason. Only the brightest objects, six for each star asked for, are
-        examined, but for streaks only as many as it takes; the rest count as "fainter than the brightest".
+        examined, 36 where these are too few stars or all as sharp as hot pixels, but for streaks only as many as it
+        takes; the rest count as "fainter than the brightest".
     """
     rejected: dict[str, int] = {}
     if not len(table):
         return Spots.none()
     fewest, most = settings.min_pixels if half is None else 1, max(settings.max_stars, 0)
-    table, saturated, left_out = _brightest(table, saturation_known, fewest, settings.max_pixels, _LOOKED_AT * most)
-    forms = measure_forms(table, settings.max_axis_ratio)
     quiet = 0.0
     if settings.isolation > 0.0:
         # where there are branches, the noise of the tiles is theirs
         noise = sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX)
         quiet = excess * settings.threshold_sigma * quantiles(noise, (_QUIET_QUANTILE,))[0]
-    x, y, flux, pixels, full, edge, centre, streak, verdicts = _judge(
-        table,
-        saturated,
-        forms.long,
-        forms.centre,
-        image,
-        background.level_plane,
-        background.noise_plane,
-        UNFILTERED if half is None else half,
-        settings.reject_hits,
-        *ring_pixels(),
-        quiet,
-        settings.isolation,
-        most,
-    )
+    columns: Columns
+    for looked_at in (_LOOKED_AT * most, _LOOKED_AT_MORE * most):
+        objects, saturated, left_out = _brightest(table, saturation_known, fewest, settings.max_pixels, looked_at)
+        forms = measure_forms(objects, settings.max_axis_ratio)
+        columns, verdicts, told = _judge(
+            objects,
+            saturated,
+            forms.long,
+            forms.centre,
+            image,
+            background.level_plane,
+            background.noise_plane,
+            UNFILTERED if half is None else half,
+            settings.reject_hits,
+            *ring_pixels(),
+            quiet,
+            settings.isolation,
+            most,
+        )
+        if len(objects) < looked_at or (told and len(columns[0]) == most):
+            break
     reasons = ("too small", "too large", "without signal", _FAINTER, *REASONS)
     for reason, number in zip(reasons, (*left_out, *verdicts.tolist()), strict=True):
         if number > 0:
             rejected[reason] = rejected.get(reason, 0) + number
-    return Spots(x, y, flux, pixels, full, edge, centre, streak, rejected)
+    return Spots(*columns, rejected)
 
 
 @njit(cache=True, error_model="numpy")
@@ -139,9 +146,10 @@ def _judge(
     quiet: float,
     isolation: float,
     most: int,
-) -> tuple[IntArray, IntArray, FloatArray, IntArray, Flags, Flags, FloatArray, FloatArray, IntArray]:
-    """Columns of `Spots` for the objects that are stars, and the number of the others by verdict."""
-    verdict = judge_objects(
+) -> tuple[Columns, IntArray, bool]:
+    """Columns of `Spots` for the objects that are stars, the number of the others by verdict, and whether hits could be
+    told from stars."""
+    verdict, told = judge_objects(
         table, saturated, is_halo(table), long, image, level, noise, half, reject_hits, offsets, ends, quiet, isolation,
         most,
     )  # fmt: skip
@@ -150,7 +158,7 @@ def _judge(
         number[verdict[n]] += 1
     chosen = np.flatnonzero(verdict == STAR)
     stars = table[chosen]
-    return (
+    columns = (
         stars[:, X_PEAK].astype(np.int64),
         stars[:, Y_PEAK].astype(np.int64),
         stars[:, FLUX].copy(),
@@ -159,8 +167,8 @@ def _judge(
         stars[:, EDGE] > 0.0,
         centre[chosen],
         np.zeros((len(chosen), 2)),
-        number[1:],
     )
+    return columns, number[1:], told or not reject_hits
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.detection.hits import is_hit, sharpest_share, sharpest_star
 from startracker.detection.plane import Plane
 from startracker.detection.shapes import PEAK_SHARE, measure_shapes
-from startracker.detection.spots import EDGE, PIXELS, X_PEAK, Y_PEAK
+from startracker.detection.spots import EDGE, PIXELS, SATURATED, X_PEAK, Y_PEAK
 from startracker.detection.surroundings import is_clutter, ring_space
 from startracker.detection.values import Image
 
@@ -51,8 +51,8 @@ def judge_objects(
     quiet: float,
     isolation: float,
     most: int,
-) -> NDArray[np.int64]:
-    """Verdict (N,) on each object of a table that has the brightest first.
+) -> tuple[NDArray[np.int64], bool]:
+    """Verdict (N,) on each object of a table that has the brightest first, and whether hits could be told from stars.
 
     Objects are looked at until `most` of them are found to be stars; of the others only the long ones, as their number
     tells of smear.
@@ -70,11 +70,14 @@ def judge_objects(
     """
     count = len(table)
     verdict = np.full(count, _UNSEEN)
-    whole = ~saturated & (table[:, EDGE] == 0.0)
+    inside = table[:, EDGE] == 0.0
+    whole = ~saturated & inside
     limit, weight, share, shapes = 0.0, 0.0, 0.0, np.empty((0, 0))
     if reject_hits:
         limit, weight, shapes = sharpest_star(table, whole, image, level, noise)
         share = sharpest_share(limit, half)
+    # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
+    whole |= (table[:, SATURATED] == 1.0) & inside
     space = ring_space(half, offsets)
     place, stars = np.empty((2, 1), np.int64), 0
     for n in range(count):
@@ -101,4 +104,4 @@ def judge_objects(
                 continue
         verdict[n] = STAR
         stars += 1
-    return verdict
+    return verdict, limit > 0.0

@@ -99,6 +99,20 @@ def test_hot_pixels_go_where_they_are_many_more_than_stars():
         assert false.sum() <= 4
 
 
+def test_stars_fainter_than_hundreds_of_hot_pixels_are_found():
+    """A warm detector: the brightest 360 objects, six for a star asked for, are hot pixels, most of them saturated."""
+    settings = DetectionSettings(max_stars=60)
+    for seed in range(4):
+        image, places, rng = field(seed, sigma=0.9, count=20, faintest=1500.0)
+        y, x = rng.integers(5, 390, 600), rng.integers(5, 490, 600)
+        image[y, x] += rng.uniform(3000, 6000, 600)
+        alone = np.array([np.hypot(x - a, y - b).min() > 12 for a, b in places])
+        image = np.minimum(image, 4095.0)
+        found, false = matched(find_components(image.astype(np.float32), estimate(image), settings, 4095.0), places)
+        assert found[alone].all()
+        assert false.sum() <= 6  # two hot pixels that touch are as wide as a star along one axis
+
+
 @pytest.mark.parametrize("sigma", [0.15, 0.25, 0.35, 0.45])
 def test_stars_sharper_than_a_pixel_are_not_taken_for_hot_pixels_of_a_few_nebulae(sigma):
     for seed in range(4):
