@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from startracker.errors import BoresightError
 
-CACHE_BYTES = 100_000_000
+CACHE_BYTES = 4_000_000
 """Memory for columns that were read; the longest unused are dropped first."""
 
 
