@@ -18,6 +18,9 @@ from simulator.cli.study_command import study_app
 from startracker._version import __version__
 from startracker.errors import BoresightError
 
+# Arrow's own allocator keeps some 10 to 20 MB of what it had once; workers get the variable with the environment
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+
 app = typer.Typer(
     name="boresight",
     help="A star camera in orbit, simulated; a star tracker that solves its frames, and real photographs of the sky.",

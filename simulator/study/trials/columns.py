@@ -47,6 +47,7 @@ class Columns(Mapping[str, NDArray[Any]]):
         if name not in self:
             raise KeyError(name)
         array = as_array(self._read(name))
+        pa.default_memory_pool().release_unused()  # it keeps what it had for the file, tens of megabytes
         array.flags.writeable = False
         self._cache[name] = array
         while len(self._cache) > 1 and sum(_memory(kept) for kept in self._cache.values()) > CACHE_BYTES:
