@@ -6,7 +6,6 @@ The stages orbit → pointing → sky in order; nothing here knows of pixels.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import Pointing, hold, point, point_at_random, point_spinning, round_s, turned_to
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
+from simulator.randomness import Streams
 from simulator.scenario import Scenario
 from simulator.sky.apparent import SkyIndex, by_place
 from simulator.sky.colours import spectral_coordinates
@@ -30,7 +30,6 @@ from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Streams = Callable[[str], np.random.Generator]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from simulator.detector import blooming, cosmic_rays, intensifier, readout, steps, transfer, video
 from simulator.detector.fixed_pattern import FixedPattern
-from simulator.detector.pixels import Row, Streams
+from simulator.detector.pixels import Row
 from simulator.detector.steps import Step, of_map
+from simulator.randomness import Streams
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 

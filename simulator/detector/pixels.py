@@ -7,7 +7,7 @@ drawn from a table of the row's outcome (`level.py`), and the others gathered in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -33,12 +33,12 @@ from simulator.detector.steps import (
     Step,
     begin,
 )
+from simulator.randomness import Streams
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
-Streams = Callable[[str], np.random.Generator]
 
 TILE = 2048
 """Pixels at a time. Part of what a seed means: pixel k takes word (k mod TILE) div (TILE/4) of the block of counter

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import bisect
-import functools
-import math
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from typing import overload
 
 import erfa
@@ -20,10 +17,6 @@ FloatArray = NDArray[np.float64]
 
 SECONDS_PER_DAY = 86_400.0
 FIRST_YEAR_OF_UTC = 1960
-_JD_OF_DAY_ZERO = 1_721_424.5
-"""Julian date of the day that `datetime.date` gives the ordinal zero."""
-_DAY_MS, _TT_LESS_TAI_MS = 86_400_000, 32_184.0
-_NEAR_DAY = 3.0 / SECONDS_PER_DAY
 
 
 @dataclass(frozen=True)
@@ -86,32 +79,6 @@ class Clock:
 
     def isot(self, t_s: float) -> str:
         """UTC as ISO 8601 without a zone, rounded to milliseconds; a leap second is written as second 60."""
-        jd1, jd2 = self.tt_jd(t_s)
-        day = jd1 - _JD_OF_DAY_ZERO
-        whole = math.floor(day)
-        tai_ms = (day - whole + jd2) * _DAY_MS - _TT_LESS_TAI_MS  # from the start of that day
-        leaps, less_utc_ms = _leap_seconds()
-        place = bisect.bisect(leaps, whole + tai_ms / _DAY_MS)
-        if place == 0 or any(abs(whole + tai_ms / _DAY_MS - leap) < _NEAR_DAY for leap in leaps[place - 1 : place + 1]):
-            return self._isot_by_erfa(t_s)
-        days, rest = divmod(round(tai_ms - less_utc_ms[place - 1]), _DAY_MS)
-        second, millisecond = divmod(rest, 1000)
-        clock = f"{second // 3600:02d}:{second // 60 % 60:02d}:{second % 60:02d}.{millisecond:03d}"
-        return f"{date.fromordinal(whole + days).isoformat()}T{clock}"
-
-    def _isot_by_erfa(self, t_s: float) -> str:
-        """`isot` at any time: also about leap seconds and before 1972, when UTC ran at rates of its own."""
         year, month, day, fields, _ = erfa.ufunc.d2dtf("UTC", 3, *self.utc_jd(t_s))
         hour, minute, second, millisecond = (int(fields[name]) for name in ("h", "m", "s", "f"))
         return f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}.{millisecond:03d}"
-
-
-@functools.cache
-def _leap_seconds() -> tuple[list[float], list[float]]:
-    """ERFA's table from 1972 on: from which day on (`datetime.date`'s ordinals, in TAI) TAI is ahead of UTC by so many
-    milliseconds."""
-    table = erfa.leap_seconds.get()
-    rows = [
-        (int(row["year"]), int(row["month"]), 1000.0 * float(row["tai_utc"])) for row in table if row["year"] >= 1972
-    ]
-    return [date(year, month, 1).toordinal() + ms / _DAY_MS for year, month, ms in rows], [ms for *_, ms in rows]

@@ -36,8 +36,9 @@ def test_agrees_with_astropy(epoch, t_s):
     assert clock.jyear(t_s) == pytest.approx(expected.tt.jyear, abs=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:.*dubious year")  # after the table of leap seconds, as both take it
 @pytest.mark.parametrize("epoch", EPOCHS[:3])
-def test_labels_are_erfa_s_own_at_any_time(epoch):
+def test_labels_are_those_of_astropy_at_any_time(epoch):
     """Over decades, at every ten milliseconds about leap seconds, and where rounding carries to another day."""
     clock, rng = Clock(epoch), np.random.default_rng(1)
     year_s, step_s = 31_557_600.0, 0.01
@@ -49,7 +50,8 @@ def test_labels_are_erfa_s_own_at_any_time(epoch):
             (datetime(2030, 3, 1, tzinfo=UTC) - epoch).total_seconds() + np.arange(-40_000, -20_000) * 1e-3 + 1e-4,
         ]
     )
-    assert [clock.isot(t) for t in times] == [clock._isot_by_erfa(t) for t in times]
+    days = np.array([clock.tt_jd(t) for t in times])
+    assert [clock.isot(t) for t in times] == Time(*days.T, format="jd", scale="tt").utc.isot.tolist()
 
 
 def test_leap_second_of_2016_is_lived_through():
