@@ -93,11 +93,10 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
     ax = grid[0, 0]
     _show_sky(ax, shades_of(np.asarray(frame.image, dtype=float)))
-    inside = np.flatnonzero(frame.camera.contains(truth.sources.xy))
-    for i in inside[np.argsort(-truth.sources.electrons[inside])][:names]:
-        _label(
-            ax, truth.sources.xy[i], (height, width), truth.sources.name[i], truth.sources.id[i], truth.sources.v_mag[i]
-        )
+    sources = truth.sources
+    inside = np.flatnonzero(frame.camera.contains(sources.xy))
+    for i in inside[np.argsort(-sources.electrons[inside])][:names]:
+        _label(ax, sources.xy[i], (height, width), sources.name[i], sources.id[i], sources.v_mag[i])
     ax.set_title(
         f"{frame.scenario} {frame.index}  {frame.utc} UTC  RA {truth.attitude.ra_deg:.4f}°  "
         f"Dec {truth.attitude.dec_deg:+.4f}°  roll {truth.attitude.roll_deg:.3f}°",

@@ -22,7 +22,9 @@ __all__ = [
     "LARGEST_GROWTH",
     "LONGEST_STEP_PX",
     "WEIGHINGS",
+    "amplitude",
     "fit_alone",
+    "note_star",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -43,14 +45,30 @@ LARGEST_GROWTH = 2.0
 
 
 @njit(cache=True, error_model="numpy")
-def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
-    """Flux by unweighted least squares: Σ p d / Σ p²."""
+def amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
+    """Flux by unweighted least squares, Σ p d / Σ p², over the pixels of finite variance."""
     above, below = 0.0, 0.0
     for n in range(len(signal)):
         p = share[n] if dark[n] < np.inf else 0.0
         above += p * signal[n]
         below += p * p
     return above / below if below > 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def note_star(
+    row: FloatArray, x: float, y: float, flux: float, chi2: float, freedom: int, normal: FloatArray, first: int,
+    column: FloatArray,
+) -> None:  # fmt: skip
+    """Row of a star's fit, see `FITTED`; its x and y are the parameters from `first` on of a matrix that is factorised,
+    of as many as `column`, which is working space."""
+    row[0], row[1], row[2], row[6], row[7] = x, y, flux, chi2, freedom
+    for axis in range(2):
+        column[:] = 0.0
+        column[first + axis] = 1.0
+        substitute(normal, len(column), column)
+        row[3 + axis] = column[first + axis]
+        row[5] = column[first]
 
 
 @njit(cache=True, error_model="numpy")
@@ -88,7 +106,7 @@ def fit_alone(
         if count <= 3:
             continue
         fill_window(table, axes, oversampling, left - x, top - y, wide, high, shares, weights, lines)
-        flux, chi2, step = _amplitude(shares[0], signal, dark), 0.0, 1.0
+        flux, chi2, step = amplitude(shares[0], signal, dark), 0.0, 1.0
         if not flux > 0.0:
             continue
         for iteration in range(ITERATIONS):
@@ -117,11 +135,4 @@ def fit_alone(
                 break
         if step > ACCEPTED_PX:
             continue
-        row = out[index]
-        row[0], row[1], row[2], row[6], row[7] = x, y, flux, chi2, count - 3
-        for axis in range(2):
-            column[:] = 0.0
-            column[axis] = 1.0
-            substitute(normal, 3, column)
-            row[3 + axis] = column[axis]
-            row[5] = column[0]
+        note_star(out[index], x, y, flux, chi2, count - 3, normal, 0, column)

@@ -17,7 +17,9 @@ from startracker.centroid.psf_alone import (
     LARGEST_GROWTH,
     LONGEST_STEP_PX,
     WEIGHINGS,
+    amplitude,
     fit_alone,
+    note_star,
 )
 from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums
 from startracker.detection.plane import Plane
@@ -53,16 +55,6 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
                         if group[k] == drop:
                             group[k] = keep
     return group
-
-
-@njit(cache=True, error_model="numpy")
-def _amplitude(share: FloatArray, signal: FloatArray) -> float:
-    """Flux by unweighted least squares: Σ p d / Σ p²."""
-    above, below = 0.0, 0.0
-    for n in range(len(signal)):
-        above += share[n] * signal[n]
-        below += share[n] * share[n]
-    return above / below if below > 0.0 else np.nan
 
 
 @njit(cache=True, error_model="numpy")
@@ -139,7 +131,7 @@ def _fit_group(
         if end == used:
             return
         fill(table, axes, oversampling, x[k], y[k], px[used:end], py[used:end], low_x, low_y, shares[k], weights, lines)
-        flux[k] = _amplitude(shares[k, 0], signal[used:end])
+        flux[k] = amplitude(shares[k, 0], signal[used:end], dark[used:end])
         if not flux[k] > 0.0:
             return
         used = _without(px, py, signal, dark, used, end, image, lowest_ceiling, cx, cy, half, k)
@@ -182,14 +174,7 @@ def _fit_group(
         return
     column = np.empty(size)
     for star in range(m):
-        row = out[members[star]]
-        row[0], row[1], row[2], row[6], row[7] = x[star], y[star], flux[star], chi2, used - size
-        for axis in range(2):
-            column[:] = 0.0
-            column[3 * star + axis] = 1.0
-            substitute(normal, size, column)
-            row[3 + axis] = column[3 * star + axis]
-            row[5] = column[3 * star]
+        note_star(out[members[star]], x[star], y[star], flux[star], chi2, used - size, normal, 3 * star, column)
 
 
 @njit(cache=True, error_model="numpy")
