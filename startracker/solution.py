@@ -29,6 +29,10 @@ class Status(StrEnum):
     NO_MATCH = "no_match"
     AMBIGUOUS = "ambiguous"
     BAD_IMAGE = "bad_image"
+    STALE = "stale"
+    """Of tracking: the frame is one that came before."""
+    BAD_TIME = "bad_time"
+    """Of tracking: the frame's time is none, or not after the last frame's."""
 
 
 @dataclass(frozen=True, eq=False)
