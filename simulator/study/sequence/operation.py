@@ -18,7 +18,7 @@ from simulator.optics.jitter import JitterPath
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from startracker.solution import Solution
+from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
@@ -91,7 +91,7 @@ class OperatedCamera:
 
     def refused(self) -> dict[str, Any]:
         """Status and reason of a frame that the tracker is not given."""
-        status = SUSPENDED if self.verdict.rule == "sun" else DISCARDED
+        status = {"sun": SUSPENDED, "stale": str(Status.STALE)}.get(self.verdict.rule, DISCARDED)
         return {"status": status, "reason": self.verdict.reason}
 
     def columns(self, frame: Frame | None, solution: Solution, session: TrackingSession) -> dict[str, Any]:
