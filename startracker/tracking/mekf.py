@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 _LINEAR_RAD = 3e-4
 """A correction up to this leaves 0.01″ of its square to the linearisation; a larger one is linearised again."""
 _MOST_PASSES = 4
+_LARGEST_SCALE = 0.5
+"""A gyro whose scale is off by more measures something else; at −1 it would measure nothing."""
 
 
 @dataclass(frozen=True)
@@ -320,7 +322,7 @@ class Mekf:
             self._rate = self._rate - change[3:6]
             if len(change) > 6:
                 self._rate = self._rate - self._rate * change[6:]
-                self._scale = self._scale + change[6:]
+                self._scale = np.clip(self._scale + change[6:], -_LARGEST_SCALE, _LARGEST_SCALE)
         else:
             self._rate = self._rate + change[3:]
         return innovation
