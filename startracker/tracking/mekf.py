@@ -247,8 +247,10 @@ class Mekf:
             sign, angle, rate, extra = 1.0, 0.0, self.noise.acceleration**2, 0.0
             if gyro_rad_s is not None:
                 raise InputError("this filter has no gyro: make it with GyroNoise, or leave gyro_rad_s out")
-        noise = self.noise_factor * np.array([angle, rate, extra])
-        self._quat, self._covariance = propagate(self._quat, self._covariance, self._rate, dt, sign, *noise)
+        factor = self.noise_factor
+        self._quat, self._covariance = propagate(
+            self._quat, self._covariance, self._rate, dt, sign, factor * angle, factor * rate, factor * extra
+        )
 
     def update_attitude(
         self, attitude: Attitude | ArrayLike, covariance: ArrayLike, false_rejection: float = 0.0
@@ -322,7 +324,7 @@ class Mekf:
             self._rate = self._rate - change[3:6]
             if len(change) > 6:
                 self._rate = self._rate - self._rate * change[6:]
-                self._scale = np.clip(self._scale + change[6:], -_LARGEST_SCALE, _LARGEST_SCALE)
+                self._scale = np.maximum(np.minimum(self._scale + change[6:], _LARGEST_SCALE), -_LARGEST_SCALE)
         else:
             self._rate = self._rate + change[3:]
         return innovation
