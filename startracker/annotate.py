@@ -7,7 +7,6 @@ shares of the picture, so that 512 and 4000 pixels read alike. Matplotlib loads 
 
 from __future__ import annotations
 
-import io
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +19,14 @@ from startracker.catalog import load_catalog
 from startracker.catalog.names import constellation_lines, designation, proper_name
 from startracker.catalog.stars import StarCatalog
 from startracker.observer import Observer, aberrate
+from startracker.picture import figure_bytes
 from startracker.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["annotate", "annotated_png", "stretch"]
+__all__ = ["annotate", "annotated_picture", "stretch"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,14 +39,11 @@ _MISSING_SHARE = 0.6
 _SAMPLES = 500_000
 
 
-def annotated_png(image: NDArray[Any], solution: Solution, **options: Any) -> bytes:
-    """Bytes of a PNG file with the picture of `annotate`; the same bytes for the same picture."""
+def annotated_picture(image: NDArray[Any], solution: Solution, form: str = "png", **options: Any) -> bytes:
+    """Bytes of a PNG, SVG or PDF file with the figure of `annotate`; the same bytes for the same figure."""
     figure = annotate(image, solution, **options)
-    stream = io.BytesIO()
-    figure.savefig(
-        stream, format="png", metadata={"Software": None}, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 3}
-    )
-    return stream.getvalue()
+    fast = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
+    return figure_bytes(figure, form, facecolor=_BACKGROUND, **fast)
 
 
 def annotate(

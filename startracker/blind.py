@@ -147,7 +147,7 @@ def solve_unknown_fov(
         rough=camera,
     )
     if camera is not None:
-        parity, fov_deg = parity or camera.parity, camera.fov_deg
+        parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
     bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
     solution = search.run(bands, sides)
     clock.lap("identification")

@@ -85,7 +85,7 @@ class Solution:
     centroids : array, shape (N, 2)
         All star candidates found, brightest first.
     fov_deg : float, optional
-        Field across the width: the camera's, or the fitted one where it was not known.
+        Angle seen across the width, distortion included: the camera's, or the fitted one where it was not known.
     parity : int
         +1 as the sky is seen, −1 mirrored.
     times_ms : dict

@@ -285,7 +285,7 @@ class StarTracker:
                 variance_px2=variance_px2,
                 rough=camera,
             )
-            fov = camera.fov_deg
+            fov = camera.undistorted_fov_deg
             band = (fov * (1.0 - error), fov, fov * (1.0 + error))
             solution = search.run((band,), (camera.parity,))
             clock.lap("free_scale")

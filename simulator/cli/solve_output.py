@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.cli.checks import picture_format
 from simulator.fits import catalog_attitude
 from simulator.paths import write_atomically
 from startracker import explain as explaining
@@ -111,7 +112,7 @@ def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Obs
 def write_picture(
     path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None, **options: Any
 ) -> None:
-    """The annotated picture as PNG, of an unsolved field too; `options` are those of `startracker.annotate`."""
-    from startracker.annotate import annotated_png
+    """The annotated picture in the format of its suffix, of an unsolved field too; `options` as in `annotate`."""
+    from startracker.annotate import annotated_picture
 
-    write_atomically(path, annotated_png(image, solution, observer=observer, **options))
+    write_atomically(path, annotated_picture(image, solution, picture_format(path), observer=observer, **options))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,12 +19,9 @@ from pydantic import PrivateAttr, model_validator
 from simulator.scenario import physics
 from simulator.scenario.document import TOLD, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Place, Problem, ScenarioError
-from simulator.scenario.fields import MISSING, Key, all_keys, check_value, flatten, keys_of, nest
+from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.overrides import apply_overrides, merge, set_option
 from simulator.scenario.schema import ScenarioModel
-
-NameChecks = Mapping[str, Callable[[Any], str | None]]
-"""Dotted path to a function that says what is wrong with the key's value, or None."""
 
 CURVE_KEYS = ("optics.transmission", "detector.quantum_efficiency")
 """Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
@@ -192,16 +189,16 @@ _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 
 def find_scenario(path: str | Path) -> Path:
     """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
-    file = Path(path)
-    if (
-        not file.suffix
-        and file.parent == Path()
-        and str(path) not in ("", ".", "..")
-        and (file.is_dir() or not os.path.lexists(file))
-    ):
+    return _file_or_shipped(Path(path), str(path))
+
+
+def _file_or_shipped(file: Path, written: str) -> Path:
+    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
+    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
+    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
         here = Path(__file__).resolve().parent
         for folder in (here / "shipped", here.parents[1] / "scenarios"):
-            shipped = folder / f"{file.name}.yaml"
+            shipped = folder / f"{written}.yaml"
             if shipped.is_file():
                 return shipped
     return file
@@ -235,7 +232,8 @@ def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tup
     if not isinstance(base, str) or not base:
         problems.append(Problem(entry.place, "base", f"must be the name of a scenario file, not {show_value(base)}"))
         return None
-    base_name = os.path.normpath(os.path.join(folder, base))
+    beside = os.path.normpath(os.path.join(folder, base))
+    base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
     real = os.path.realpath(base_name) if "\0" not in base_name else base_name
     known = [seen for seen, _ in chain]
     if real in known:
@@ -285,7 +283,7 @@ def _build(
         if not (violation.overridable and allowed):
             problems.append(Problem(_place_of(tree, violation.key), violation.key, _advice(violation)))
     for path, check in (names or {}).items():
-        if path in flat and (message := check(flat[path])):
+        if path in flat and (message := check(flat[path], flat)):
             problems.append(Problem(_place_of(tree, path), path, message))
     if problems:
         raise ScenarioError(problems)
