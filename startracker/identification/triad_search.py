@@ -7,6 +7,7 @@ in the sub-catalogue of their first star, then their second, then their third.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -39,21 +40,37 @@ class TriadLimits:
         Largest difference of an inner angle; None leaves the test out, as her program on the MC68360 did.
     grouping_tolerance_deg : float
         Largest difference of a triad's mean rotation from the running mean of its group.
-    vote_number : int
-        Fewest triads of a group that must name a catalogue star.
+    vote_number : int or None
+        Fewest triads of a group that must name a catalogue star; None: by the number of image stars
+        (`votes_needed`), as her section 5.2 recommends.
     combine_px : float
         Catalogue stars that lie as close as this in the image are one: her τ.
     three_stars : bool
         Where only three stars are seen and one group is found, one vote is enough (her section 5.2).
+    reprocess_multiples : bool
+        Stars that are one in the image are made one in the triads before votes are counted, so that a triad which
+        names one of them and one which names another are not two votes (her section 5.2). False: frequencies are
+        summed, as in her program.
     """
 
     separation_tolerance_deg: float | tuple[float, ...] = 0.15
     rotation_tolerance_deg: float = 5.0
     enclosed_tolerance_deg: float | None = 1.0
     grouping_tolerance_deg: float = 5.0
-    vote_number: int = 2
+    vote_number: int | None = 2
     combine_px: float = 8.0
     three_stars: bool = False
+    reprocess_multiples: bool = False
+
+    def votes_needed(self, stars: int) -> int:
+        """Fewest votes for a match among so many image stars.
+
+        A star stands in (n − 1)(n − 2)/2 of the triangles of n; by the number of stars a tenth of these must name it,
+        at least two: 2 for up to 7 stars, 3 for 8 or 9, 6 for 12.
+        """
+        if self.vote_number is not None:
+            return self.vote_number
+        return max(2, math.ceil((stars - 1) * (stars - 2) / 20.0))
 
     def pair_tolerances(self, arithmetic: Arithmetic, count: int) -> Numbers:
         """Tolerance of each of `count` pairs in the arithmetic's format (count,)."""
