@@ -1,4 +1,4 @@
-"""Chapter 3 of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", against our study of it.
+"""Chapter 3 of Greyling 1995 against our study of it.
 
 Numbers are those that the thesis prints, or, of its figures and of its script, those that were found by computing them
 again from its text with the Bright Star Catalogue (5th edition). Tolerances are half of the last digit given, unless a

@@ -1,4 +1,4 @@
-"""Chapter 4 of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", against its print.
+"""Chapter 4 of Greyling 1995 against its print.
 
 Values that come out exactly are held to their printed digits; the others to formulas of their own: sums in NumPy and
 SciPy's Bessel functions, which share nothing with the study. Statistical tolerances are derived beside each.

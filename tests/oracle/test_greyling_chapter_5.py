@@ -1,4 +1,4 @@
-"""Chapter 5 of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", against its print.
+"""Chapter 5 of Greyling 1995 against its print.
 
 Counts of stars and lines are made again from the catalogue's columns in plain NumPy; the pitch formula again from its
 definition, the steepest and the flattest line through two squares. Which printed numbers follow and which do not is
