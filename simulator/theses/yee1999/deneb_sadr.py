@@ -27,7 +27,9 @@ def deneb_tables() -> Section:
     arithmetic = found.match.tables.arithmetic
     close = np.array([combine_separation(arithmetic, found.picture.scale_deg, 8.0)])
     rows = [
-        compare("4.2.2", "separation of stars that are one", "0.1726", arithmetic.separation_degrees(close)[0], unit="°"),
+        compare(
+            "4.2.2", "separation of stars that are one", "0.1726", arithmetic.separation_degrees(close)[0], unit="°"
+        ),
         *separation_rows(found, "Table 4.6", "Table 4.15"),
         *_groups(found),
         *_largest_group(found),
@@ -135,7 +137,9 @@ def recommendations() -> Section:
     for name, picture in (("Vega", vega()), ("Deneb", deneb()), ("Sadr", sadr())):
         summed = analyse(picture)
         merged = analyse(picture, replace(Options(), limits=TriadLimits(reprocess_multiples=True)))
-        counted = {vote["hr"]: vote["frequency"] for votes in merged.votes for vote in votes if vote["hr"] > COMBINED_ID}
+        counted = {
+            vote["hr"]: vote["frequency"] for votes in merged.votes for vote in votes if vote["hr"] > COMBINED_ID
+        }
         if counted:
             table = {"Vega": "table_4_4", "Deneb": "table_4_9"}[name]
             printed = [(row["hr"], row["frequency"]) for row in printed_rows(table) if int(row["hr"]) > COMBINED_ID]

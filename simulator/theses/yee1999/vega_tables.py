@@ -22,7 +22,13 @@ _EDITION = "the 4th edition is not to be had; the 5th with its corrections stand
 def vega_tables(analysis: Analysis | None = None) -> Section:
     """Databases, separations, triads, votes, centre and residuals of the Vega image."""
     found = analysis or analyse(vega())
-    rows = [*_databases(found), *separation_rows(found, "Table 4.1", "Table 4.14"), *_triads(found), *vote_rows(found, "Table 4.4"), *attitude_rows(found, "Table 4.5", "4.2.1", VEGA_CENTRE)]
+    rows = [
+        *_databases(found),
+        *separation_rows(found, "Table 4.1", "Table 4.14"),
+        *_triads(found),
+        *vote_rows(found, "Table 4.4"),
+        *attitude_rows(found, "Table 4.5", "4.2.1", VEGA_CENTRE),
+    ]
     rows.append(_enclosed_test(found))
     from simulator.theses.yee1999.figures import triad_figure, vega_figure
 
