@@ -230,11 +230,39 @@ def test_table_d_1():
 # ---------------------------------------------------------------------- the table itself
 def test_verdicts_and_data(sections):
     verdicts = [row.verdict for section in sections.values() for row in section.rows]
-    assert verdicts.count("differs") == 2  # "about 30°"; what the enclosed-angle test is worth
+    # "about 30°", the enclosed-angle test; of Deneb two groups that trade a triad, and a row of four stars
+    assert verdicts.count("differs") == 5
     assert verdicts.count("exact") > 100
 
 
-@pytest.mark.parametrize("name", ["2_1", "2_2", "3_1", "3_2", "4_1", "4_2", "4_4", "4_5", "4_17", "d_1"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "2_1",
+        "2_2",
+        "3_1",
+        "3_2",
+        "4_1",
+        "4_2",
+        "4_4",
+        "4_5",
+        "4_6",
+        "4_7",
+        "4_8",
+        "4_9",
+        "4_10",
+        "4_11",
+        "4_12",
+        "4_13",
+        "4_14",
+        "4_15",
+        "4_16",
+        "4_17",
+        "4_18",
+        "4_19",
+        "d_1",
+    ],
+)
 def test_printed_tables_name_their_source(name):
     text = (files("simulator.theses.yee1999") / "data" / f"table_{name}.csv").read_text(encoding="utf-8").splitlines()
     assert text[0].startswith("# T. K. Yee")
