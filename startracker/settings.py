@@ -120,6 +120,14 @@ class IdentificationSettings:
         Triads: fewest of a group that must name a guide star.
     three_stars : bool
         Triads: where only three stars are seen and all triads agree, one vote is enough.
+    max_centroids : int
+        Brightest centroids that identification takes; what a list holds beyond them is not looked at.
+    max_operations : int
+        Steps of one search with a known camera (pairs, candidates and stars compared), after which it ends with the
+        status ``search_limit``. They are counted, not timed: the same list ends at the same step on every machine. One
+        takes a nanosecond or so.
+    max_operations_free_scale : int
+        The same where the focal length is not known.
     """
 
     separation_tolerance_deg: float | None = None
@@ -136,6 +144,9 @@ class IdentificationSettings:
     enclosed_tolerance_deg: float | None = 1.0
     vote_number: int = 2
     three_stars: bool = True
+    max_centroids: int = 250
+    max_operations: int = 500_000_000
+    max_operations_free_scale: int = 50_000_000_000
 
     __pydantic_config__ = _FORBID
 

@@ -28,6 +28,7 @@ class Status(StrEnum):
     SATURATED = "saturated"
     NO_MATCH = "no_match"
     AMBIGUOUS = "ambiguous"
+    SEARCH_LIMIT = "search_limit"
     BAD_IMAGE = "bad_image"
 
 
@@ -94,6 +95,12 @@ class Solution:
         The camera that the attitude goes with: the one given, or the fitted one.
     steps : sequence of Step
         What each stage found, tried and rejected, in words; `startracker.explain.as_text` prints it.
+    log_false_alarm : float
+        Natural logarithm of the chance that random points agree with the sky as well; 0 where nothing was found.
+    operations : int
+        Steps that the search took (`IdentificationSettings.max_operations`), the same on every machine.
+    prior_contradicted : bool
+        Whether a prior was given and the sky was found outside it.
     """
 
     status: Status
@@ -107,6 +114,9 @@ class Solution:
     times_ms: dict[str, float] = field(default_factory=dict)
     camera: Camera | None = None
     steps: Sequence[Step] = ()
+    log_false_alarm: float = 0.0
+    operations: int = 0
+    prior_contradicted: bool = False
 
     @property
     def solved(self) -> bool:

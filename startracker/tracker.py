@@ -55,6 +55,8 @@ IMAGE_FLOOR_PX = 0.1
 WORST_PX = 5.0
 """A centroid with a larger error says nothing worth knowing."""
 _AXES = math.sqrt(3.0)
+_NOT_FOUND = (Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
+"""Answers after which what a prior excludes is searched, too."""
 
 
 class StarTracker:
@@ -297,18 +299,27 @@ class StarTracker:
                 return replace(solution, times_ms=clock.times_ms(), steps=tried)
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
         directions, usable, vectors, sigma = _seen(xy, stated, self.camera.pixel_rad, self.camera.image_map)
-        observed = Observed(vectors, None if flux is None else flux[usable], sigma)
+        brightest = slice(0, self.identification.max_centroids)
+        signal = None if flux is None else flux[usable]
+        observed = Observed(vectors, signal, sigma)
+        if len(vectors) > self.identification.max_centroids:
+            observed = Observed(vectors[brightest], None if signal is None else signal[brightest], sigma[brightest])
         found = self._identify(observed, guide, self.identification, prior)
-        if prior is not None and found.status in (Status.NO_MATCH, Status.AMBIGUOUS):
+        contradicted = False
+        if prior is not None and found.status in _NOT_FOUND:
             elsewhere = self._identify(observed, guide, self.identification, None)
+            operations = found.operations + elsewhere.operations
             if elsewhere.status is Status.SOLVED:
-                found = _beside_prior(elsewhere)
+                found, contradicted = _beside_prior(elsewhere), True
+            found = replace(found, operations=operations)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
         told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
         tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
-            return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
+            unsolved = self._unsolved(found.status, found.reason, clock, xy)
+            chance, operations = found.log_false_alarm, found.operations
+            return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
         pairs = found.pairs.copy()
         pairs[:, 0] = usable[pairs[:, 0]]
         camera, free = self.camera, found.focal != 1.0
@@ -341,6 +352,9 @@ class StarTracker:
             clock.times_ms(),
             refined.camera,
             tried,
+            found.log_false_alarm,
+            found.operations,
+            contradicted,
         )
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
