@@ -152,7 +152,7 @@ def _identify(
         row = {(float(x), float(y)): k for k, (x, y) in enumerate(one.xy)}
         pairs = [
             (row[float(x), float(y)], int(number))
-            for (x, y), number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True)
+            for (x, y), number in zip(solution.stars.fitted.xy, solution.stars.fitted.catalog_id, strict=True)
         ]
         known.append(_Known(one, solution.camera, solution.attitude.as_matrix(), pairs))
         rough, parity = solution.camera, solution.camera.parity  # the same camera: it helps with the next image

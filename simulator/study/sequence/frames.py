@@ -338,7 +338,7 @@ class SequenceRunner:
             return False
         bound_deg = np.full(3, math.nan)
         if nees > WRONG_NEES:
-            bound_deg = attitude_bound_deg(self.renderer, truth, matched_sources(truth, solution.stars.xy))
+            bound_deg = attitude_bound_deg(self.renderer, truth, matched_sources(truth, solution.stars.fitted.xy))
         return is_wrong(misidentified, nees, error_deg, bound_deg)
 
 

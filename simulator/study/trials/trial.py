@@ -222,7 +222,8 @@ class TrialRunner:
         row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
         row |= zip(_ERROR_COLUMNS, errors.values(), strict=True)
         row |= zip(_SIGMA, sigma, strict=True)
-        matched = matched_sources(truth, solution.stars.xy)
+        fitted = solution.stars.fitted
+        matched = matched_sources(truth, fitted.xy)
         bound_deg = attitude_bound_deg(self.renderer, truth, matched)
         row |= zip(_BOUND, bound_deg.tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
@@ -232,12 +233,13 @@ class TrialRunner:
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
         stars, bodies = _in_field(sources.xy, sources.v_mag, sources.is_star, camera.width, camera.height, limit)
-        residuals = solution.stars.residual_px.ravel()
+        residuals = fitted.residual_px.ravel()
         row |= {
             "stars_in_field": stars,
             "bodies_in_field": bodies,
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
+            "stars_used": len(fitted),
             "stars_misidentified": strangers,
             "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
             "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
