@@ -89,6 +89,7 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("CAM_CY", camera.cy, "[px] principal point, first pixel = 0"),
         ("CAM_PROJ", camera.projection, "pinhole, fisheye, equidistant or equisolid"),
         ("CAM_PAR", camera.parity, "1 as the sky is seen, -1 mirrored"),
+        ("CAM_ROW", camera.row_time_s, "[s] from row to row of a rolling shutter"),
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
@@ -174,6 +175,7 @@ def read_fits(path: str | Path) -> Frame:
         Distortion(**{k: header[f"CAM_{k.upper()}"] for k in _DISTORTION_KEYS}),
         header["CAM_PAR"],
         header["CAM_PROJ"],
+        header.get("CAM_ROW", 0.0),
     )
     return Frame(
         image=np.asarray(image).astype(image.dtype.newbyteorder("=")),

@@ -56,6 +56,7 @@ def camera_of(scenario: Scenario) -> Camera:
         height=detector.height,
         distortion=optics.distortion,
         projection=optics.projection,
+        row_time_s=detector.line_time_us * 1e-6 if detector.shutter == "rolling" else 0.0,
     )
 
 

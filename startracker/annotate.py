@@ -192,8 +192,14 @@ def _stars(ax: Axes, sky: _Sky, labels: Labels, names: int) -> None:
     faintest = float(stars.v_mag.max(initial=0.0))
     # diameter in points: a magnitude brighter is 1.3 larger, from 6 at the faint end to 18
     diameter = np.clip(6.0 + 1.3 * (faintest - stars.v_mag), 6.0, 18.0)
-    ax.scatter(stars.xy[:, 0], stars.xy[:, 1], s=diameter**2, facecolors="none", edgecolors=MATCHED, linewidths=0.9,
-               label=f"identified ({len(stars)})", zorder=3)  # fmt: skip
+    for chosen, style, label in (
+        (stars.used, "-", "identified"),
+        (~stars.used, ":", "identified, left out of the fit"),
+    ):
+        if chosen.any():
+            ax.scatter(stars.xy[chosen, 0], stars.xy[chosen, 1], s=diameter[chosen] ** 2, facecolors="none",
+                       edgecolors=MATCHED, linewidths=0.9, linestyles=style,
+                       label=f"{label} ({np.count_nonzero(chosen)})", zorder=3)  # fmt: skip
     missing = sky.missing()
     if len(missing):
         ax.plot(*missing.T, "D", ms=5, mfc="none", mec=MISSING, mew=0.8, ls="none",

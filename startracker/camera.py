@@ -46,6 +46,9 @@ class Camera:
         detector has turned over: its columns are reversed before anything else.
     projection : str
         ``pinhole``, ``fisheye`` (Kannala–Brandt as OpenCV has it), or ideal: ``equidistant``, ``equisolid``.
+    row_time_s : float
+        From the start of the exposure of one row to that of the next: of a rolling shutter; 0: all rows at once. A
+        frame's attitude is then that of the middle of the exposure of its middle row.
     """
 
     fx: float
@@ -57,6 +60,7 @@ class Camera:
     distortion: Distortion = field(default_factory=Distortion)
     parity: int = 1
     projection: str = "pinhole"
+    row_time_s: float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
@@ -65,6 +69,8 @@ class Camera:
             object.__setattr__(self, name, float(getattr(self, name)))
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
+        if not math.isfinite(self.row_time_s):
+            raise InputError(f"row_time_s must be a finite time in seconds; got {self.row_time_s}")
         if not math.isfinite(self.cx + self.cy):
             raise InputError(f"the principal point must be finite; got cx = {self.cx}, cy = {self.cy} pixels")
         self._check_projection()

@@ -26,7 +26,7 @@ from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.trace import Step, Steps
 
-__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again"]
+__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again", "stated_variance"]
 
 FloatArray = NDArray[np.float64]
 
@@ -85,6 +85,8 @@ class FoundStars:
         For a second look.
     smeared : bool
         Whether the stars are streaks.
+    covariance_px2 : (N, 2, 2), optional
+        Of a centroid; None: `variance_px2` on both axes.
     lines : (N, 4)
         Middle x and y and half the length along x and y of the streaks that were taken for stars.
     """
@@ -102,6 +104,7 @@ class FoundStars:
     background: Background | None = None
     smeared: bool = False
     lines: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    covariance_px2: FloatArray | None = None
 
 
 def find_stars(
@@ -172,6 +175,7 @@ def find_stars(
         background=background,
         smeared=len(lines) > 0 or _left_out_streaks(spots),
         lines=lines,
+        covariance_px2=found.covariance,
     )
 
 
@@ -231,6 +235,7 @@ def look_again(
         saturation_dn=first.saturation_dn,
         steps=Steps(Step("detection", text), partial(centroid_step, stars)),
         saturated=int(np.count_nonzero(stars.saturated)),
+        covariance_px2=stars.covariance,
     )
 
 
@@ -287,6 +292,31 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
             signal = None
     alone = _first_of_each(points)
     return points[alone], None if signal is None else signal[alone]
+
+
+def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray) -> FloatArray | None:
+    """Variance (M,), pixels², of the centroids `kept` (M, 2) by `clean_centroids` of those given, from their stated
+    standard errors: one of each, or one for all; None where none is stated.
+
+    Raises
+    ------
+    InputError
+        For a shape that does not fit, or an error that is not positive and finite.
+    """
+    if sigma_px is None:
+        return None
+    points = np.asarray(xy, dtype=float).reshape(-1, 2)
+    try:
+        sigma = np.asarray(sigma_px, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
+    if sigma.shape not in ((), (len(points),)):
+        raise InputError(f"there are {len(points)} centroids, but sigma_px has the shape {sigma.shape}")
+    if sigma.size and not (np.isfinite(sigma) & (sigma > 0.0)).all():
+        raise InputError("sigma_px must be positive and finite, pixels")
+    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}  # the first of equal ones
+    chosen = [row[x, y] for x, y in kept.tolist()]
+    return np.asarray(np.broadcast_to(sigma, len(points))[chosen] ** 2)
 
 
 @njit(cache=True, error_model="numpy")

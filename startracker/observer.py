@@ -11,6 +11,11 @@ from startracker.constants import SPEED_OF_LIGHT_KM_S
 
 FloatArray = NDArray[np.float64]
 
+EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
+"""Speed of the Earth about the Sun, and of a satellite in a low orbit about the Earth."""
+_OBLIQUITY_RAD = np.radians(23.4393)
+_ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
+
 
 @dataclass(frozen=True, eq=False)
 class Observer:
@@ -43,3 +48,17 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     along = directions @ beta
     out = directions * inverse_gamma + beta * (1.0 + along / (1.0 + inverse_gamma))[:, None]
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+def unknown_aberration(matrix: FloatArray) -> FloatArray:
+    """Covariance (3, 3), rad², of an attitude (3, 3) ICRS to camera whose observer's velocity is not known.
+
+    To first order in β the aberration turns the field about the boresight b by θ = b × β, up to 20.5″ by the Earth's
+    motion, which has any direction in the ecliptic: the covariance of β is (β_E²/2) (I − n nᵀ), n being the pole of the
+    ecliptic. An orbit about the Earth adds (β_o²/3) I.
+    """
+    pole = matrix @ _ECLIPTIC_POLE
+    earth, orbit = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
+    beta = (earth + orbit) * np.eye(3) - earth * np.outer(pole, pole)
+    across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of b = (0, 0, 1)
+    return np.asarray(across @ beta @ across.T)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
 import numpy as np
@@ -50,6 +50,9 @@ class MatchedStars:
         Measured signal, DN.
     residual_px : array, shape (M, 2)
         Measured minus predicted, pixels.
+    used : bool array, optional
+        Whether the attitude was fitted to the star; those that are off by more than noise explains (blends, defective
+        pixels beside them) are named and left out. By default all.
     """
 
     xy: FloatArray
@@ -58,9 +61,21 @@ class MatchedStars:
     v_mag: FloatArray
     flux: FloatArray
     residual_px: FloatArray
+    used: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        if len(self.used) != len(self.catalog_id):
+            object.__setattr__(self, "used", np.ones(len(self.catalog_id), np.bool_))
 
     def __len__(self) -> int:
         return len(self.catalog_id)
+
+    @property
+    def fitted(self) -> MatchedStars:
+        """Those that the attitude was fitted to."""
+        if self.used.all():
+            return self
+        return MatchedStars(*(getattr(self, column.name)[self.used] for column in fields(self)))
 
     @classmethod
     def none(cls) -> MatchedStars:
@@ -140,10 +155,10 @@ class Solution:
 
     @property
     def rmse_arcsec(self) -> float | None:
-        """Root mean square distance of the stars from where the solution puts them, arcseconds."""
+        """Root mean square distance of the fitted stars from where the solution puts them, arcseconds."""
         if self.camera is None or not len(self.stars):
             return None
-        squares = np.sum(self.stars.residual_px**2, axis=1)
+        squares = np.sum(self.stars.fitted.residual_px**2, axis=1)
         return float(np.sqrt(np.mean(squares)) * self.camera.pixel_rad / ARCSEC_RAD)
 
     @property

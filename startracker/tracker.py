@@ -31,6 +31,7 @@ from startracker.front_end import (
     find_stars,
     look_again,
     says_saturated,
+    stated_variance,
 )
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
@@ -177,6 +178,7 @@ class StarTracker:
         xy: ArrayLike,
         flux: ArrayLike | None = None,
         *,
+        sigma_px: ArrayLike | None = None,
         prior: Attitude | None = None,
         prior_deg: float = 1.0,
         observer: Observer | None = None,
@@ -190,18 +192,21 @@ class StarTracker:
             left out.
         flux : array_like, shape (N,), optional
             Signal, any linear unit. Without it the order counts as the order of brightness, magnitudes do not.
+        sigma_px : array_like, shape (N,) or a number, optional
+            Standard error of each centroid on one axis, pixels. Without it all count alike, and their error is told by
+            how well they fit; the covariance of few stars is then that much larger.
         prior, prior_deg, observer
             As in `solve`.
 
         Raises
         ------
         InputError
-            When the arrays' shapes do not fit.
+            When the arrays' shapes do not fit, or an error is not positive.
         """
         clock = Clock()
         points, signal = clean_centroids(xy, flux, self.camera)
-        guide = self.guide.seen_by(observer)
-        solution = self._solve(points, signal, None, _prior(prior, prior_deg), observer, guide, clock)
+        guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
+        solution = self._solve(points, signal, variance, _prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
@@ -234,7 +239,8 @@ class StarTracker:
         guide = self.guide.seen_by(observer)
 
         def solve(look: FoundStars) -> Solution:
-            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock)
+            covariance = look.covariance_px2
+            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock, covariance)
 
         def streaks() -> FoundStars | None:
             known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
@@ -272,6 +278,7 @@ class StarTracker:
         observer: Observer | None,
         guide: GuideDatabase,
         clock: Clock,
+        covariance_px2: FloatArray | None = None,
     ) -> Solution:
         tried: Sequence[Step] = ()
         if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
@@ -327,7 +334,18 @@ class StarTracker:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
             known = None if free else directions
-            refined = refine(pairs, xy, variance_px2, camera, guide, self._estimate, free, directions=known)
+            refined = refine(
+                pairs,
+                xy,
+                variance_px2,
+                camera,
+                guide,
+                self._estimate,
+                free,
+                directions=known,
+                covariance_px2=covariance_px2,
+                observer=observer,
+            )
         except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
             return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
@@ -338,6 +356,7 @@ class StarTracker:
             guide.v_mag[chosen],
             np.full(len(used), np.nan) if flux is None else flux[used],
             refined.residual_px,
+            refined.used,
         )
         clock.lap("attitude")
         return Solution(

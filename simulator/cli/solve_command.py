@@ -310,7 +310,7 @@ def _residual_px(solution: Solution) -> float:
     """Root mean square residual; infinite where there is no solution."""
     if not solution.matched:
         return math.inf
-    return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(solution.stars.fitted.residual_px**2, axis=1))))
 
 
 def _is_our_frame(path: Path) -> bool:

@@ -45,9 +45,10 @@ def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -
                 "name": str(name),
                 "v_mag": float(magnitude),
                 "residual_px": [float(residual[0]), float(residual[1])],
+                "used": bool(used),
             }
-            for xy, number, name, magnitude, residual in zip(
-                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, strict=True
+            for xy, number, name, magnitude, residual, used in zip(
+                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, stars.used, strict=True
             )
         ],
         "pixels": [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from simulator.study.intervals import (
     mean_chi_square_bounds,
@@ -24,8 +24,15 @@ BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
 AXES = BODY_AXES + CAMERA_AXES
 
-WRONG_FACTOR = 10.0
-"""An accepted attitude is wrong when its error about any body axis exceeds the specification this many times."""
+WRONG_NEES = 31.812
+"""Normalised error squared beyond which an attitude contradicts its stated covariance: χ² of 3 degrees of freedom
+exceeds it with probability 5.7e-7, as a normal deviate exceeds 5 σ."""
+
+WRONG_BOUNDS = 5.0
+"""An error about an axis that is larger than this many Cramér–Rao bounds is not explained by noise."""
+
+BEYOND_FACTOR = 10.0
+"""An error about a body axis that exceeds the specification this many times is counted as beyond the specification."""
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p997": 99.7}
 """Percentiles of an error's magnitude."""
@@ -64,6 +71,34 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
         "p997": p997,
         "max": float(magnitude.max()),
     }
+
+
+def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: ArrayLike) -> bool:
+    """Whether an accepted attitude is wrong.
+
+    It is when a star is misidentified, or when the error contradicts the stated covariance (`WRONG_NEES`) and is larger
+    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy but honest attitude wrong, the
+    first one alone an accurate attitude whose covariance is a little too small.
+
+    Parameters
+    ----------
+    misidentified : int
+        Number of misidentified stars.
+    nees : float
+        Error squared, normalised by the stated covariance; NaN where there is none.
+    error_deg, bound_deg : array_like, shape (3,)
+        Error and Cramér–Rao bound about the camera's axes. An axis without a bound (NaN) has no noise to explain an
+        error with.
+    """
+    if misidentified > 0:
+        return True
+    explained = np.abs(np.asarray(error_deg)) <= WRONG_BOUNDS * np.asarray(bound_deg)  # False where the bound is NaN
+    return bool(nees > WRONG_NEES and not explained.all())
+
+
+def beyond_specification(error_deg: Mapping[str, float], specification_deg: Mapping[str, float]) -> bool:
+    """Whether the error about a body axis exceeds `BEYOND_FACTOR` times the specification, both in degrees by axis."""
+    return any(abs(error_deg[axis]) > BEYOND_FACTOR * specification_deg[axis] for axis in BODY_AXES)
 
 
 @dataclass(frozen=True)
@@ -223,12 +258,13 @@ def consistency(columns: Columns) -> dict[str, Any] | None:
     """Whether the tracker's covariance tells the truth: mean normalised error squared and its 95 % bounds.
 
     ``inside`` is True where the mean lies within the bounds. A mean below them says that the tracker is better than it
-    believes, one above that it is worse. Over the trials that are solved and not wrong; None where there are none.
+    believes, one above that it is worse. Over all solved trials, also wrong ones: what contradicts the covariance must
+    not be left out of its test. None where there are none.
     """
     if "nees" not in columns:
         return None
     nees = np.asarray(columns["nees"], dtype=float)
-    nees = nees[_right(columns) & np.isfinite(nees)]
+    nees = nees[np.asarray(columns["status"] == "solved", dtype=bool) & np.isfinite(nees)]
     bounds = mean_chi_square_bounds(len(nees), 3)
     if bounds is None:
         return None
@@ -309,6 +345,9 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
         "unsolved": int(n - solved.sum()),
         "unsolved_by_status": dict(sorted(reasons.items())),
         "wrong": int(wrong.sum()),
+        "beyond_specification": int(np.sum(columns["beyond_specification"]))
+        if "beyond_specification" in columns
+        else 0,
         "identification_rate": right / n if n else None,
         "identification_rate_interval95": list(wilson_interval(right, n)),
         "availability": int(solved.sum()) / n if n else None,

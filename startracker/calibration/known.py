@@ -91,7 +91,7 @@ def identify_all(
         place = {int(number): j for j, number in enumerate(sky.catalog.id)}
         pairs = [
             (row[float(x), float(y)], place[int(number)])
-            for (x, y), number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True)
+            for (x, y), number in zip(solution.stars.fitted.xy, solution.stars.fitted.catalog_id, strict=True)
             if int(number) in place
         ]
         known.append(KnownField(one, solution.camera, matrix, sky, np.array(pairs, dtype=np.int64).reshape(-1, 2)))

@@ -157,7 +157,7 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         margin += f" The specification lies inside the 95 % interval of {_listed(doubtful)}: more trials would tell."
     right = solved - wrong
     rates = []
-    for name, count in (("available (an attitude given)", solved), ("identified rightly", right), ("wrong", wrong)):
+    for name, count in (("available (an attitude given)", solved), ("correctly identified", right), ("wrong", wrong)):
         between = interval_text(wilson_interval(count, n), percent_text)
         rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
     return Answer(
@@ -226,14 +226,21 @@ def _accuracy(summary: Mapping[str, Any]) -> Table:
         rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
     note = (
         "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
-        "included; 3σ is three times its root mean square. An attitude is called wrong when it is off by more than ten "
-        "times the specification about any body axis."
+        "included; 3σ is three times its root mean square. An attitude is called wrong when a star is misidentified, "
+        "or when its error is beyond 5σ of the covariance that the tracker stated and larger than five Cramér–Rao "
+        "bounds, so that noise does not explain it; " + _beyond(summary)
     )
     if any(interval_of(summary, axis, "rms") for axis in AXES):
         note += " In brackets: 95 % intervals by bootstrap."
     return Table(
         ("axis", "mean", "std", "rms", "50 % below", "95 % below", "99.7 % below", "largest"), tuple(rows), note=note
     )
+
+
+def _beyond(summary: Mapping[str, Any]) -> str:
+    count = summary.get("beyond_specification", 0)
+    verb = "is" if count == 1 else "are"
+    return f"{count or 'none'} of the attitudes {verb} off by more than ten times the specification."
 
 
 def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tuple[int, str]]:
