@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.camera import Camera
 from startracker.centroid import Centroider
+from startracker.centroid.result import Centroids
 from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_smeared
@@ -84,11 +85,13 @@ class FoundStars:
     pixels, background : array (H, W) and Background, optional
         For a second look.
     smeared : bool
-        Whether the stars are streaks.
+        Whether the stars seem to be streaks. These are the points nevertheless; `look_again` finds the streaks.
     covariance_px2 : (N, 2, 2), optional
         Of a centroid; None: `variance_px2` on both axes.
     lines : (N, 4)
-        Middle x and y and half the length along x and y of the streaks that were taken for stars.
+        Middle x and y and half the length along x and y of the streaks that share one motion.
+    streaks : Centroids, optional
+        Of a smeared frame: these streaks as the centroider measures them.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -105,6 +108,7 @@ class FoundStars:
     smeared: bool = False
     lines: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     covariance_px2: FloatArray | None = None
+    streaks: Centroids | None = None
 
 
 def find_stars(
@@ -155,14 +159,19 @@ def find_stars(
         steps.append(partial(background_step, background))
         spots = detect(pixels, background, detection, saturation_dn)
         clock.lap("detection")
-        steps.append(partial(detection_steps, spots, detection, background))
-        found = measure(pixels, background, spots, centroid, gain_e_per_dn)
+        trails = spots if spots.are_streaks else spots.other
+        smeared = spots.are_streaks or (trails is None and _left_out_streaks(spots))
+        points = spots if trails is not spots or spots.other is None else spots.other
+        steps.append(partial(detection_steps, points, detection, background))
+        found = measure(pixels, background, points, centroid, gain_e_per_dn)
+        streaks = None
+        if smeared and trails is not None:
+            streaks = measure(pixels, background, trails, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
     steps.append(partial(centroid_step, found))
     variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
-    lines = _lines(spots)
     return FoundStars(
         found.xy,
         found.flux,
@@ -173,8 +182,9 @@ def find_stars(
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
-        smeared=len(lines) > 0 or _left_out_streaks(spots),
-        lines=lines,
+        smeared=smeared,
+        lines=_lines(trails),
+        streaks=streaks,
         covariance_px2=found.covariance,
     )
 
@@ -184,9 +194,9 @@ def _left_out_streaks(spots: Spots) -> bool:
     return spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
 
 
-def _lines(spots: Spots) -> FloatArray:
+def _lines(spots: Spots | None) -> FloatArray:
     """What the motion of the frame has drawn of its stars, see `FoundStars`."""
-    if spots.centre is None or spots.streak is None or not spots.streak.any():
+    if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])
 
@@ -222,13 +232,18 @@ def look_again(
         lines = lines if smeared is None else _lines(smeared)
     streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, lines)
     clock.lap("streaks")
-    if streaks is None:
+    if streaks is not None:
+        stars, length = streaks.centroids, float(np.hypot(*streaks.motion[:2]))
+        middle = 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
+        xy = stars.xy - _bow(stars.xy, camera, streaks, middle)
+        text = f"{len(stars)} streaks of one motion, {length:.1f} px in the middle of the image"
+    elif first.streaks is not None:
+        stars, length = first.streaks, 2.0 * float(np.median(np.hypot(*lines[:, 2:].T)))
+        xy, text = stars.xy, f"{len(stars)} streaks of one motion, about {length:.1f} px long"
+    else:
         return None
-    stars = streaks.centroids
-    length, middle = float(np.hypot(*streaks.motion[:2])), 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
-    text = f"{len(stars)} streaks of one motion, {length:.1f} px in the middle of the image"
     return FoundStars(
-        stars.xy - _bow(stars.xy, camera, streaks, middle),
+        xy,
         stars.flux,
         np.trace(stars.covariance, axis1=1, axis2=2) / 2.0,
         saturated_share=first.saturated_share,
