@@ -30,6 +30,10 @@ class Status(StrEnum):
     AMBIGUOUS = "ambiguous"
     SEARCH_LIMIT = "search_limit"
     BAD_IMAGE = "bad_image"
+    STALE = "stale"
+    """Of tracking: the frame is one that came before."""
+    BAD_TIME = "bad_time"
+    """Of tracking: the frame's time is none, or not after the last frame's."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from startracker.settings import TrackingSettings
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
-from startracker.tracking.session import TrackingSession, TrackingState
+from startracker.tracking.session import TrackingSession
+from startracker.tracking.state import TrackingState
 
 __all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "TrackingSession", "TrackingSettings", "TrackingState"]

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
+from startracker.solution import MatchedStars, Solution, Status
+from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.matching import track
 from startracker.tracking.mekf import Innovation, Mekf
@@ -37,6 +39,31 @@ class Followed:
     partner: IntArray
     residual_px: FloatArray
     log_chance: float
+
+    def solution(self, tracker: StarTracker, times_ms: dict[str, float]) -> Solution:
+        """The frame's answer: attitude and covariance of the filter, and the stars."""
+        camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
+        chosen = self.expected.index[self.partner]
+        return Solution(
+            Status.SOLVED,
+            f"tracked: {len(stars)} of {len(seen.xy)} stars are where predicted, {len(self.expected.index)} expected; "
+            f"by chance with probability 1e{math.floor(self.log_chance / math.log(10.0))}",
+            self.filter.attitude,
+            self.filter.attitude_covariance,
+            MatchedStars(
+                seen.xy[stars],
+                guide.catalog.id[chosen],
+                guide.catalog.star_name[chosen],
+                guide.v_mag[chosen],
+                seen.flux[stars],
+                self.residual_px,
+            ),
+            seen.xy,
+            camera.fov_deg,
+            camera.parity,
+            times_ms,
+            camera,
+        )
 
 
 def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, false_rejection: float) -> Followed | None:

@@ -92,7 +92,10 @@ def propagate(
     rate_psd: float,
     extra_psd: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Quaternion and covariance (6, 6) after a step at a constant rate.
+    """Quaternion and covariance (n, n) after a step at a constant rate; n is 6, or 9 with a gyro's scale factors.
+
+    An error δk of the scale factors acts as a bias of ω ∘ δk: δθ' = −ω × δθ − δb − ω ∘ δk, to first order in k
+    (Pittelkau 2001, J. Guidance 24, 1187). The scale factors themselves are constant.
 
     Parameters
     ----------
@@ -103,9 +106,11 @@ def propagate(
         state, rad²/s³.
     """
     phi, psi, twice, squared = transition(rate, dt)
-    full = np.eye(6)
+    full = np.eye(len(covariance))
     full[:3, :3] = phi
-    full[:3, 3:] = sign * psi
+    full[:3, 3:6] = sign * psi
+    if len(covariance) > 6:
+        full[:3, 6:] = sign * psi * rate
     out = full @ covariance @ full.T
     for i in range(3):
         out[i, i] += angle_psd * dt
@@ -120,12 +125,12 @@ def propagate(
 @njit(cache=True, error_model="numpy")
 def correct(
     covariance: FloatArray, axes: FloatArray, innovation: FloatArray, noise: FloatArray
-) -> tuple[float, FloatArray, FloatArray]:
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """Kalman update with a measurement of the attitude's error along `axes`, in Joseph's form.
 
     Parameters
     ----------
-    covariance : (6, 6)
+    covariance : (n, n)
     axes : (m, 3)
         The measurement is axes · δθ + noise.
     innovation, noise : (m,), (m, m)
@@ -133,16 +138,38 @@ def correct(
 
     Returns
     -------
-    Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (6,), covariance after it (6, 6).
+    Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (n,), covariance after it (n, n), and the innovation in camera
+    axes whitened by the Cholesky factor of S there, (3,): NaN where the axes are not three.
     """
-    h = np.zeros((len(innovation), 6))
+    h = np.zeros((len(innovation), len(covariance)))
     h[:, :3] = axes
     crossed = h @ covariance
-    gain = np.linalg.solve(crossed @ h.T + noise, crossed).T.copy()
-    weighed = np.linalg.solve(crossed @ h.T + noise, innovation)
-    left = np.eye(6) - gain @ h
+    spread = crossed @ h.T + noise
+    gain = np.linalg.solve(spread, crossed).T.copy()
+    weighed = np.linalg.solve(spread, innovation)
+    left = np.eye(len(covariance)) - gain @ h
     out = left @ covariance @ left.T + gain @ noise @ gain.T
-    return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T)
+    white = np.full(3, np.nan)
+    if len(innovation) == 3:
+        white = _whitened(axes.T @ spread @ axes, axes.T @ innovation)
+    return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T), white
+
+
+@njit(cache=True, error_model="numpy")
+def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
+    """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN where that is not positive."""
+    lower, out = np.zeros((3, 3)), np.empty(3)
+    for i in range(3):
+        left = vector[i]
+        for j in range(i + 1):
+            value = spread[i, j]
+            for k in range(j):
+                value -= lower[i, k] * lower[j, k]
+            lower[i, j] = math.sqrt(value) if i == j else value / lower[j, j]
+            if j < i:
+                left -= lower[i, j] * out[j]
+        out[i] = left / lower[i, i]
+    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -20,7 +20,7 @@ from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 
-__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look"]
+__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -139,6 +139,12 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     return _with_direction(seen)
 
 
+def streak_px(tracker: StarTracker, rate_rad_s: FloatArray, exposure_s: float) -> float:
+    """Length of a star's image at a rate (3,), at most, pixels."""
+    turn = math.hypot(rate_rad_s[0], rate_rad_s[1]) + abs(rate_rad_s[2]) * tracker.guide.half_diagonal_rad
+    return float(turn * exposure_s / tracker.camera.pixel_rad)
+
+
 def look(
     image: ArrayLike,
     tracker: StarTracker,
@@ -168,7 +174,7 @@ def look(
     Seen, or None where windows will not do.
     """
     camera = tracker.camera
-    pixels = _plain(image)
+    pixels = plain(image)
     if pixels is None or pixels.shape != (camera.height, camera.width) or streak_px > _LONGEST_STREAK_PX:
         return None
     spread = spreads(expected.places, covariance)[2]
@@ -223,10 +229,12 @@ def _with_direction(seen: Seen) -> Seen:
     return seen if usable.all() else seen.select(usable)
 
 
-def _plain(image: ArrayLike) -> NDArray[Any] | None:
+def plain(image: ArrayLike) -> NDArray[Any] | None:
     """Image as a kernel reads it, without a copy where that can be; None for what is none."""
     try:
         pixels = np.asarray(image)
+        if np.ma.is_masked(image) and pixels.dtype.kind in "uif":
+            pixels = np.ma.filled(np.ma.asarray(image).astype(np.float32), np.nan)
     except ValueError:
         return None
     if pixels.ndim != 2 or pixels.dtype.kind not in "uif":

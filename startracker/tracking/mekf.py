@@ -1,4 +1,4 @@
-"""Multiplicative extended Kalman filter of an attitude, with a gyro's bias or, without a gyro, with the rate.
+"""Multiplicative extended Kalman filter of an attitude, with a gyro's bias and scale factors or, without one, the rate.
 
 The attitude is a quaternion; its error, a rotation vector in camera axes, is what the filter estimates, and after every
 measurement the error goes into the quaternion and is zero again. The covariance is therefore never singular, and its
@@ -11,7 +11,7 @@ Farrenkopf's (1978, J. Guidance and Control 1, 282).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -33,7 +33,7 @@ _MOST_PASSES = 4
 
 @dataclass(frozen=True)
 class GyroNoise:
-    """Noise of a gyro, each axis alike: measured rate = rate + bias + white noise.
+    """Errors of a gyro, each axis alike: measured rate = (1 + scale factor error) rate + bias + white noise.
 
     Parameters
     ----------
@@ -45,12 +45,16 @@ class GyroNoise:
         Standard deviation of the bias at the start.
     acceleration : float
         How fast the rate may change while no gyro sample comes, rad/s/√s.
+    scale_sigma : float
+        Standard deviation of the scale factor's error, constant, to be estimated: 0.01 is 1 %. A clock that runs at
+        another rate acts like one. 0: the scale factors are not estimated.
     """
 
     angle_random_walk: float = 3e-5
     rate_random_walk: float = 1e-7
     bias_sigma_rad_s: float = 1e-3
     acceleration: float = 1e-3
+    scale_sigma: float = 0.01
 
     def __post_init__(self) -> None:
         _check_positive(self)
@@ -88,11 +92,16 @@ class Innovation:
         νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
     freedom : int
         Number of directions in the attitude's error that the measurement tells of: 3, or 2 for one star.
+    whitened : (3,) array, optional
+        The innovation in camera axes, whitened: three independent normal numbers of variance 1 where filter and sensor
+        are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646).
+        None for one star.
     """
 
     accepted: bool
     distance2: float
     freedom: int
+    whitened: FloatArray | None = field(default=None, compare=False)
 
 
 class Mekf:
@@ -119,7 +128,10 @@ class Mekf:
     ) -> None:
         self.noise = noise or RateNoise()
         self.has_gyro = isinstance(self.noise, GyroNoise)
+        self.noise_factor = 1.0
+        """The process noise is taken this many times as large (variances)."""
         self._bias = np.zeros(3)
+        self._scale = np.zeros(3)
         self._rate = np.zeros(3)
         self.reset(attitude, covariance, rate_rad_s)
 
@@ -130,7 +142,7 @@ class Mekf:
         rate_rad_s: ArrayLike | None = None,
         second_sigma_rad_s: float | None = None,
     ) -> None:
-        """Start anew; a bias once estimated stays as the best guess, with the uncertainty of the start.
+        """Start anew; bias and scale factors once estimated stay as the best guess, with the uncertainty of the start.
 
         Parameters
         ----------
@@ -144,9 +156,10 @@ class Mekf:
         noise = self.noise
         usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
         sigma = usual if second_sigma_rad_s is None else second_sigma_rad_s
-        self._covariance = np.zeros((6, 6))
+        scale = noise.scale_sigma if isinstance(noise, GyroNoise) else 0.0
+        variances = [0.0, sigma**2, scale**2] if scale > 0.0 else [0.0, sigma**2]
+        self._covariance = np.diag(np.repeat(variances, 3))
         self._covariance[:3, :3] = 0.5 * (block + block.T)
-        self._covariance[3:, 3:] = np.eye(3) * sigma**2
         if rate_rad_s is not None:
             self._rate = _three(rate_rad_s, "a rate")
 
@@ -155,8 +168,13 @@ class Mekf:
         twin = object.__new__(Mekf)
         twin.noise, twin.has_gyro = self.noise, self.has_gyro
         twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never changed
-        twin._rate, twin._bias = self._rate, self._bias
+        twin._rate, twin._bias, twin._scale = self._rate, self._bias, self._scale
+        twin.noise_factor = self.noise_factor
         return twin
+
+    def distrust(self, factor: float) -> None:
+        """Take the state's covariance to be `factor` times what it was: what was learnt so far counts for less."""
+        self._covariance = self._covariance * factor
 
     # ------------------------------------------------------------------ state
     @property
@@ -172,7 +190,7 @@ class Mekf:
     @property
     def covariance(self) -> FloatArray:
         """Of the attitude's error (rotation vector, camera axes) and of the bias or the rate, (6, 6), rad and rad/s."""
-        return self._covariance.copy()
+        return self._covariance[:6, :6].copy()
 
     @property
     def attitude_covariance(self) -> FloatArray:
@@ -188,6 +206,16 @@ class Mekf:
     def bias_rad_s(self) -> FloatArray:
         """Bias of the gyro (3,); zero without one."""
         return self._bias.copy()
+
+    @property
+    def scale(self) -> FloatArray:
+        """Errors of the gyro's scale factors (3,); zero where they are not estimated."""
+        return self._scale.copy()
+
+    @property
+    def scale_sigma(self) -> FloatArray:
+        """Their standard deviations (3,)."""
+        return np.sqrt(self._covariance.diagonal()[6:]) if len(self._covariance) > 6 else np.zeros(3)
 
     # ------------------------------------------------------------------ the two steps
     def predict(self, dt: float, gyro_rad_s: ArrayLike | None = None) -> None:
@@ -212,12 +240,13 @@ class Mekf:
             sign, angle, rate = -1.0, self.noise.angle_random_walk**2, self.noise.rate_random_walk**2
             extra = 0.0 if gyro_rad_s is not None else self.noise.acceleration**2
             if gyro_rad_s is not None:
-                self._rate = _three(gyro_rad_s, "a gyro's rate") - self._bias
+                self._rate = (_three(gyro_rad_s, "a gyro's rate") - self._bias) / (1.0 + self._scale)
         else:
             sign, angle, rate, extra = 1.0, 0.0, self.noise.acceleration**2, 0.0
             if gyro_rad_s is not None:
                 raise InputError("this filter has no gyro: make it with GyroNoise, or leave gyro_rad_s out")
-        self._quat, self._covariance = propagate(self._quat, self._covariance, self._rate, dt, sign, angle, rate, extra)
+        noise = self.noise_factor * np.array([angle, rate, extra])
+        self._quat, self._covariance = propagate(self._quat, self._covariance, self._rate, dt, sign, *noise)
 
     def update_attitude(
         self, attitude: Attitude | ArrayLike, covariance: ArrayLike, false_rejection: float = 0.0
@@ -276,19 +305,25 @@ class Mekf:
                 break
         return self._take(outcome, chi_square_limit(len(innovation), false_rejection), len(innovation))
 
-    def _take(self, outcome: tuple[float, FloatArray, FloatArray], limit: float, freedom: int) -> Innovation:
+    def _take(
+        self, outcome: tuple[float, FloatArray, FloatArray, FloatArray], limit: float, freedom: int
+    ) -> Innovation:
         """Put a correction into the state where it lies within the gate."""
-        distance, change, covariance = outcome
-        if not distance <= limit:
-            return Innovation(False, distance, freedom)
+        distance, change, covariance, white = outcome
+        innovation = Innovation(bool(distance <= limit), distance, freedom, white if freedom == 3 else None)
+        if not innovation.accepted:
+            return innovation
         self._covariance = covariance
         self._quat = turn_quaternion(self._quat, change[:3])
         if self.has_gyro:
-            self._bias = self._bias + change[3:]
-            self._rate = self._rate - change[3:]
+            self._bias = self._bias + change[3:6]
+            self._rate = self._rate - change[3:6]
+            if len(change) > 6:
+                self._rate = self._rate - self._rate * change[6:]
+                self._scale = self._scale + change[6:]
         else:
             self._rate = self._rate + change[3:]
-        return Innovation(True, distance, freedom)
+        return innovation
 
 
 @lru_cache(maxsize=64)

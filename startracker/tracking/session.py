@@ -8,7 +8,9 @@ does, and by the same standard: what is matched must be beyond chance (`Identifi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+import threading
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,58 +21,24 @@ from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
 from startracker.observer import Observer
 from startracker.settings import TrackingSettings
-from startracker.solution import MatchedStars, Solution, Status
+from startracker.solution import Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
-from startracker.tracking.following import Followed, follow
-from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look
+from startracker.tracking.following import Followed
+from startracker.tracking.frame_clock import FrameClock
+from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look, plain, streak_px
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
+from startracker.tracking.repeats import FrameMemory, list_key
 from startracker.tracking.scatter import Scatter
+from startracker.tracking.state import TrackingState
+from startracker.tracking.watched import WatchedFilter
 
-__all__ = ["TrackingSession", "TrackingState"]
+__all__ = ["TrackingSession"]
 
 FloatArray = NDArray[np.float64]
 
 _PRIOR_SIGMAS = 5.0
 _LEAST_PRIOR_DEG = 0.1
 _FEW_STARS = 6
-
-
-@dataclass(frozen=True)
-class TrackingState:
-    """How the last update went.
-
-    Parameters
-    ----------
-    mode : str
-        ``tracking``, ``prior`` (whole frame, around the prediction) or ``lost_in_space``.
-    solved : bool
-        Whether the update gave an attitude.
-    windows : int
-        Windows looked at; 0 where the whole frame was.
-    expected, matched : int
-        Guide stars looked for, and stars matched.
-    log_chance : float
-        ln of the largest probability that chance does as well; of tracking alone, else NaN.
-    innovation : Innovation, optional
-        How the measurement compared with the prediction; None where there was no prediction.
-    restarted : bool
-        Whether the filter began anew: the first solution, or one that contradicts the prediction.
-    window_xy : (windows, 2), optional
-        Central pixels of the windows.
-    window_half_px : int
-        A window has 2 half + 1 pixels a side.
-    """
-
-    mode: str = "lost_in_space"
-    solved: bool = False
-    windows: int = 0
-    expected: int = 0
-    matched: int = 0
-    log_chance: float = math.nan
-    innovation: Innovation | None = None
-    restarted: bool = False
-    window_xy: FloatArray | None = field(default=None, compare=False)
-    window_half_px: int = 0
 
 
 class TrackingSession:
@@ -90,7 +58,8 @@ class TrackingSession:
     Notes
     -----
     A solution's attitude is the filter's, with its covariance: what this frame and all before it tell. Times are those
-    of mid-exposure.
+    of mid-exposure. A frame that came before has the status ``stale``, one without a usable time ``bad_time``; neither
+    has an attitude, and `filter_attitude` is the prediction. Updates from several threads wait for each other.
     """
 
     def __init__(
@@ -108,13 +77,26 @@ class TrackingSession:
         self.settings = settings or TrackingSettings()
         self.exposure_s = exposure_s
         self.state = TrackingState()
-        self._filter: Mekf | None = None
-        self._now, self._started = 0.0, False
-        self._scatter = Scatter()
+        self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+        self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
+        self._frame: NDArray[Any] | bytes | None = None
+        self._used_s: float | None = None
+        self._note = ""
         self._sky = Sky(tracker.guide)
-        self._solved: tuple[float, Attitude] | None = None
+        self._lock = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._lock = threading.RLock()
 
     # ------------------------------------------------------------------ what the filter knows
+    @property
+    def _filter(self) -> Mekf | None:
+        return self._watched.mekf
+
     @property
     def filter_attitude(self) -> Attitude | None:
         """Filter's attitude at the last update, solved or not; None before the first solution."""
@@ -149,12 +131,14 @@ class TrackingSession:
         rate_rad_s : array_like, optional
             Camera's rate.
         """
-        self._filter, self._solved, self.state = None, None, TrackingState()
-        self._started, self._scatter = False, Scatter()
-        if attitude is not None:
-            if not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
-                raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
-            self._filter = Mekf(attitude, np.eye(3) * math.radians(sigma_deg) ** 2, self.noise, rate_rad_s)
+        if attitude is not None and not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
+            raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
+        with self._lock:
+            self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+            self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
+            self.state, self._used_s = TrackingState(), None
+            if attitude is not None:
+                self._watched.begin(attitude, np.eye(3) * math.radians(sigma_deg) ** 2, rate_rad_s)
 
     # ------------------------------------------------------------------ frames
     def update(
@@ -176,7 +160,7 @@ class TrackingSession:
         t_s : float
             Mid-exposure, seconds on any clock that runs evenly.
         gyro_rad_s : array_like, shape (3,), optional
-            Mean measured rate since the last frame, camera axes.
+            Mean measured rate since the last frame, camera axes. One that is not finite is left out.
 
         Returns
         -------
@@ -186,39 +170,37 @@ class TrackingSession:
         Raises
         ------
         InputError
-            For a time before the last frame's.
+            For a time that is no number, or a gyro's rate that is not three numbers or comes without a gyro.
         """
-        clock = Clock()
-        self._predict(t_s, gyro_rad_s)
-        expected = self._expect(observer)
+        with self._lock:
+            clock, pixels = Clock(), plain(image)
+            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels))
+            if refused is not None:
+                return self._refuse(*refused, np.empty((0, 2)), clock)
+            self._frame = pixels
+            told = {"observer": observer, "saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
+            return self._update_image(image, told, clock)
+
+    def _update_image(self, image: ArrayLike, told: dict[str, Any], clock: Clock) -> Solution:
+        expected = self._expect(told["observer"])
         if expected is not None and self._filter is not None:
-            across_x, across_y, about = self._filter.rate_rad_s
-            turn = math.hypot(across_x, across_y) + abs(about) * self.tracker.guide.half_diagonal_rad
-            streak_px = turn * self.exposure_s / self.tracker.camera.pixel_rad
             seen = look(
                 image,
                 self.tracker,
                 expected,
                 self._filter.attitude_covariance,
-                streak_px,
+                streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s),
                 self.settings.max_window_px,
                 self._scatter.factor,
-                saturation_dn,
-                gain_e_per_dn,
+                told["saturation_dn"],
+                told["gain_e_per_dn"],
             )
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if followed is not None and self._sure(followed):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._prior()
-        found = self.tracker.solve(
-            image,
-            prior=prior,
-            prior_deg=prior_deg,
-            observer=observer,
-            saturation_dn=saturation_dn,
-            gain_e_per_dn=gain_e_per_dn,
-        )
+        found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **told)
         followed = None
         if not found.solved and expected is not None:
             # windows hold chance neighbours; over the whole frame a few stars just where predicted weigh more
@@ -239,57 +221,80 @@ class TrackingSession:
 
         The centroids' error is told by the residuals of the frames before.
         """
-        clock = Clock()
-        self._predict(t_s, gyro_rad_s)
-        followed = self._follow_centroids(xy, flux, observer)
-        if followed is not None and self._sure(followed):
-            return self._tracked(followed, clock)
-        prior, prior_deg = self._prior()
-        found = self.tracker.solve_centroids(xy, flux, prior=prior, prior_deg=prior_deg, observer=observer)
-        return self._whole_frame(found, followed, prior, prior_deg, clock, STATED_PX)
+        with self._lock:
+            clock, points = Clock(), np.asarray(xy, dtype=float)
+            key = list_key(points)
+            refused = self._begin(t_s, gyro_rad_s, self._memory.list_repeats(key))
+            if refused is not None:
+                return self._refuse(*refused, points if key else np.empty((0, 2)), clock)
+            self._frame = key
+            followed = self._follow_centroids(points, flux, observer)
+            if followed is not None and self._sure(followed):
+                return self._tracked(followed, clock)
+            prior, prior_deg = self._prior()
+            found = self.tracker.solve_centroids(xy, flux, prior=prior, prior_deg=prior_deg, observer=observer)
+            return self._whole_frame(found, followed, prior, prior_deg, clock, STATED_PX)
 
     # ------------------------------------------------------------------ prediction
-    def _predict(self, t_s: float, gyro_rad_s: ArrayLike | None) -> None:
-        if not math.isfinite(t_s):
-            raise InputError(f"a frame's time must be a number of seconds; got {t_s}")
-        if self._started and t_s < self._now:
-            raise InputError(f"frames come in order of time: this one is at {t_s} s, the last was at {self._now} s")
-        if gyro_rad_s is not None and not isinstance(self.noise, GyroNoise):
-            raise InputError("this session has no gyro: give it noise=GyroNoise(...), or leave gyro_rad_s out")
-        if self._filter is not None and self._started:
-            self._filter.predict(t_s - self._now, gyro_rad_s)
-            if not self._uncertainty() < math.pi / 2.0:  # nothing is known any more
-                self._filter = None
-        self._now, self._started = float(t_s), True
+    def _begin(self, t_s: float, gyro_rad_s: ArrayLike | None, same_as_s: float | None) -> tuple[Status, str] | None:
+        """Move on to a frame's time; status and reason of a frame that cannot be used."""
+        gyro, self._note = self._watched.sample(gyro_rad_s)
+        now_s = self._clock.read(t_s)
+        self._watched.distrusted, self._frame = False, None
+        fault = self._clock.fault(now_s)
+        if not fault and now_s == self._used_s and same_as_s is None:
+            fault = f"another frame had the same time, {now_s} s: how far the camera turned since is not known"
+        if fault:
+            return Status.BAD_TIME, fault
+        if self._clock.is_before(now_s):
+            self._note = f"the clock was set back from {self._clock.now_s} s, and the filter begins anew"
+            self._watched.forget()
+        self._watched.predict(self._clock.advance(now_s), gyro)
+        if same_as_s is not None:
+            return Status.STALE, f"the frame has the same stars, to the last digit, as the one at {same_as_s} s"
+        return None
 
-    def _uncertainty(self) -> float:
-        """Largest standard deviation of the predicted attitude about any axis, rad."""
-        assert self._filter is not None
-        return math.sqrt(sum(self._filter.attitude_covariance.diagonal().tolist()))
+    def _refuse(self, status: Status, reason: str, xy: FloatArray, clock: Clock) -> Solution:
+        """Answer to a frame that is not used."""
+        self.state = TrackingState("coasting", note=self._note)
+        camera = self.tracker.camera
+        return Solution(
+            status,
+            self._with_note(reason),
+            centroids=xy,
+            fov_deg=camera.fov_deg,
+            parity=camera.parity,
+            times_ms=clock.times_ms(),
+            camera=camera,
+        )
+
+    def _with_note(self, reason: str) -> str:
+        return f"{reason}; {self._note}" if self._note else reason
 
     def _prior(self) -> tuple[Attitude | None, float]:
         """Prediction as the identification takes it: an attitude and its largest error, degrees."""
         if self._filter is None:
             return None, 1.0
-        width = max(math.degrees(_PRIOR_SIGMAS * self._uncertainty()), _LEAST_PRIOR_DEG)
+        width = max(math.degrees(_PRIOR_SIGMAS * self._watched.uncertainty_rad), _LEAST_PRIOR_DEG)
         return (self._filter.attitude, width) if width <= self.settings.prior_limit_deg else (None, 1.0)
 
     def _expect(self, observer: Observer | None) -> Expected | None:
         """Guide stars where the prediction puts them; None without a prediction that helps."""
-        if self._filter is None or self._uncertainty() > 0.5 * self.tracker.guide.half_diagonal_rad:
+        if self._filter is None or self._watched.uncertainty_rad > 0.5 * self.tracker.guide.half_diagonal_rad:
             return None
         expected = self._sky.expected(self._filter.matrix, observer, self.settings.max_stars)
         return expected if len(expected.index) else None
 
     # ------------------------------------------------------------------ following
     def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
-        if seen is None or self._filter is None:
+        if seen is None:
             return None
-        return follow(self._filter, self.tracker.camera, seen, expected, self.settings.false_rejection)
+        return self._watched.follow(self.tracker.camera, seen, expected, self._log_limit)
 
-    def _follow_centroids(self, xy: ArrayLike, flux: ArrayLike | None, observer: Observer | None) -> Followed | None:
+    def _follow_centroids(
+        self, points: FloatArray, flux: ArrayLike | None, observer: Observer | None
+    ) -> Followed | None:
         expected = self._expect(observer)
-        points = np.asarray(xy, dtype=float)
         fits = points.ndim == 2 and points.shape[1] == 2 and (flux is None or np.size(flux) == len(points))
         if expected is None or not fits:  # for what does not fit the tracker has words
             return None
@@ -297,49 +302,45 @@ class TrackingSession:
         return self._follow(centroids_seen(self.tracker, points, signal, self._scatter.factor), expected)
 
     def _sure(self, followed: Followed) -> bool:
-        return followed.log_chance <= math.log(self.tracker.identification.false_alarm_rate)
+        return followed.log_chance <= self._log_limit
+
+    @property
+    def _log_limit(self) -> float:
+        return math.log(self.tracker.identification.false_alarm_rate)
+
+    def _used(self, xy: FloatArray) -> float:
+        """Know this frame, which the filter took in, again by its list or by its identified stars (M, 2); its time."""
+        now_s = self._clock.now_s
+        assert now_s is not None
+        if isinstance(self._frame, bytes):
+            self._memory.keep_list(now_s, self._frame)
+        else:
+            self._memory.keep_image(now_s, self._frame, xy)
+        self._frame, self._used_s = None, now_s
+        return now_s
 
     def _tracked(self, followed: Followed, clock: Clock) -> Solution:
         """Answer of a frame that was followed."""
-        camera, guide, seen, stars = self.tracker.camera, self.tracker.guide, followed.seen, followed.stars
-        self._filter = followed.filter
+        seen, stars = followed.seen, followed.stars
+        self._watched.take_followed(followed)
+        self._watched.mark_solved(self._used(seen.xy[stars]))
         self._scatter.add(followed.residual_px, seen.stated_px[stars])
-        chosen = followed.expected.index[followed.partner]
-        expected = len(followed.expected.index)
-        attitude = followed.filter.attitude
-        self._solved = (self._now, attitude)
         self.state = TrackingState(
             "tracking",
             True,
             seen.windows,
-            expected,
+            len(followed.expected.index),
             len(stars),
             followed.log_chance,
             followed.innovation,
+            distrusted=self._watched.distrusted,
+            note=self._note,
             window_xy=seen.window_xy,
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        return Solution(
-            Status.SOLVED,
-            f"tracked: {len(stars)} of {len(seen.xy)} stars are where predicted, {expected} expected; "
-            f"by chance with probability 1e{math.floor(followed.log_chance / math.log(10.0))}",
-            attitude,
-            followed.filter.attitude_covariance,
-            MatchedStars(
-                seen.xy[stars],
-                guide.catalog.id[chosen],
-                guide.catalog.star_name[chosen],
-                guide.v_mag[chosen],
-                seen.flux[stars],
-                followed.residual_px,
-            ),
-            seen.xy,
-            camera.fov_deg,
-            camera.parity,
-            clock.times_ms(),
-            camera,
-        )
+        found = followed.solution(self.tracker, clock.times_ms())
+        return replace(found, reason=self._with_note(found.reason)) if self._note else found
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -358,9 +359,11 @@ class TrackingSession:
             matched: int = 0
             innovation: Innovation | None = None
             if followed is not None:  # too few for an attitude, but the filter learns from them
-                self._filter, innovation, matched = followed.filter, followed.innovation, len(followed.stars)
-            self.state = TrackingState("lost_in_space", matched=matched, innovation=innovation)
-            return replace(found, times_ms=clock.times_ms())
+                innovation, matched = followed.innovation, len(followed.stars)
+                self._watched.take_followed(followed)
+                self._used(followed.seen.xy[followed.stars])
+            self.state = TrackingState("lost_in_space", matched=matched, innovation=innovation, note=self._note)
+            return replace(found, reason=self._with_note(found.reason), times_ms=clock.times_ms())
         mode = "lost_in_space"
         if prior is not None and found.attitude.angle_to(prior) <= math.radians(prior_deg) * math.sqrt(3.0):
             mode = "prior"
@@ -372,30 +375,22 @@ class TrackingSession:
                 sigma = np.full(len(stars), stated_px * self.tracker.camera.pixel_rad)
                 stated = attitude_covariance(self.tracker.camera.unproject(stars.xy), sigma)
                 covariance = covariance * max(1.0, float(np.trace(stated) / np.trace(covariance)))
-        innovation = None
-        if self._filter is not None:
-            innovation = self._filter.update_attitude(found.attitude, covariance, self.settings.false_rejection)
-        restarted = innovation is None or not innovation.accepted
-        if restarted:
-            self._restart(found.attitude, covariance)
-        assert self._filter is not None
-        self._solved = (self._now, self._filter.attitude)
-        self.state = TrackingState(mode, True, matched=found.matched, innovation=innovation, restarted=restarted)
+        innovation, restarted = self._watched.take_attitude(self._used(found.stars.xy), found.attitude, covariance)
+        self.state = TrackingState(
+            mode,
+            True,
+            matched=found.matched,
+            innovation=innovation,
+            restarted=restarted,
+            distrusted=self._watched.distrusted,
+            note=self._note,
+        )
+        after = self._watched.mekf
+        assert after is not None
         return replace(
             found,
-            attitude=self._filter.attitude,
-            covariance=self._filter.attitude_covariance,
+            reason=self._with_note(found.reason),
+            attitude=after.attitude,
+            covariance=after.attitude_covariance,
             times_ms={**found.times_ms, **clock.times_ms()},
         )
-
-    def _restart(self, attitude: Attitude, covariance: FloatArray) -> None:
-        """Begin from an attitude that the prediction did not foresee; how far it is off bounds the rate."""
-        if self._filter is None:
-            self._filter = Mekf(attitude, covariance, self.noise)
-            return
-        second = None
-        if isinstance(self.noise, RateNoise) and self._solved is not None:
-            t_s, before = self._solved
-            turn = before.angle_to(attitude) / max(self._now - t_s, 1e-3)
-            second = max(self.noise.rate_sigma_rad_s, turn)
-        self._filter.reset(attitude, covariance, np.zeros(3), second)

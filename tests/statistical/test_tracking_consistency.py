@@ -20,18 +20,20 @@ def turned(attitude, vector):
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.05])
-@pytest.mark.parametrize("with_gyro", [True, False])
-def test_nees(rate, with_gyro):
+@pytest.mark.parametrize(("with_gyro", "scale_sigma"), [(True, 0.0), (True, 0.01), (False, 0.0)])
+def test_nees(rate, with_gyro, scale_sigma):
+    """Bias and scale factors are drawn with the standard deviations that the filter is told."""
     rng = np.random.default_rng(11)
     dt, sigma, steps = 0.5, 5e-5, 25
     walk, drift, acceleration = 2e-5, 4e-6, 3e-5
-    noise = GyroNoise(walk, drift, 1e-3) if with_gyro else RateNoise(acceleration, 1e-3)
+    noise = GyroNoise(walk, drift, 1e-3, scale_sigma=scale_sigma) if with_gyro else RateNoise(acceleration, 1e-3)
     nees, innovations = [], []
     for _ in range(RUNS):
         truth = Attitude(rng.normal(size=4))
         w = rng.normal(size=3)
         w *= rate / np.linalg.norm(w)
         second = rng.normal(size=3) * 1e-3  # bias, or error of the rate
+        scale = rng.normal(size=3) * scale_sigma
         r = np.diag([1.0, 1.0, 25.0]) * sigma**2
         twin = Mekf(turned(truth, rng.normal(size=3) * np.sqrt(np.diag(r))), r, noise, w if with_gyro else w - second)
         for _ in range(steps):
@@ -39,7 +41,7 @@ def test_nees(rate, with_gyro):
                 # the bias' mean over a step and its end, of a random walk: exact for small turns
                 end = rng.normal(size=3) * drift * math.sqrt(dt)
                 mean = 0.5 * end + rng.normal(size=3) * drift * math.sqrt(dt / 12.0)
-                gyro = w + second + mean + rng.normal(size=3) * walk / math.sqrt(dt)
+                gyro = (1.0 + scale) * w + second + mean + rng.normal(size=3) * walk / math.sqrt(dt)
                 second = second + end
                 truth = turned(truth, w * dt)
                 twin.predict(dt, gyro)

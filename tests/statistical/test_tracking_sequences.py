@@ -215,12 +215,11 @@ def test_random_points_are_never_tracked(tracker):
 
 def test_what_cannot_be(tracker):
     session = TrackingSession(tracker)
-    with pytest.raises(InputError, match="order of time"):
-        session.update_centroids(np.empty((0, 2)), None, 1.0) and session.update_centroids(np.empty((0, 2)), None, 0.5)
+    assert session.update_centroids(np.empty((0, 2)), None, 1.0).status is Status.NO_STARS
+    assert session.update_centroids(np.empty((0, 2)), None, 0.5).status is Status.BAD_TIME
     with pytest.raises(InputError, match="no gyro"):
         session.update_centroids(np.empty((0, 2)), None, 2.0, gyro_rad_s=[0, 0, 0])
-    with pytest.raises(InputError):
-        session.update_centroids(np.empty((0, 2)), None, math.nan)
+    assert session.update_centroids(np.empty((0, 2)), None, math.nan).status is Status.BAD_TIME
     with pytest.raises(InputError):
         TrackingSession(tracker, exposure_s=-1.0)
     assert not session.update_centroids([[math.nan, 3.0], [5.0, 5.0], [5.0, 5.0]], [1.0, 2.0, 3.0], 3.0).solved

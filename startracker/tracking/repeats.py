@@ -1,0 +1,77 @@
+"""Frames that come a second time: the same star list, or an image with the same pixels about its stars.
+
+A camera that hangs, a buffer that is read twice or a list that is sent twice looks like a body that stands still, and
+its noise, being the same, does not average out. Noise makes no two frames alike to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FrameMemory", "list_key"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_FRAMES = 8
+"""Frames remembered: more than the buffers that a camera's driver cycles through."""
+_STARS = 16
+_HALF_PX = 3
+"""About each star 7 × 7 pixels are compared; elsewhere a driver may write counters or time stamps into the image."""
+_PROBE = 7
+"""Pixels compared first, a row through the first star: it settles the matter for nearly every new frame."""
+
+
+class FrameMemory:
+    """The last frames that the filter took in."""
+
+    def __init__(self) -> None:
+        self._lists: deque[tuple[float, bytes]] = deque(maxlen=_FRAMES)
+        self._images: deque[tuple[float, tuple[int, ...], IntArray, FloatArray]] = deque(maxlen=_FRAMES)
+
+    def list_repeats(self, key: bytes) -> float | None:
+        """Time of the frame that had the same list (of `list_key`); None where none had."""
+        return next((t_s for t_s, other in self._lists if other == key), None) if key else None
+
+    def keep_list(self, t_s: float, key: bytes) -> None:
+        """Remember a list that was used."""
+        self._lists.append((t_s, key))
+
+    def image_repeats(self, pixels: NDArray[Any] | None) -> float | None:
+        """Time of the frame about whose stars this one (H, W) has the same pixels; None where none has."""
+        if pixels is None:
+            return None
+        for t_s, shape, place, values in self._images:
+            if pixels.shape != shape or _differ(pixels, place[:, :_PROBE], values[:_PROBE]):
+                continue
+            if not _differ(pixels, place, values):
+                return t_s
+        return None
+
+    def keep_image(self, t_s: float, pixels: NDArray[Any] | None, xy: FloatArray) -> None:
+        """Remember an image that was used by the pixels about its identified stars, (N, 2)."""
+        if pixels is None or not len(xy):
+            return
+        centre = np.rint(xy[:_STARS]).astype(np.int64)
+        step = np.arange(-_HALF_PX, _HALF_PX + 1)
+        rows = centre[:, 1, None, None] + np.roll(step, -_HALF_PX)[None, :, None]  # the row through the star first
+        columns = centre[:, 0, None, None] + step[None, None, :]
+        place = np.stack([a.ravel() for a in np.broadcast_arrays(rows, columns)])
+        np.clip(place, 0, np.array(pixels.shape)[:, None] - 1, out=place)  # stars at the border
+        self._images.append((t_s, pixels.shape, place, pixels[place[0], place[1]].astype(float)))
+
+
+def _differ(pixels: NDArray[Any], place: IntArray, values: FloatArray) -> bool:
+    # by their bytes: NaN marks pixels that are not to be used, and equals itself here
+    return bool(pixels[place[0], place[1]].astype(float).tobytes() != values.tobytes())
+
+
+def list_key(points: FloatArray) -> bytes:
+    """The coordinates (N, 2) of a list, whatever their order; empty for an empty list or one of another shape."""
+    if points.ndim != 2 or points.shape[1] != 2:
+        return b""
+    return bytes(np.sort(points[:, 0]).tobytes() + np.sort(points[:, 1]).tobytes())
