@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -70,22 +71,17 @@ class Exposure:
         Every source whose light reaches the detector.
     mean_e : array, shape (height, width)
         Mean photo-electrons, of the sources and of the background.
-    background_e : float or array
-        Those of them that are no source's: diffuse sky, Earth, stray light, tether, transfer smear. One number where
-        all pixels have the same.
+    level_e : float, optional
+        Mean photo-electrons of all pixels that no source lights; None where they have not all the same. Only stray
+        light is even: of the sky a pixel sees the less the further out it lies.
     excluded : tuple of str
         Bodies within the baffle's exclusion angle.
     """
 
     sources: TrueSources
     mean_e: FloatArray
-    background_e: float | FloatArray
+    level_e: float | None
     excluded: tuple[str, ...] = ()
-
-    @property
-    def level_e(self) -> float | None:
-        """Mean photo-electrons of all pixels that no source lights; None where they have not all the same."""
-        return float(self.background_e) if np.ndim(self.background_e) == 0 else None
 
 
 class FocalPlane:
@@ -121,7 +117,7 @@ class FocalPlane:
         self.s10_e_s_pixel = self.photometer.background_e_s_pixel(
             1.0, 1.0 / (self.true_camera.fx * self.true_camera.fy)
         )
-        """Electrons a second and pixel of diffuse light of 1 S10."""
+        """Electrons a second of diffuse light of 1 S10 in a pixel at the principal point."""
         self.psfs = build_psf_set(
             optics.psf,
             optics.focal_length_mm / optics.aperture_mm,
@@ -134,7 +130,8 @@ class FocalPlane:
         self.half_field_rad = self._half_field_rad()
         """Sources this far from the boresight, at any moment of the exposure, may leave light on the detector."""
         self.baffle = build_baffle(optics.baffle, scenario.base_dir)
-        self.illumination = None if is_off(optics.vignetting) else illumination_map(self.true_camera, optics.vignetting)
+        self.vignettes = not is_off(optics.vignetting)
+        """Whether stars lose light towards the edge of the field."""
 
     def _half_field_rad(self) -> float:
         camera = self.true_camera
@@ -155,9 +152,13 @@ class FocalPlane:
         detector = self.scenario.detector
         light = self._sources(scene)
         stray_e, excluded = self._stray_light(scene)
-        background_e = self._diffuse_e(scene) + stray_e + self._tether_e(scene)
-        # once through the memory of the image
-        mean_e = np.full((detector.height, detector.width), background_e, dtype=float)
+        diffuse_e, tether_e = self._diffuse_e(scene), self._tether_e(scene)
+        level_e = stray_e if diffuse_e is None and tether_e is None else None
+        mean_e = np.full((detector.height, detector.width), stray_e) if diffuse_e is None else diffuse_e
+        if diffuse_e is not None and stray_e > 0.0:
+            mean_e += stray_e
+        if tether_e is not None:
+            mean_e += tether_e
         self._draw(mean_e, light, scene)
         self._draw_ghosts(mean_e, light.sources)
         if detector.shutter == "frame_transfer":
@@ -169,8 +170,8 @@ class FocalPlane:
                 detector.transfer_smear,
             )
             mean_e += smear_e
-            background_e = smear_e + background_e
-        return Exposure(light.sources, mean_e, background_e, excluded)
+            level_e = None
+        return Exposure(light.sources, mean_e, level_e, excluded)
 
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene) -> Light:
@@ -247,7 +248,7 @@ class FocalPlane:
         camera, scenario = self.true_camera, self.scenario
         in_camera = scene.pointing.camera.apply(direction)
         electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * scenario.detector.exposure_s
-        if self.illumination is not None:
+        if self.vignettes:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
@@ -311,18 +312,25 @@ class FocalPlane:
                 add_disk(mean_e, xy, float(radius_px), float(electrons))
 
     # ------------------------------------------------------------------ background
-    def _diffuse_e(self, scene: Scene) -> float | FloatArray:
-        """Diffuse sky, Earth and its limb."""
-        camera, scenario = self.true_camera, self.scenario
-        s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
-        each = self.s10_e_s_pixel * scenario.detector.exposure_s
-        return s10 * each if self.illumination is None else s10 * each * self.illumination
+    @functools.cached_property
+    def _sky_e_s(self) -> FloatArray:
+        """Electrons a second of an even sky of 1 S10 in every pixel."""
+        return illumination_map(self.true_camera, self.scenario.optics.vignetting) * self.s10_e_s_pixel
 
-    def _tether_e(self, scene: Scene) -> float | FloatArray:
+    def _diffuse_e(self, scene: Scene) -> FloatArray | None:
+        """Diffuse sky, Earth and its limb, an image of its own; None where there is no such light."""
+        s10 = diffuse_sky_s10(self.true_camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
+        if not isinstance(s10, np.ndarray):
+            return self._sky_e_s * (s10 * self.scenario.detector.exposure_s) if s10 > 0.0 else None
+        s10 *= self._sky_e_s
+        s10 *= self.scenario.detector.exposure_s
+        return s10
+
+    def _tether_e(self, scene: Scene) -> FloatArray | None:
         """The tether in the light of Sun and Moon: disks where it is out of focus, points through the PSF beyond."""
         section, camera, bodies = self.scenario.tether, self.true_camera, scene.bodies
         if section.diameter_mm == 0.0:
-            return 0.0
+            return None
         lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
@@ -332,7 +340,7 @@ class FocalPlane:
             towards = scene.pointing.camera.apply(bodies.direction[lamp])
             points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
             electrons = points.share * float(electrons_s) * self.scenario.detector.exposure_s
-            if self.illumination is not None:
+            if self.vignettes:
                 electrons *= star_illumination(camera, self.scenario.optics.vignetting, points.direction)
             xy = camera.project(points.direction)
             blurred = points.blur_rad / camera.pixel_rad > _DISK_PX
