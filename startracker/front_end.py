@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -285,12 +286,15 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
 
     A flux that is not a positive number counts as the faintest of all.
     """
-    points = np.asarray(xy, dtype=float)
+    try:
+        points = np.asarray(plain(xy), dtype=float)
+        signal = None if flux is None else np.asarray(plain(flux), dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError("centroids and fluxes must be numbers: xy with the shape (N, 2), flux with (N,)") from None
     if points.size == 0:
         points = points.reshape(0, 2)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
-    signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
     if signal is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
     keep = np.flatnonzero(np.isfinite(points).all(axis=1) & camera.contains(points))
@@ -338,12 +342,26 @@ def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray)
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
     """Points (N,) without another before them that is nearer than `SAME_STAR_PX` on both axes."""
     alone = np.ones(len(points), np.bool_)
-    for i in range(len(points)):
-        for j in range(i):
-            if max(abs(points[i, 0] - points[j, 0]), abs(points[i, 1] - points[j, 1])) < SAME_STAR_PX:
-                alone[i] = False
+    order = np.argsort(points[:, 0])
+    for first in range(len(points)):  # from left to right: what is near on x follows
+        i = order[first]
+        for second in range(first + 1, len(points)):
+            j = order[second]
+            if points[j, 0] - points[i, 0] >= SAME_STAR_PX:
                 break
+            if abs(points[i, 1] - points[j, 1]) < SAME_STAR_PX:
+                alone[max(i, j)] = False
     return alone
+
+
+def plain(values: ArrayLike) -> NDArray[Any]:
+    """An array with NaN where a masked array (`numpy.ma`) is masked; anything else as it is."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values)
+    if values.dtype.kind not in "buif" or not np.ma.is_masked(values):
+        return np.asarray(values.data)
+    kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which hold all the numbers exactly
+    return np.asarray(np.ma.filled(values.astype(kind), np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,7 +381,8 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     The saturation is the level given, the largest number of an unsigned type, or a flat top.
     """
     try:
-        given = np.asarray(image)
+        as_given = np.asanyarray(image)
+        given = plain(as_given)
         if given.dtype.kind not in "buif":
             return None, f"an image needs real numbers; got {given.dtype}"
     except (TypeError, ValueError):
@@ -379,8 +398,8 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     if not given.size:
         return None, "no pixel of the image is a finite number"
     level = saturation_dn
-    if level is None and given.dtype.kind == "u":
-        level = float(np.iinfo(given.dtype).max)
+    if level is None and as_given.dtype.kind == "u":
+        level = float(np.iinfo(as_given.dtype).max)
     if level is not None and pixels.dtype == np.uint16:
         least, most, full = whole_range(pixels, float(level))
         return _Survey(pixels, float(least), float(most), full / pixels.size, level), ""

@@ -405,11 +405,18 @@ def _seen(
     return directions, usable, directions[usable], sigma[:count]
 
 
-def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
+def _prior(attitude: object, prior_deg: float) -> Prior | None:
     if attitude is None:
         return None
-    if not (math.isfinite(prior_deg) and prior_deg > 0):
-        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg}")
+    if not isinstance(attitude, Attitude):
+        made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
+        raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
+    try:
+        fits = math.isfinite(prior_deg) and prior_deg > 0
+    except TypeError:
+        fits = False
+    if not fits:
+        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg!r}")
     # at the limit about all three axes at once
     return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))
 

@@ -121,6 +121,13 @@ def verify(
     -------
     Hypothesis, or None when fewer than three stars agree.
     """
+    return _verified(matrix, observed, guide, scale, focal)[0]
+
+
+def _verified(
+    matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float, focal: float | None
+) -> tuple[Hypothesis | None, int]:
+    """What `verify` gives, and the operations it took."""
     found = verify_attitude(
         np.ascontiguousarray(matrix, dtype=np.float64),
         0.0 if focal is None else math.log(focal),
@@ -129,7 +136,7 @@ def verify(
         float(scale),
         focal is not None,
     )
-    return hypothesis_of(found[:6])
+    return hypothesis_of(found[:6]), found[6]
 
 
 def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) -> Hypothesis | None:
@@ -195,6 +202,22 @@ class Bench:
             return False
         self.operations += int(operations)
         return True
+
+    def check(
+        self,
+        matrix: FloatArray,
+        observed: Observed,
+        guide: GuideDatabase,
+        scale: float = SCALES[-1],
+        focal: float | None = None,
+    ) -> None:
+        """Take in an attitude as `verify` finds it, unless there are no operations left."""
+        if self.left <= 0:
+            self.cut_short = True
+            return
+        hypothesis, operations = _verified(matrix, observed, guide, scale, focal)
+        self.operations += operations
+        self.add(hypothesis)
 
     def add(self, hypothesis: Hypothesis | None) -> None:
         """Take in a verified hypothesis; one that repeats another replaces it only when it is better."""
