@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from startracker.centroid.result import Centroids
 from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_smeared
+from startracker.detection.defects import fill_gaps, has_crowd, mask_extremes, mask_impulses
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, as_pixels, whole_range
@@ -149,6 +150,9 @@ def find_stars(
     steps: list[Callable[[], Step | Sequence[Step]]] = [
         partial(image_step, pixels.shape, image_sample(pixels), share, level)
     ]
+    if survey.masked:
+        text = f"{survey.masked} pixels left out: no light gives such values beside the others"
+        steps.append(partial(Step, "image", text))
     if share > _WHITE_SHARE:
         return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
     if survey.highest == survey.lowest:
@@ -157,8 +161,15 @@ def find_stars(
     try:
         background = estimate(pixels, detection.background_tile_px)
         clock.lap("background")
+        whole = fill_gaps(pixels) if survey.gaps else pixels
+        spots = detect(whole, background, detection, saturation_dn)
+        if has_crowd(spots, pixels.size):
+            pixels, hot = mask_impulses(pixels, background)
+            if hot:
+                background = estimate(pixels, detection.background_tile_px)
+                spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
+                spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
         steps.append(partial(background_step, background))
-        spots = detect(pixels, background, detection, saturation_dn)
         clock.lap("detection")
         trails = spots if spots.are_streaks else spots.other
         smeared = spots.are_streaks or (trails is None and _left_out_streaks(spots))
@@ -229,7 +240,7 @@ def look_again(
         return None
     lines = first.lines
     if not len(lines):  # not every detector looks for them
-        smeared = find_smeared(first.pixels, first.background, detection, saturation_dn)
+        smeared = find_smeared(fill_gaps(first.pixels), first.background, detection, saturation_dn)
         lines = lines if smeared is None else _lines(smeared)
     streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, lines)
     clock.lap("streaks")
@@ -366,13 +377,16 @@ def plain(values: ArrayLike) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """A usable image as uint16 or float32, NaN where not finite; its range; its saturated share and that level."""
+    """A usable image as uint16 or float32, NaN where not finite or of a value that no light gives, of which there are
+    `masked`; its range; its saturated share and that level; whether it has NaN."""
 
     pixels: Image
     lowest: float
     highest: float
     saturated_share: float
     saturation_dn: float
+    masked: int = 0
+    gaps: bool = False
 
 
 def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[_Survey | None, str]:
@@ -406,15 +420,19 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     # whole numbers need no search for what is not finite, and have their range in a quarter of the time
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
-    if not (math.isfinite(lowest) and math.isfinite(highest)):  # NaN makes both NaN
+    gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
+    if gaps:
         pixels = np.where(np.isfinite(pixels), pixels, np.float32(np.nan))
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
         if not math.isfinite(highest):
             return None, "no pixel of the image is a finite number"
+    pixels, masked = mask_extremes(pixels, lowest, highest)
+    if masked:
+        lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
     if level is None:
         level = highest if highest > 0 else math.inf
     full = np.count_nonzero(pixels >= level) if highest >= level else 0
-    return _Survey(pixels, lowest, highest, full / pixels.size, level), ""
+    return _Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 
 def says_saturated(share: float, level: float) -> str:
