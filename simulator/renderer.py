@@ -18,6 +18,7 @@ from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.readout import electronics_noise_e
 from simulator.focal_plane import FocalPlane
 from simulator.frame import Frame, FrameTruth
+from simulator.optics.jitter import JitterPath
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
@@ -77,17 +78,20 @@ class Renderer:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
+        jitter: JitterPath | None = None,
     ) -> tuple[Frame, FrameTruth]:
         """Frame and truth of trial `index`; parameters as in `render`.
 
         `rate_camera_rad_s` (3,), inertial angular velocity in camera axes, takes the place of the trial's own rate
-        where an attitude is given.
+        where an attitude is given, and `jitter`, about this mid-exposure, that of the trial's own jitter.
         """
         scenario = self.scenario
         detector = scenario.detector
         streams = functools.partial(_stream_of_trial, scenario.seed, index)
 
-        scene = self.scenes.scene(index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s)
+        scene = self.scenes.scene(
+            index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s, jitter
+        )
         light = self.focal_plane.expose(scene)
         readout = self.detector.expose(light.mean_e, streams, keep_charge=False, level_e=light.level_e)
 

@@ -13,7 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.clock import Clock
 from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import Pointing, hold, point, point_at_random, point_spinning, round_s, turned_to
+from simulator.mission.pointing import (
+    Pointing,
+    hold,
+    mounting_of,
+    point,
+    point_at_random,
+    point_spinning,
+    round_s,
+    turned_to,
+)
 from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
 from simulator.randomness import Streams
@@ -116,6 +125,7 @@ class SceneBuilder:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
+        jitter: JitterPath | None = None,
     ) -> Scene:
         """Scene of trial `index`.
 
@@ -131,6 +141,8 @@ class SceneBuilder:
             Time and true camera attitude in place of the trial's own.
         rate_camera_rad_s : array_like, shape (3,), optional
             Inertial angular velocity in camera axes that goes with `attitude`; else the trial's own.
+        jitter : JitterPath, optional
+            Jitter about this mid-exposure, of a sequence; else the trial's own is drawn.
         """
         scenario = self.scenario
         seed, sampling = scenario.seed, scenario.study.sampling
@@ -150,7 +162,7 @@ class SceneBuilder:
             pointing = point(scenario.pointing, r_km, v_km_s, rng)
         if attitude is not None:
             pointing = turned_to(pointing, attitude, rate_camera_rad_s)
-        pointing, jitter = self._shaken(pointing, streams)
+        pointing, jitter = self._shaken(pointing, streams, jitter)
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * scenario.detector.exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
@@ -173,13 +185,21 @@ class SceneBuilder:
             bodies=bodies,
         )
 
-    def _shaken(self, pointing: Pointing, streams: Streams) -> tuple[Pointing, JitterPath | None]:
-        """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
+    def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
+        """One realisation of the scenario's jitter, None where it has none."""
         section = self.scenario.pointing.jitter
         if not any(section.rms_arcsec):
+            return None
+        return draw_jitter(section, self._jitter, rng, mounting_of(self.scenario.pointing).as_matrix())
+
+    def _shaken(
+        self, pointing: Pointing, streams: Streams, jitter: JitterPath | None
+    ) -> tuple[Pointing, JitterPath | None]:
+        """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
+        if not any(self.scenario.pointing.jitter.rms_arcsec):
             return pointing, None
         exposure_s = self.scenario.detector.exposure_s
-        jitter = draw_jitter(section, self._jitter, streams("jitter"), pointing.mounting.as_matrix())
+        jitter = jitter or self.draw_jitter(streams("jitter"))
         if jitter is None:
             return pointing, None
         mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")

@@ -22,9 +22,10 @@ def gyro_samples(
 ) -> tuple[FloatArray, FloatArray]:
     """Measured mean rates over the steps of a sequence, and the true bias at their ends.
 
-    measured = turn / step + mean bias + white noise of N / √step; bias = constant + first-order Gauss–Markov process
-    of standard deviation B and correlation time T, b' = e^(−h/T) b + B √(1 − e^(−2h/T)) w, its mean over a step taken
-    between the ends (IEEE Std 952-1997, annexes B and C, has the terms and the units of N and B).
+    measured = (1 + k) turn / step + mean bias + white noise of N / √step; k constant, drawn once; bias = constant +
+    first-order Gauss–Markov process of standard deviation B and correlation time T, b' = e^(−h/T) b +
+    B √(1 − e^(−2h/T)) w, its mean over a step taken between the ends (IEEE Std 952-1997, annexes B and C, has the
+    terms and the units of N and B).
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ def gyro_samples(
     step_s : float
         Length of a step.
     rng : Generator
-        Draws 6 + 6 N normal numbers.
+        Draws 9 + 6 N normal numbers.
 
     Returns
     -------
@@ -55,4 +56,5 @@ def gyro_samples(
         wander = kept * wander + spread * fresh * noise[k, 0]
         biases[k + 1] = constant + wander
     white = section.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / math.sqrt(step_s) * noise[:, 1]
-    return turns_rad / step_s + 0.5 * (biases[:-1] + biases[1:]) + white, biases
+    scale = 1.0 + section.scale_factor_ppm * 1e-6 * rng.standard_normal(3)
+    return scale * turns_rad / step_s + 0.5 * (biases[:-1] + biases[1:]) + white, biases

@@ -158,6 +158,21 @@ class JitterPath:
         """The same path about its own mean over the exposure."""
         return replace(self, offset_rad=self.offset_rad + self.mean(exposure_s))
 
+    def rate(self, exposure_s: float) -> FloatArray:
+        """Mean angular rate (3,) over an exposure about t = 0, camera axes, rad/s."""
+        ends = self.at(np.array([-0.5, 0.5]) * exposure_s)
+        return np.asarray((ends[1] - ends[0]) / exposure_s)
+
+    def shifted(self, t_s: float) -> JitterPath:
+        """The same path with its time counted from `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
+        phase = 2.0 * np.pi * self.frequency_hz * t_s
+        cosine, sine = np.cos(phase), np.sin(phase)
+        return replace(
+            self,
+            cosine_rad=self.cosine_rad * cosine + self.sine_rad * sine,
+            sine_rad=self.sine_rad * cosine - self.cosine_rad * sine,
+        )
+
     def rms_rate_rad_s(self) -> FloatArray:
         """Root mean square (3,) of the angular rate, camera axes."""
         power = (2.0 * np.pi * self.frequency_hz) ** 2 * (self.cosine_rad**2 + self.sine_rad**2) / 2.0
@@ -170,7 +185,7 @@ def draw_jitter(
     rng: np.random.Generator,
     body_to_camera: ArrayLike | None = None,
 ) -> JitterPath | None:
-    """One realisation for one exposure; None, and nothing drawn, where the section has no jitter.
+    """One realisation, for one exposure or a whole sequence; None, and nothing drawn, where there is no jitter.
 
     Parameters
     ----------
@@ -179,7 +194,7 @@ def draw_jitter(
     spectrum : Spectrum
         Of `load_spectrum`.
     rng : Generator
-        Stream ``jitter`` of the trial.
+        Stream ``jitter`` of the trial, or of the sequence.
     body_to_camera : (3, 3) array, optional
         Matrix of the mounting, for `axes`: ``body``.
 

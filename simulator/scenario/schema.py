@@ -87,7 +87,7 @@ class OrbitSection(Section):
 
 
 class JitterSection(Section):
-    """Random turning of the camera during the exposure."""
+    """Random turning of the camera, during exposures and, in a sequence, between them."""
 
     rms_arcsec: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
     """Root mean square of the angle about x, y, z; 0: none."""

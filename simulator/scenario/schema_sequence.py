@@ -58,6 +58,8 @@ class GyroSection(Section):
     """Standard deviation of the part of the bias that wanders (first-order Gauss-Markov)."""
     bias_time_s: Positive = 300.0
     """Correlation time of that part."""
+    scale_factor_ppm: Annotated[FiniteFloat, Field(ge=0, le=200_000)] = 0.0
+    """Standard deviation of the scale factors' errors, constant, each axis; 10,000 is 1 %."""
 
 
 class SequenceSection(Section):
@@ -80,7 +82,7 @@ class SequenceSection(Section):
     """The gyro."""
     rate_walk_deg_s_sqrt_s: Positive | Literal["auto"] = "auto"
     """What the filter without a gyro allows the rate to change in a second; ``auto``: 3 times the largest angular
-    acceleration of the sequence times the root of the step, 5.7e-5 at least."""
+    acceleration of the sequence times the root of the step, or what jitter takes, 5.7e-5 at least."""
     rate_sigma_deg_s: Positive = 2.0
     """What it takes for the standard deviation of the rate, each axis, before it has seen two frames."""
     operation: OperationSettings = OperationSettings()

@@ -4,6 +4,7 @@ Before a frame goes to the tracker, in this order:
 
 Sun        a frame of which too many pixels are saturated is rejected, and none is taken until the camera has turned by
            more than the Sun's diameter; so on until it has passed
+Repeats    a frame with the same pixels as one before is no new frame, and no rule acts on it
 Moon       anything larger than a star is cleared from the frame
 exposure   a frame whose two brightest stars each have more than four saturated pixels is discarded, and the next one
            exposed for less; where the stars are faint, for longer again
@@ -14,7 +15,9 @@ And after it: magnitudes by the calibrated relation, and the map of blemished pi
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +42,8 @@ _MARGIN_PX = 2
 _STAR_PX = 3
 """About a matched star a bright pixel says nothing of the pixel."""
 _MULTIPLE = 1e-9
+_REMEMBERED = 8
+"""Frames that are known again, as in a tracking session."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +53,7 @@ class Verdict:
     Parameters
     ----------
     rule : str
-        The rule that acted: ``sun``, ``exposure``, ``moon``, or empty.
+        The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty.
     reason : str
         The finding in words.
     image : float32 array, shape (H, W), optional
@@ -102,14 +107,15 @@ class SensorOperation:
         """Exposure of the next frame."""
         self.blemishes: BoolImage = np.zeros((camera.height, camera.width), np.bool_)
         """Map of blemished pixels so far."""
-        self._resume_s = -math.inf
+        self._suspended_s = self._resume_s = -math.inf
+        self._seen: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._count = BadPixelCount(settings.blemish_sigma, settings.blemish_share, detection.background_tile_px)
         self._counted_at: Attitude | None = None
 
     # ------------------------------------------------------------------ before the tracker
     def suspended(self, t_s: float) -> bool:
-        """Whether no frame is to be taken at a time, seconds."""
-        return t_s < self._resume_s
+        """Whether no frame is to be taken at a time, seconds; a clock set back to before the Sun's frame ends that."""
+        return self._suspended_s <= t_s < self._resume_s
 
     def judge(self, image: ArrayLike, t_s: float, saturation_dn: float, rate_rad_s: ArrayLike | None = None) -> Verdict:
         """Apply the rules to a frame taken with `exposure_s`, which is then that of the next one.
@@ -130,9 +136,13 @@ class SensorOperation:
         share = float(saturated.mean())
         if share > self.settings.sun_share:
             wait_s = self._suspension_s(rate_rad_s)
-            self._resume_s = t_s + wait_s
+            self._suspended_s, self._resume_s = t_s, t_s + wait_s
             reason = f"{100.0 * share:.1f} % of the pixels are saturated: the Sun; no frame for {wait_s:.3g} s"
             return Verdict("sun", reason, None)
+        digest = blake2b(np.ascontiguousarray(image).tobytes(), digest_size=16).digest()
+        if digest in self._seen:  # the exposure that it shows was judged already, and its pixels were counted
+            return Verdict("stale", "the frame has the same pixels as one before", None)
+        self._seen.append(digest)
         background = estimate(pixels, self.detection.background_tile_px)
         objects, size = _objects(pixels, background, self.detection.threshold_sigma)
         largest = self.settings.clear_pixels or self.detection.max_pixels

@@ -68,8 +68,8 @@ def test_faint_stars_lengthen_it_again():
     operation.exposure_s = 0.1
     operation.judge(frame((30, 40, 300.0)), 0.0, FULL)  # 0.3 of saturation: left alone
     assert operation.exposure_s == 0.1
-    for expected in (0.2, 0.4, 0.4):
-        operation.judge(frame((30, 40, FAINT)), 0.0, FULL)
+    for k, expected in enumerate((0.2, 0.4, 0.4)):
+        operation.judge(frame((30, 40, FAINT), seed=k), 0.0, FULL)
         assert operation.exposure_s == pytest.approx(expected)
     operation.exposure_s = 0.1
     hot = frame((30, 40, FAINT))
@@ -81,13 +81,13 @@ def test_faint_stars_lengthen_it_again():
 def test_exposures_are_multiples_of_the_frame_time():
     operation = rules(exposure_s=0.1, exposure_step_s=0.017, shortest_exposure_s=0.03)
     assert operation.exposure_s == pytest.approx(5 * 0.017)
-    bright = frame((30, 40, BRIGHT), (80, 60, BRIGHT))
+    bright = [frame((30, 40, BRIGHT), (80, 60, BRIGHT), seed=k) for k in range(4)]
     exposures = []
-    for _ in range(3):
-        operation.judge(bright, 0.0, FULL)
+    for k in range(3):
+        operation.judge(bright[k], 0.0, FULL)
         exposures.append(operation.exposure_s)
     assert exposures == pytest.approx([2 * 0.017] * 3)
-    verdict = operation.judge(bright, 0.0, FULL)  # no shorter one: used as it is
+    verdict = operation.judge(bright[3], 0.0, FULL)  # no shorter one: used as it is
     assert verdict.rule == ""
     assert verdict.image is not None
 
@@ -106,6 +106,7 @@ def test_the_sun_suspends_until_the_camera_has_turned():
     operation.judge(sun, 20.0, FULL)  # a rate that is not known
     assert operation.suspended(79.0)
     assert not operation.suspended(80.5)
+    assert not operation.suspended(-5.0)  # a clock that was set back does not suspend it until it has caught up
 
 
 def test_the_moon_is_cleared_by_its_size():
@@ -143,14 +144,32 @@ def test_blemishes_stay_while_stars_move():
         verdict = operation.judge(image, float(k), FULL)
         operation.learn(image, verdict, turned(0.8 * k), none)
     assert np.argwhere(operation.blemishes).tolist() == [[10, 15], [70, 90]]
-    verdict = operation.judge(image, 5.0, FULL)
+    verdict = operation.judge(frame((70.0, 40.0, 300.0), seed=5), 5.0, FULL)
     assert np.isnan(verdict.image[70, 90])
+
+
+def test_frozen_frame_moves_no_rule():
+    """The same over-exposed image ten times: shortened once; and its pixels are no blemishes while the body turns."""
+    operation = rules(blemish_frames=3, blemish_shift_px=6.0)
+    image = frame((30, 40, BRIGHT), (80, 60, BRIGHT))
+    assert operation.judge(image, 0.0, FULL).rule == "exposure"
+    for k in range(1, 10):
+        verdict = operation.judge(image, float(k), FULL)
+        assert verdict.rule == "stale"
+        assert verdict.image is None
+        assert operation.exposure_s == 0.2
+    sound = frame((20.0, 40.0, 300.0))
+    for k in range(6):
+        operation.learn(sound, operation.judge(sound, 10.0 + k, FULL), turned(0.8 * k), MatchedStars.none())
+    assert not operation.blemishes.any()
+    dark = np.full((96, 128), FULL)  # the Sun saturates every frame alike
+    assert [operation.judge(dark, t_s, FULL).rule for t_s in (20.0, 90.0)] == ["sun", "sun"]
 
 
 def test_frames_of_the_same_sky_tell_once():
     operation = rules(blemish_frames=3, blemish_shift_px=6.0)
-    image = frame((20.0, 40.0, 300.0))
     for k in range(6):
+        image = frame((20.0, 40.0, 300.0), seed=k)
         operation.learn(image, operation.judge(image, float(k), FULL), turned(0.01 * k), MatchedStars.none())
     assert not operation.blemishes.any()
 

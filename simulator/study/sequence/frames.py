@@ -17,6 +17,7 @@ from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
 from simulator.mission.pointing import Pointing, hold, point, point_spinning
+from simulator.optics.jitter import JitterPath
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -45,6 +46,7 @@ NO_FRAME = "no_frame"
 LEAST_PRIOR_DEG = 0.1
 _LEAST_WALK = 1e-6
 """Least disturbance, rad/s/√s, that the filter is told of: a body that drifts freely."""
+_FEWEST_FOR_WALK = 8
 _LAG_MARGIN = 3.0
 """A steady acceleration is no white noise; told of this many times as much, the filter lags by less than its σ."""
 
@@ -93,11 +95,19 @@ class SequenceRunner:
         section = scenario.sequence
         self.start = self._start()
         self.states = motion(scenario.pointing, section, self.renderer.scenes.orbit, self.start, section.frames)
+        self.shaking = self._shaking()
+        self.cameras = [state.camera for state in self.states]
+        """True attitudes: those of the motion, turned by the mean of the jitter over the exposure."""
+        self.rates = [state.rate_camera_rad_s for state in self.states]
+        if self.shaking:
+            exposure_s = scenario.detector.exposure_s
+            means = [Attitude.from_rotation_vector(j.mean(exposure_s), "camera", "camera") for j in self.shaking]
+            self.cameras = [mean @ camera for mean, camera in zip(means, self.cameras, strict=True)]
+            self.rates = [rate + j.rate(exposure_s) for rate, j in zip(self.rates, self.shaking, strict=True)]
         self.gyro: FloatArray | None = None
         self.biases: FloatArray | None = None
         if section.gyro.use:
-            cameras = [state.camera for state in self.states]
-            turns = [a.rotation_vector_to(b) for a, b in pairwise(cameras)]
+            turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
             samples = gyro_samples(
                 section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
@@ -105,6 +115,15 @@ class SequenceRunner:
         self.noise = self._noise()
         self.operated: OperatedCamera | None = None
         """The camera under its rules of operation, once `frames` has begun; None where it has none."""
+
+    def _shaking(self) -> list[JitterPath]:
+        """Jitter about each mid-exposure, one process through the sequence; empty without jitter."""
+        path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
+        section = self.scenario.sequence
+        return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
+
+    def _jitter(self, k: int) -> JitterPath | None:
+        return self.shaking[k] if self.shaking else None
 
     def _start(self) -> Pointing:
         """Attitude at the first frame: as that of trial 0 at that time, without jitter."""
@@ -125,7 +144,7 @@ class SequenceRunner:
         if walk == "auto":
             rates = np.array([state.rate_camera_rad_s for state in self.states])
             change = np.linalg.norm(np.diff(rates, axis=0), axis=1).max(initial=0.0) / section.step_s
-            acceleration = max(_LEAST_WALK, _LAG_MARGIN * change * math.sqrt(section.step_s))
+            acceleration = max(_LEAST_WALK, _LAG_MARGIN * change * math.sqrt(section.step_s), self._jitter_walk())
         else:
             acceleration = math.radians(walk)
         if not section.gyro.use:
@@ -136,7 +155,20 @@ class SequenceRunner:
             rate_random_walk=gyro.bias_instability_deg_h * DEG_H * math.sqrt(2.0 / gyro.bias_time_s),
             bias_sigma_rad_s=max(math.hypot(gyro.bias_deg_h, gyro.bias_instability_deg_h) * DEG_H, 1e-9),
             acceleration=acceleration,
+            scale_sigma=gyro.scale_factor_ppm * 1e-6,
         )
+
+    def _jitter_walk(self) -> float:
+        """White angular acceleration, rad/s/√s, that leaves the second differences of the jitter's angles.
+
+        Those of an angle driven by a density q have the variance 2 q h³/3 at a step h.
+        """
+        section = self.scenario.sequence
+        angles = np.array([j.mean(self.scenario.detector.exposure_s) for j in self.shaking])
+        if len(angles) < _FEWEST_FOR_WALK:
+            return 0.0
+        variance = np.mean(np.diff(angles, 2, axis=0) ** 2, axis=0).max()
+        return math.sqrt(1.5 * float(variance) / section.step_s**3)
 
     # ------------------------------------------------------------------ the frames
     def frames(self) -> Iterator[TrackedFrame]:
@@ -152,7 +184,7 @@ class SequenceRunner:
             gyro = self.gyro[k - 1] if self.gyro is not None and k else None
             if any(d.start_s <= since_s < d.start_s + d.duration_s for d in section.dropouts):
                 solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
-                row = self._row(k, state, state.camera, session, solution, math.nan, 0.0)
+                row = self._row(k, state, self.cameras[k], session, solution, math.nan, 0.0)
                 row |= {"status": NO_FRAME, "reason": "no frame came"} | self._alone(None, None)
                 row |= self.operated.dropped(solution, session) if self.operated else {}
                 yield TrackedFrame(row, None, solution, np.empty((0, 2)), 0)
@@ -191,8 +223,14 @@ class SequenceRunner:
     ) -> tuple[Frame, FrameTruth] | None:
         """Frame and truth; None while the sensor's own rules have it stand by."""
         if self.operated is not None:
-            return self.operated.expose(k, state, since_s, session)
-        return self.renderer.frame(k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s)
+            return self.operated.expose(k, state, since_s, session, self._jitter(k))
+        return self.renderer.frame(
+            k,
+            at_s=state.t_s,
+            attitude=state.camera,
+            rate_camera_rad_s=state.rate_camera_rad_s,
+            jitter=self._jitter(k),
+        )
 
     def _refused(
         self,
@@ -208,7 +246,7 @@ class SequenceRunner:
         assert self.operated is not None
         solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
         frame, truth = taken if taken is not None else (None, None)
-        true = truth.attitude if truth is not None else state.camera
+        true = truth.attitude if truth is not None else self.cameras[k]
         row = self._row(k, state, true, session, solution, math.nan if frame is None else render_ms, 0.0)
         if frame is not None and truth is not None:
             row |= self._counts(frame, truth, solution)
@@ -255,11 +293,12 @@ class SequenceRunner:
         row |= {f"error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row |= {f"sigma_{axis}_deg": float(v) for axis, v in zip((*BODY_AXES, *CAMERA_AXES), sigma, strict=True)}
         row["nees"] = nees
-        row |= self._rates(k, state, session)
+        row |= self._rates(k, session)
         row |= {
             "innovation_distance2": innovation.distance2 if innovation else math.nan,
             "innovation_freedom": innovation.freedom if innovation else 0,
             "restarted": session.state.restarted,
+            "distrusted": session.state.distrusted,
             "windows": session.state.windows,
             "stars_expected": session.state.expected,
             "stars_in_field": 0,
@@ -273,7 +312,7 @@ class SequenceRunner:
         }
         return row
 
-    def _rates(self, k: int, state: MotionState, session: TrackingSession) -> dict[str, float]:
+    def _rates(self, k: int, session: TrackingSession) -> dict[str, float]:
         """True and estimated rate, and with a gyro its bias, camera axes."""
         section = self.scenario.sequence
         rate, covariance = session.rate_rad_s, session.covariance
@@ -286,7 +325,7 @@ class SequenceRunner:
         sigma = np.sqrt(variance)
         row: dict[str, float] = {}
         for i, axis in enumerate("xyz"):
-            row[f"true_rate_{axis}_deg_s"] = math.degrees(state.rate_camera_rad_s[i])
+            row[f"true_rate_{axis}_deg_s"] = math.degrees(self.rates[k][i])
             row[f"rate_{axis}_deg_s"] = math.degrees(rate[i])
             row[f"sigma_rate_{axis}_deg_s"] = math.degrees(sigma[i])
         if self.biases is not None:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.motion import MotionState
+from simulator.optics.jitter import JitterPath
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from startracker.solution import Solution
+from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
@@ -62,7 +63,7 @@ class OperatedCamera:
         """B − V and error of the magnitude of every star measured, (N, 2) a frame."""
 
     def expose(
-        self, k: int, state: MotionState, since_s: float, session: TrackingSession
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterPath | None
     ) -> tuple[Frame, FrameTruth] | None:
         """Frame and truth at the exposure that the rules ask for, judged; None while the sensor is suspended."""
         self.exposure_s = self.rules.exposure_s
@@ -71,7 +72,7 @@ class OperatedCamera:
             return None
         session.exposure_s = self.exposure_s
         frame, truth = self._renderer().frame(
-            k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s
+            k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s, jitter=jitter
         )
         self.verdict = self.rules.judge(frame.image, since_s, frame.saturation_dn, session.rate_rad_s)
         return frame, truth
@@ -90,7 +91,7 @@ class OperatedCamera:
 
     def refused(self) -> dict[str, Any]:
         """Status and reason of a frame that the tracker is not given."""
-        status = SUSPENDED if self.verdict.rule == "sun" else DISCARDED
+        status = {"sun": SUSPENDED, "stale": str(Status.STALE)}.get(self.verdict.rule, DISCARDED)
         return {"status": status, "reason": self.verdict.reason}
 
     def columns(self, frame: Frame | None, solution: Solution, session: TrackingSession) -> dict[str, Any]:

@@ -1,0 +1,162 @@
+"""Jitter of a sequence: one process through all frames, which the gyro measures too, with the spectrum asked for."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import welch
+
+from simulator import Scenario
+from simulator.optics.jitter import draw_jitter, load_spectrum
+from simulator.randomness import stream
+from simulator.scenario.schema import JitterSection
+from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.run import run_sequence
+
+ARCSEC = math.pi / 648000.0
+SMALL = [
+    "detector.width=384",
+    "detector.height=384",
+    "optics.focal_length_mm=12",
+    "optics.aperture_mm=12",
+    "optics.distortion.k1=0",
+    "sky.magnitude_limit=7",
+    "detector.exposure_s=0.1",
+    "pointing.rate_deg_s=[0.03, 0.02, 0.04]",
+]
+QUIET_GYRO = [
+    "sequence.gyro.use=true",
+    "sequence.gyro.angle_random_walk_deg_sqrt_h=1e-12",
+    "sequence.gyro.bias_deg_h=0",
+    "sequence.gyro.bias_instability_deg_h=0",
+]
+
+
+def runner_of(*overrides):
+    return SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL, *overrides]))
+
+
+def shaken(runner):
+    """Rotation vectors (N, 3) of the true attitudes against the motion without jitter, camera axes."""
+    pairs = zip(runner.states, runner.cameras, strict=True)
+    return np.array([state.camera.rotation_vector_to(camera) for state, camera in pairs])
+
+
+def test_shifted_path_is_the_same_process():
+    path = draw_jitter(JitterSection(rms_arcsec=(2.0, 3.0, 10.0)), load_spectrum(JitterSection()), stream(1, "x", 0))
+    t = np.linspace(-3.0, 3.0, 31)
+    for shift in (0.0, 0.4, 1e4):
+        np.testing.assert_allclose(path.shifted(shift).at(t), path.at(t + shift), rtol=0, atol=1e-8 * ARCSEC)
+    slope = np.gradient(path.at(np.linspace(-0.05, 0.05, 2001)), 0.1 / 2000, axis=0).mean(axis=0)
+    # the ends' one-sided differences, two of 2001, are off by some of the rms rate
+    assert (np.abs(path.rate(0.1) - slope) < 2e-3 * path.rms_rate_rad_s()).all()
+
+
+def test_a_sinusoid_moves_as_one(tmp_path):
+    """100″ at 0.02 Hz: between frames 0.5 s apart at most 2 A sin(π f dt), A its amplitude; the exposure's mean is
+    less by 1 − sinc(f T) = 6e-6. Drawn anew for each frame it moved by 182″."""
+    (tmp_path / "slow.csv").write_text("0.0199999,0\n0.02,1\n0.0200001,0\n", encoding="utf-8")
+    runner = runner_of(
+        "pointing.jitter.rms_arcsec=[100, 100, 0]",
+        "pointing.jitter.psd=table",
+        f"pointing.jitter.table={tmp_path / 'slow.csv'}",
+        "sequence.frames=160",
+        *QUIET_GYRO,
+    )
+    angles = shaken(runner) / ARCSEC
+    t = 0.5 * np.arange(160)
+    basis = np.stack([np.cos(2 * np.pi * 0.02 * t), np.sin(2 * np.pi * 0.02 * t)], axis=1)
+    for axis in (0, 1):
+        fit, *_ = np.linalg.lstsq(basis, angles[:, axis], rcond=None)
+        # lines within 1e-7 Hz of 0.02 Hz go out of step by 2π · 1e-7 · 80 s = 5e-5 of the amplitude
+        np.testing.assert_allclose(basis @ fit, angles[:, axis], atol=2e-4 * np.hypot(*fit))
+        most = 2.0 * np.hypot(*fit) * math.sin(math.pi * 0.02 * 0.5)
+        steps = np.abs(np.diff(angles[:, axis]))
+        assert steps.max() == pytest.approx(most, rel=0.01)
+        assert most < 25.0
+    assert np.abs(angles[:, 2]).max() < 1e-9
+    # and the rate of it is that of the truth
+    rate = np.degrees([r - s.rate_camera_rad_s for r, s in zip(runner.rates, runner.states, strict=True)])
+    np.testing.assert_allclose(rate[1:-1, 0], np.gradient(angles[:, 0], 0.5)[1:-1] / 3600.0, rtol=0.02, atol=1e-5)
+
+
+def test_gyro_measures_the_jitter():
+    """Without noise of its own: its rate over a step turns the true attitude at one frame into that at the next."""
+    overrides = "pointing.jitter.rms_arcsec=[60, 20, 40]", "pointing.jitter.corner_hz=0.3", "sequence.frames=30"
+    runner = runner_of(*overrides, *QUIET_GYRO)
+    for k in range(29):
+        turn = runner.cameras[k].rotation_vector_to(runner.cameras[k + 1])
+        np.testing.assert_allclose(runner.gyro[k] * 0.5, turn, atol=1e-6 * ARCSEC)
+    assert np.abs(np.diff(shaken(runner), axis=0)).max() > 10.0 * ARCSEC
+
+
+def test_frames_have_the_attitudes_of_the_process():
+    """The truth of rendered frames, and what an operated camera takes at its own exposures."""
+    overrides = "pointing.jitter.rms_arcsec=[60, 20, 40]", "pointing.jitter.corner_hz=0.3", "sequence.frames=4"
+    for operated in ("false", "true"):
+        runner = runner_of(*overrides, f"sequence.operation.use={operated}")
+        for k, tracked in enumerate(runner.frames()):
+            quat = np.array([tracked.row[f"true_q{c}"] for c in "xyzw"])
+            np.testing.assert_allclose(abs(quat @ runner.cameras[k].quat), 1.0, atol=1e-14)
+
+
+def test_scale_factors_of_the_gyro():
+    plain, scaled = (
+        runner_of(*QUIET_GYRO, "sequence.frames=5", f"sequence.gyro.scale_factor_ppm={ppm}") for ppm in (0, 10_000)
+    )
+    share = scaled.gyro / plain.gyro - 1.0
+    np.testing.assert_allclose(share, np.tile(share[0], (4, 1)), atol=1e-6)
+    assert (np.abs(share[0]) < 0.04).all()
+    assert np.abs(share[0]).max() > 1e-3
+    assert scaled.noise.scale_sigma == 0.01
+    assert plain.noise.scale_sigma == 0.0
+
+
+def test_power_spectrum_of_a_sequence():
+    """Welch's spectrum of the frames' angles against the density times sinc²(f T), folded at the Nyquist frequency.
+
+    100 realisations of 3 axes and 4 half-overlapping segments, some 3 of them independent, on 256 random lines: the
+    relative error of a bin is 1/√900 = 3.3 %, and as much again from the lines; 4.5 of both together is 21 %. Over all
+    bins inside, some 90, the mean is good to 0.5 %, and the window's smoothing of the curved density to as much.
+    """
+    section = JitterSection(rms_arcsec=(2.0, 2.0, 2.0), psd="lorentz", corner_hz=1.0)
+    spectrum, step_s, exposure_s, n = load_spectrum(section), 0.05, 0.04, 320
+    powers = []
+    for seed in range(100):
+        path = draw_jitter(section, spectrum, stream(seed, "jitter", 0))
+        angles = sequence_of_means(path, step_s * np.arange(n), exposure_s)
+        np.testing.assert_allclose(path.shifted(7 * step_s).mean(exposure_s), angles[7], atol=1e-9 * ARCSEC)
+        f, power = welch(angles / ARCSEC, 1.0 / step_s, nperseg=128, axis=0, detrend=False)
+        powers.append(power.mean(axis=1))
+    inside = (f > 0.4) & (f < 7.4)  # the band ends at 8 Hz, below the Nyquist frequency of 10
+    expected = 4.0 * spectrum.per_hz(f[inside]) * np.sinc(f[inside] * exposure_s) ** 2
+    ratio = np.mean(powers, axis=0)[inside] / expected
+    np.testing.assert_allclose(ratio, 1.0, atol=0.21)
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.03)
+
+
+def sequence_of_means(path, t_s, exposure_s):
+    """Means over exposures (N, 3) about the times (N,), by the sum of the lines written out."""
+    phase = 2.0 * np.pi * t_s[:, None, None] * path.frequency_hz
+    shares = np.sinc(path.frequency_hz * exposure_s)
+    return np.sum(shares * (path.cosine_rad * np.cos(phase) + path.sine_rad * np.sin(phase)), axis=1)
+
+
+@pytest.mark.parametrize("gyro", ["true", "false"])
+def test_filter_agrees_with_a_camera_that_shakes(gyro):
+    """20″ (0.3 px) of jitter: with a gyro it is measured, without one it is noise of the motion, of which `auto` knows.
+
+    NEES of two sequences of 40 frames; that of a filter without a gyro may be cautious: its model of the jitter is a
+    wandering rate.
+    """
+    weighed = number = 0.0
+    for seed in (1, 2):
+        overrides = "pointing.jitter.rms_arcsec=[20, 20, 20]", "sequence.frames=40", f"seed={seed}"
+        sequence = run_sequence(Scenario.load("cubesat", overrides=[*SMALL, *overrides, f"sequence.gyro.use={gyro}"]))
+        nees = sequence.summary["nees"]
+        assert sequence.summary["solved"] == 40
+        weighed += nees["mean"] * nees["effective_frames"]
+        number += nees["effective_frames"]
+    deviation = 4.0 * math.sqrt(6.0 / number)
+    assert weighed / number < 3.0 + deviation
+    assert weighed / number > (3.0 - deviation if gyro == "true" else 1.0)
