@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
-from simulator.light import Light, Seen, near_image
+from simulator.light import Light, Seen, near_image, path_middles
 from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
 from simulator.optics.disk import add_disk
@@ -158,8 +158,8 @@ class FocalPlane:
             mean_e += stray_e
         if tether_e is not None:
             mean_e += tether_e
-        self._draw(mean_e, light, scene)
-        self._draw_ghosts(mean_e, light.sources)
+        sources = replace(light.sources, image_xy=self._draw(mean_e, light, scene))
+        self._draw_ghosts(mean_e, sources)
         if detector.shutter == "frame_transfer":
             smear_e = frame_transfer_smear(
                 mean_e,
@@ -170,7 +170,7 @@ class FocalPlane:
             )
             mean_e += smear_e
             level_e = None
-        return Exposure(light.sources, mean_e, level_e, excluded)
+        return Exposure(sources, mean_e, level_e, excluded)
 
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene) -> Light:
@@ -204,6 +204,7 @@ class FocalPlane:
             name=catalog.star_name[rows],
             kind=np.full(len(rows), "star", dtype=_KIND),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=scene.star_directions[seen.rows],
             v_mag=catalog.v_mag[rows],
             b_v=scene.star_b_v[seen.rows],
@@ -224,6 +225,7 @@ class FocalPlane:
                 [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name], dtype=_KIND
             ),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=bodies.direction,
             v_mag=bodies.v_mag,
             b_v=bodies.b_v,
@@ -278,8 +280,8 @@ class FocalPlane:
         xy, weights = star_paths(camera, directions, rate, detector.exposure_s, feature_px, margin_px, scene.jitter)
         return xy, weights, sources.electrons
 
-    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> None:
-        """Stars and small bodies through their PSFs, large bodies as disks."""
+    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> FloatArray:
+        """Stars and small bodies through their PSFs, large bodies as disks; returns the middles of their paths."""
         camera, sources = self.true_camera, light.sources
         xy, weights, electrons = self._paths(light, scene)
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
@@ -301,12 +303,13 @@ class FocalPlane:
                 self.psfs.psf(float(sources.b_v[i]), place),
                 LAW_OF_BODY.get(str(sources.name[i]), "lambert"),
             )
+        return np.asarray(path_middles(xy, weights, sources.xy))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         ghosts = self.scenario.optics.ghosts
         if ghosts:
             for xy, electrons, radius_px in zip(
-                *ghost_sources(self.true_camera, sources.xy, sources.electrons, ghosts), strict=True
+                *ghost_sources(self.true_camera, sources.image_xy, sources.electrons, ghosts), strict=True
             ):
                 add_disk(mean_e, xy, float(radius_px), float(electrons))
 
