@@ -177,24 +177,17 @@ class FocalPlane:
         """Every source whose light reaches the detector, at mid-exposure."""
         camera, pointing, bodies = self.true_camera, scene.pointing, scene.bodies
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * self.scenario.detector.exposure_s
-        stars = self._reaching(
-            scene, scene.star_directions, scene.catalog.v_mag[scene.rows], scene.star_b_v, scene.star_giant, streak_rad
-        )
+        v_mag = scene.catalog.v_mag[scene.rows]
+        rate = self.photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
+        stars = self._reaching(scene, scene.star_directions, rate, streak_rad)
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
         reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
         if not len(near):
             return self._of_stars(scene, stars)
         bodies = bodies.select(near)
-        # they shine by sunlight
-        found = self._reaching(
-            scene,
-            bodies.direction,
-            bodies.v_mag,
-            bodies.b_v,
-            np.zeros(len(near)),
-            bodies.angular_radius_rad + streak_rad,
-        )
+        rate = self.photometer.body_electrons_per_s(bodies.name, bodies.v_mag)
+        found = self._reaching(scene, bodies.direction, rate, bodies.angular_radius_rad + streak_rad)
         return Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
 
     def _of_stars(self, scene: Scene, seen: Seen) -> Light:
@@ -236,19 +229,13 @@ class FocalPlane:
         return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
 
     def _reaching(
-        self,
-        scene: Scene,
-        direction: FloatArray,
-        v_mag: FloatArray,
-        b_v: FloatArray,
-        giant: FloatArray,
-        extent_rad: float | FloatArray,
+        self, scene: Scene, direction: FloatArray, electrons_s: FloatArray, extent_rad: float | FloatArray
     ) -> Seen:
         """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
         free."""
         camera, scenario = self.true_camera, self.scenario
         in_camera = scene.pointing.camera.apply(direction)
-        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * scenario.detector.exposure_s
+        electrons = electrons_s * scenario.detector.exposure_s
         if self.vignettes:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
@@ -337,7 +324,7 @@ class FocalPlane:
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
         image = np.zeros((camera.height, camera.width))
-        rate = self.photometer.electrons_per_s(bodies.v_mag[lamps], bodies.b_v[lamps], np.zeros(len(lamps)))
+        rate = self.photometer.body_electrons_per_s(bodies.name[lamps], bodies.v_mag[lamps])
         for lamp, electrons_s in zip(lamps, rate, strict=True):
             towards = scene.pointing.camera.apply(bodies.direction[lamp])
             points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
@@ -360,13 +347,13 @@ class FocalPlane:
         if self.baffle is None:
             return 0.0, ()
         detector, boresight = self.scenario.detector, scene.pointing.camera.boresight
-        names, directions, v_mag, b_v = stray_sources(scene.bodies, scene.r_km, self.sky)
+        names, directions, v_mag = stray_sources(scene.bodies, scene.r_km, self.sky)
         pitch_x, pitch_y = detector.pitch_um
         rate = stray_light_e_s_pixel(
             self.baffle,
             boresight,
             directions,
-            self.photometer.electrons_per_s(v_mag, b_v, np.zeros(len(v_mag))),  # sunlight, all of it
+            self.photometer.body_electrons_per_s(names, v_mag),
             self.photometer.aperture_area_cm2,
             pitch_x * pitch_y * 1e-8,
         )
