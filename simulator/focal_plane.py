@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
-from simulator.light import Light, Seen, near_image
+from simulator.light import Light, Seen, near_image, path_middles
 from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
 from simulator.optics.disk import add_disk
@@ -159,8 +159,8 @@ class FocalPlane:
             mean_e += stray_e
         if tether_e is not None:
             mean_e += tether_e
-        self._draw(mean_e, light, scene)
-        self._draw_ghosts(mean_e, light.sources)
+        sources = replace(light.sources, image_xy=self._draw(mean_e, light, scene))
+        self._draw_ghosts(mean_e, sources)
         if detector.shutter == "frame_transfer":
             smear_e = frame_transfer_smear(
                 mean_e,
@@ -171,31 +171,24 @@ class FocalPlane:
             )
             mean_e += smear_e
             level_e = None
-        return Exposure(light.sources, mean_e, level_e, excluded)
+        return Exposure(sources, mean_e, level_e, excluded)
 
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene) -> Light:
         """Every source whose light reaches the detector, at mid-exposure."""
         camera, pointing, bodies = self.true_camera, scene.pointing, scene.bodies
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * self.scenario.detector.exposure_s
-        stars = self._reaching(
-            scene, scene.star_directions, scene.catalog.v_mag[scene.rows], scene.star_b_v, scene.star_giant, streak_rad
-        )
+        v_mag = scene.catalog.v_mag[scene.rows]
+        rate = self.photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
+        stars = self._reaching(scene, scene.star_directions, rate, streak_rad)
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
         reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
         if not len(near):
             return self._of_stars(scene, stars)
         bodies = bodies.select(near)
-        # they shine by sunlight
-        found = self._reaching(
-            scene,
-            bodies.direction,
-            bodies.v_mag,
-            bodies.b_v,
-            np.zeros(len(near)),
-            bodies.angular_radius_rad + streak_rad,
-        )
+        rate = self.photometer.body_electrons_per_s(bodies.name, bodies.v_mag)
+        found = self._reaching(scene, bodies.direction, rate, bodies.angular_radius_rad + streak_rad)
         return Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
 
     def _of_stars(self, scene: Scene, seen: Seen) -> Light:
@@ -205,6 +198,7 @@ class FocalPlane:
             name=catalog.star_name[rows],
             kind=np.full(len(rows), "star", dtype=_KIND),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=scene.star_directions[seen.rows],
             v_mag=catalog.v_mag[rows],
             b_v=scene.star_b_v[seen.rows],
@@ -225,6 +219,7 @@ class FocalPlane:
                 [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name], dtype=_KIND
             ),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=bodies.direction,
             v_mag=bodies.v_mag,
             b_v=bodies.b_v,
@@ -235,19 +230,13 @@ class FocalPlane:
         return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
 
     def _reaching(
-        self,
-        scene: Scene,
-        direction: FloatArray,
-        v_mag: FloatArray,
-        b_v: FloatArray,
-        giant: FloatArray,
-        extent_rad: float | FloatArray,
+        self, scene: Scene, direction: FloatArray, electrons_s: FloatArray, extent_rad: float | FloatArray
     ) -> Seen:
         """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
         free."""
         camera, scenario = self.true_camera, self.scenario
         in_camera = scene.pointing.camera.apply(direction)
-        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * scenario.detector.exposure_s
+        electrons = electrons_s * scenario.detector.exposure_s
         if self.vignettes:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
@@ -279,8 +268,8 @@ class FocalPlane:
         xy, weights = star_paths(camera, directions, rate, detector.exposure_s, feature_px, margin_px, scene.jitter)
         return xy, weights, sources.electrons
 
-    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> None:
-        """Stars and small bodies through their PSFs, large bodies as disks."""
+    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> FloatArray:
+        """Stars and small bodies through their PSFs, large bodies as disks; returns the middles of their paths."""
         camera, sources = self.true_camera, light.sources
         xy, weights, electrons = self._paths(light, scene)
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
@@ -302,12 +291,13 @@ class FocalPlane:
                 self.psfs.psf(float(sources.b_v[i]), place),
                 LAW_OF_BODY.get(str(sources.name[i]), "lambert"),
             )
+        return np.asarray(path_middles(xy, weights, sources.xy))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         ghosts = self.scenario.optics.ghosts
         if ghosts:
             for xy, electrons, radius_px in zip(
-                *ghost_sources(self.true_camera, sources.xy, sources.electrons, ghosts), strict=True
+                *ghost_sources(self.true_camera, sources.image_xy, sources.electrons, ghosts), strict=True
             ):
                 add_disk(mean_e, xy, float(radius_px), float(electrons))
 
@@ -335,7 +325,7 @@ class FocalPlane:
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
         image = np.zeros((camera.height, camera.width))
-        rate = self.photometer.electrons_per_s(bodies.v_mag[lamps], bodies.b_v[lamps], np.zeros(len(lamps)))
+        rate = self.photometer.body_electrons_per_s(bodies.name[lamps], bodies.v_mag[lamps])
         for lamp, electrons_s in zip(lamps, rate, strict=True):
             towards = scene.pointing.camera.apply(bodies.direction[lamp])
             points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
@@ -358,13 +348,13 @@ class FocalPlane:
         if self.baffle is None:
             return 0.0, ()
         detector, boresight = self.scenario.detector, scene.pointing.camera.boresight
-        names, directions, v_mag, b_v = stray_sources(scene.bodies, scene.r_km, self.sky)
+        names, directions, v_mag = stray_sources(scene.bodies, scene.r_km, self.sky)
         pitch_x, pitch_y = detector.pitch_um
         rate = stray_light_e_s_pixel(
             self.baffle,
             boresight,
             directions,
-            self.photometer.electrons_per_s(v_mag, b_v, np.zeros(len(v_mag))),  # sunlight, all of it
+            self.photometer.body_electrons_per_s(names, v_mag),
             self.photometer.aperture_area_cm2,
             pitch_x * pitch_y * 1e-8,
         )

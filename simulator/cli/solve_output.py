@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.cli.checks import picture_format
-from simulator.fits import catalog_attitude
 from simulator.paths import write_atomically
 from startracker import explain as explaining
 from startracker.observer import Observer
@@ -104,7 +103,8 @@ def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Obs
     from astropy.io import fits
 
     unit = fits.PrimaryHDU(image)
-    unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer or Observer())))
+    velocity = None if observer is None else observer.velocity_km_s
+    unit.header.update(wcs_header(solution.camera, solution.attitude, velocity))
     buffer = io.BytesIO()
     unit.writeto(buffer)
     write_atomically(path, buffer.getvalue())

@@ -80,7 +80,7 @@ def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3
     A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
-    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.is_star, tolerance_px))
+    return int(_strangers(stars.xy, stars.catalog_id, sources.image_xy, sources.id, sources.is_star, tolerance_px))
 
 
 @njit(cache=True, error_model="numpy")
