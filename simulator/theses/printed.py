@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from simulator.paths import make_folder, write_atomically
 from simulator.study import style as report_style
 from simulator.study.style import STUDY_STYLE
+from startracker._version import __version__
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -245,6 +246,7 @@ class PrintedStudy:
         return {
             "study": self.name,
             "work": self.title,
+            "version": __version__,
             "verdicts": self.counts(),
             "sections": {
                 key: {
