@@ -6,17 +6,21 @@ name is told with its line, together with every other mistake of the file.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulator.scenario import Scenario
+from simulator.scenario.fields import NameChecks
 from startracker.errors import InputError
 from startracker.registry import lookup
 
 if TYPE_CHECKING:
     from simulator.optics.curves import CurveKind
+
+NameCheck = Callable[[Any, Mapping[str, Any]], str | None]
 
 
 def load_scenario(
@@ -32,10 +36,10 @@ def load_scenario(
     return Scenario.load(path, overrides or (), seed=seed, trials=trials, names=NAME_CHECKS)
 
 
-def _registered(kind: str, module: str, registry: str) -> Callable[[Any], str | None]:
+def _registered(kind: str, module: str, registry: str) -> NameCheck:
     """Check of a name against a registry and the entry points of its kind; the module loads when a name is checked."""
 
-    def check(name: Any) -> str | None:
+    def check(name: Any, _: Mapping[str, Any]) -> str | None:
         if not isinstance(name, str):  # a mounting may be a quaternion
             return None
         try:
@@ -47,8 +51,8 @@ def _registered(kind: str, module: str, registry: str) -> Callable[[Any], str | 
     return check
 
 
-def _curve(kind: CurveKind) -> Callable[[Any], str | None]:
-    def check(spec: Any) -> str | None:
+def _curve(kind: CurveKind) -> NameCheck:
+    def check(spec: Any, _: Mapping[str, Any]) -> str | None:
         from simulator.optics.curves import load_curve
 
         try:
@@ -60,7 +64,25 @@ def _curve(kind: CurveKind) -> Callable[[Any], str | None]:
     return check
 
 
-NAME_CHECKS: Mapping[str, Callable[[Any], str | None]] = {
+def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
+    """Check of ``pointing.target`` against the sky that the scenario renders."""
+    if not isinstance(name, str):  # a direction
+        return None
+    from simulator.sky.target import find_target
+    from startracker.catalog import load_catalog
+
+    try:
+        sky = load_catalog(keys.get("sky.catalog", "hipparcos"))
+        found = find_target(name, sky.brighter_than(keys.get("sky.magnitude_limit", math.inf)))
+    except InputError as error:
+        return str(error)
+    if isinstance(found, str) and not keys.get("sky.planets", True):
+        return f"{found} is not rendered; set sky.planets: true"
+    return None
+
+
+NAME_CHECKS: NameChecks = {
+    "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
     "sky.spectrum": _registered("spectra", "simulator.sky.spectra", "SPECTRA"),

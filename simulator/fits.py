@@ -6,12 +6,14 @@ import io
 from pathlib import Path
 from typing import Any
 
+import erfa
 import numpy as np
+from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import write_atomically
 from startracker._version import __version__
-from startracker.attitude import Attitude, matrix_to_quat
+from startracker.attitude import Attitude, direction_to_radec
 from startracker.camera import Camera
 from startracker.distortion import Distortion
 from startracker.errors import InputError
@@ -21,34 +23,21 @@ from startracker.wcs import wcs_header
 _DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
-def catalog_attitude(attitude: Attitude, observer: Observer) -> Attitude:
-    """Attitude under which *catalogue* positions, free of aberration, fall on their pixels.
-
-    A world coordinate system relates pixels to catalogue positions. Aberration moves the whole field by up to 26″;
-    its value at the boresight is folded into the rotation (the rest within a field of 10° is below 2.3″).
-    """
-    if observer.velocity_km_s is None:
-        return attitude
-    seen = attitude.boresight
-    catalogued = seen
-    for _ in range(4):  # contraction by v/c = 1e-4 a step
-        catalogued = catalogued + seen - aberrate(catalogued[None, :], observer.velocity_km_s)[0]
-        catalogued /= np.linalg.norm(catalogued)
-    axis = np.cross(catalogued, seen)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turn = np.eye(3) + cross + cross @ cross / (1.0 + float(catalogued @ seen))  # turns catalogued into seen
-    return Attitude(matrix_to_quat(attitude.as_matrix() @ turn))
-
-
 def write_fits(
     path: str | Path, frame: Frame, truth: FrameTruth | None = None, *, noiseless_plane: bool = False
 ) -> None:
     """Write a frame, beside its place first and then moved there.
 
-    The primary image carries DATE-OBS, EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys under
-    HIERARCH), the observer, the prior attitude, and, where the truth is given, a TAN(-SIP) world coordinate system.
-    The truth itself is the extension TRUTH: a table of the sources, with attitude and rate in its header; with
-    `noiseless_plane` the light before the detector follows as MEAN_E, in electrons.
+    The primary image (BUNIT adu) carries the UTC of the exposure's beginning, middle and end (DATE-BEG, DATE-AVG and
+    DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys under
+    HIERARCH), the observer, the prior attitude, and, where the truth is given, a TAN(-SIP) world coordinate system of
+    astrometric ICRS positions, free of aberration, for the middle of the exposure (`startracker.wcs`).
+
+    The truth itself is the extension TRUTH: a table of the sources, with attitude and rate in its header. `x` and `y`
+    are where the true attitude has them, at the middle of the exposure (of the middle row of a rolling shutter);
+    `x_image` and `y_image` the middle of the path that was rendered, over the exposure of each source's own row;
+    `direction` is apparent, `ra` and `dec` astrometric, as the WCS has them. With `noiseless_plane` the light before
+    the detector follows as MEAN_E, in electrons.
     """
     from astropy.io import fits
 
@@ -60,10 +49,14 @@ def write_fits(
         header[f"HIERARCH {name}"] = value
     units: list[Any] = [primary]
     if truth is not None:
-        header.update(wcs_header(frame.camera, catalog_attitude(truth.attitude, frame.observer)))
-        units.append(_truth_table(truth))
+        # a scenario may leave aberration out
+        velocity = frame.observer.velocity_km_s if frame.parameters.get("sky.aberration", True) else None
+        header.update(wcs_header(frame.camera, truth.attitude, velocity))
+        header.comments["RADESYS"] = "astrometric: without aberration and refraction"
+        units.append(_truth_table(truth, velocity))
         if noiseless_plane and truth.mean_electrons is not None:
             units.append(fits.ImageHDU(truth.mean_electrons.astype(np.float32), name="MEAN_E"))
+            units[-1].header["BUNIT"] = ("electron", "mean photo-electrons in the exposure")
     buffer = io.BytesIO()
     fits.HDUList(units).writeto(buffer, checksum=True)
     write_atomically(Path(path), buffer.getvalue())
@@ -72,8 +65,9 @@ def write_fits(
 def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
     camera, observer = frame.camera, frame.observer
     cards: list[tuple[str, Any, str]] = [
-        ("DATE-OBS", frame.utc, "UTC of mid-exposure"),
+        ("BUNIT", "adu", "digital numbers"),
         ("TIMESYS", "UTC", ""),
+        *_dates(frame.utc, frame.exposure_s),
         ("EXPTIME", frame.exposure_s, "[s] exposure"),
         ("ORIGIN", f"boresight {__version__}", ""),
         ("SCENARIO", frame.scenario, "name of the scenario"),
@@ -89,6 +83,7 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("CAM_CY", camera.cy, "[px] principal point, first pixel = 0"),
         ("CAM_PROJ", camera.projection, "pinhole, fisheye, equidistant or equisolid"),
         ("CAM_PAR", camera.parity, "1 as the sky is seen, -1 mirrored"),
+        ("CAM_ROW", camera.row_time_s, "[s] from row to row of a rolling shutter"),
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
@@ -107,11 +102,37 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
     return cards
 
 
-def _truth_table(truth: FrameTruth) -> Any:
+def _dates(utc: str, exposure_s: float) -> list[tuple[str, Any, str]]:
+    """Beginning, middle and end of an exposure from its middle, as labels and as modified Julian dates, UTC."""
+    date, _, clock = utc.partition("T")
+    year, month, day = (int(part) for part in date.split("-"))
+    hour, minute, second = clock.split(":")
+    # the ufuncs themselves, as their wrappers warn of dates after the table of leap seconds
+    utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", year, month, day, int(hour), int(minute), float(second))
+    tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
+    cards: list[tuple[str, Any, str]] = []
+    for name, offset_s, text in (
+        ("BEG", -0.5 * exposure_s, "beginning of the exposure"),
+        ("OBS", 0.0, "middle of the exposure"),
+        ("AVG", 0.0, "middle of the exposure"),
+        ("END", 0.5 * exposure_s, "end of the exposure"),
+    ):
+        at1, at2, _ = erfa.ufunc.taiutc(tai1, tai2 + offset_s / 86_400.0)
+        y, m, d, fields, _ = erfa.ufunc.d2dtf("UTC", 6, at1, at2)
+        h, minutes, s, fraction = (int(fields[part]) for part in ("h", "m", "s", "f"))
+        label = f"{y:04d}-{m:02d}-{d:02d}T{h:02d}:{minutes:02d}:{s:02d}.{fraction:06d}"
+        cards.append((f"DATE-{name}", utc if offset_s == 0.0 else label, f"UTC of the {text}"))
+        cards.append((f"MJD-{name}", float((at1 - 2_400_000.5) + at2), "[d] the same, modified Julian date"))
+    return cards
+
+
+def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -> Any:
     from astropy.io import fits
     from astropy.table import Table
 
     s = truth.sources
+    still = s.direction if velocity_km_s is None else aberrate(s.direction, -velocity_km_s)
+    ra, dec = direction_to_radec(still)
     table = Table(
         {
             "id": s.id,
@@ -119,16 +140,23 @@ def _truth_table(truth: FrameTruth) -> Any:
             "kind": s.kind.astype("U8"),
             "x": s.xy[:, 0],
             "y": s.xy[:, 1],
+            "x_image": s.image_xy[:, 0],
+            "y_image": s.image_xy[:, 1],
             "direction": s.direction,
+            "ra": np.degrees(ra),
+            "dec": np.degrees(dec),
             "v_mag": s.v_mag,
             "b_v": s.b_v,
             "electrons": s.electrons,
             "variable": s.variable,
         },
-        units={"x": "pix", "y": "pix", "v_mag": "mag", "b_v": "mag"},
+        units={"v_mag": "mag", "b_v": "mag", "electrons": "ct", "ra": "deg", "dec": "deg"}
+        | dict.fromkeys(("x", "y", "x_image", "y_image"), "pix"),
     )
     unit = fits.table_to_hdu(table)
     unit.name = "TRUTH"
+    # the standard of FITS has no unit of electrons: readers warn of any that it does not list
+    unit.header.comments[f"TUNIT{table.colnames.index('electrons') + 1}"] = "photo-electrons in the exposure"
     for axis, value in zip("XYZW", truth.attitude.quat, strict=True):
         unit.header[f"ATT_Q{axis}"] = (float(value), "true attitude, ICRS to camera")
     unit.header["ATT_RA"] = (truth.attitude.ra_deg, "[deg] boresight")
@@ -174,6 +202,7 @@ def read_fits(path: str | Path) -> Frame:
         Distortion(**{k: header[f"CAM_{k.upper()}"] for k in _DISTORTION_KEYS}),
         header["CAM_PAR"],
         header["CAM_PROJ"],
+        header.get("CAM_ROW", 0.0),
     )
     return Frame(
         image=np.asarray(image).astype(image.dtype.newbyteorder("=")),

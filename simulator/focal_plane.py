@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
-from simulator.light import Light, Seen, near_image
+from simulator.light import Light, Seen, near_image, path_middles
 from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
 from simulator.optics.disk import add_disk
@@ -56,6 +57,7 @@ def camera_of(scenario: Scenario) -> Camera:
         height=detector.height,
         distortion=optics.distortion,
         projection=optics.projection,
+        row_time_s=detector.line_time_us * 1e-6 if detector.shutter == "rolling" else 0.0,
     )
 
 
@@ -69,22 +71,17 @@ class Exposure:
         Every source whose light reaches the detector.
     mean_e : array, shape (height, width)
         Mean photo-electrons, of the sources and of the background.
-    background_e : float or array
-        Those of them that are no source's: diffuse sky, Earth, stray light, tether, transfer smear. One number where
-        all pixels have the same.
+    level_e : float, optional
+        Mean photo-electrons of all pixels that no source lights; None where they have not all the same. Only stray
+        light is even: of the sky a pixel sees the less the further out it lies.
     excluded : tuple of str
         Bodies within the baffle's exclusion angle.
     """
 
     sources: TrueSources
     mean_e: FloatArray
-    background_e: float | FloatArray
+    level_e: float | None
     excluded: tuple[str, ...] = ()
-
-    @property
-    def level_e(self) -> float | None:
-        """Mean photo-electrons of all pixels that no source lights; None where they have not all the same."""
-        return float(self.background_e) if np.ndim(self.background_e) == 0 else None
 
 
 class FocalPlane:
@@ -120,7 +117,7 @@ class FocalPlane:
         self.s10_e_s_pixel = self.photometer.background_e_s_pixel(
             1.0, 1.0 / (self.true_camera.fx * self.true_camera.fy)
         )
-        """Electrons a second and pixel of diffuse light of 1 S10."""
+        """Electrons a second of diffuse light of 1 S10 in a pixel at the principal point."""
         self.psfs = build_psf_set(
             optics.psf,
             optics.focal_length_mm / optics.aperture_mm,
@@ -133,7 +130,8 @@ class FocalPlane:
         self.half_field_rad = self._half_field_rad()
         """Sources this far from the boresight, at any moment of the exposure, may leave light on the detector."""
         self.baffle = build_baffle(optics.baffle, scenario.base_dir)
-        self.illumination = None if is_off(optics.vignetting) else illumination_map(self.true_camera, optics.vignetting)
+        self.vignettes = not is_off(optics.vignetting)
+        """Whether stars lose light towards the edge of the field."""
 
     def _half_field_rad(self) -> float:
         camera = self.true_camera
@@ -154,11 +152,15 @@ class FocalPlane:
         detector = self.scenario.detector
         light = self._sources(scene)
         stray_e, excluded = self._stray_light(scene)
-        background_e = self._diffuse_e(scene) + stray_e + self._tether_e(scene)
-        # once through the memory of the image
-        mean_e = np.full((detector.height, detector.width), background_e, dtype=float)
-        self._draw(mean_e, light, scene)
-        self._draw_ghosts(mean_e, light.sources)
+        diffuse_e, tether_e = self._diffuse_e(scene), self._tether_e(scene)
+        level_e = stray_e if diffuse_e is None and tether_e is None else None
+        mean_e = np.full((detector.height, detector.width), stray_e) if diffuse_e is None else diffuse_e
+        if diffuse_e is not None and stray_e > 0.0:
+            mean_e += stray_e
+        if tether_e is not None:
+            mean_e += tether_e
+        sources = replace(light.sources, image_xy=self._draw(mean_e, light, scene))
+        self._draw_ghosts(mean_e, sources)
         if detector.shutter == "frame_transfer":
             smear_e = frame_transfer_smear(
                 mean_e,
@@ -168,32 +170,25 @@ class FocalPlane:
                 detector.transfer_smear,
             )
             mean_e += smear_e
-            background_e = smear_e + background_e
-        return Exposure(light.sources, mean_e, background_e, excluded)
+            level_e = None
+        return Exposure(sources, mean_e, level_e, excluded)
 
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene) -> Light:
         """Every source whose light reaches the detector, at mid-exposure."""
         camera, pointing, bodies = self.true_camera, scene.pointing, scene.bodies
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * self.scenario.detector.exposure_s
-        stars = self._reaching(
-            scene, scene.star_directions, scene.catalog.v_mag[scene.rows], scene.star_b_v, scene.star_giant, streak_rad
-        )
+        v_mag = scene.catalog.v_mag[scene.rows]
+        rate = self.photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
+        stars = self._reaching(scene, scene.star_directions, rate, streak_rad)
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
         reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
         if not len(near):
             return self._of_stars(scene, stars)
         bodies = bodies.select(near)
-        # they shine by sunlight
-        found = self._reaching(
-            scene,
-            bodies.direction,
-            bodies.v_mag,
-            bodies.b_v,
-            np.zeros(len(near)),
-            bodies.angular_radius_rad + streak_rad,
-        )
+        rate = self.photometer.body_electrons_per_s(bodies.name, bodies.v_mag)
+        found = self._reaching(scene, bodies.direction, rate, bodies.angular_radius_rad + streak_rad)
         return Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
 
     def _of_stars(self, scene: Scene, seen: Seen) -> Light:
@@ -203,6 +198,7 @@ class FocalPlane:
             name=catalog.star_name[rows],
             kind=np.full(len(rows), "star", dtype=_KIND),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=scene.star_directions[seen.rows],
             v_mag=catalog.v_mag[rows],
             b_v=scene.star_b_v[seen.rows],
@@ -223,6 +219,7 @@ class FocalPlane:
                 [{"Sun": "sun", "Moon": "moon"}.get(str(name), "planet") for name in bodies.name], dtype=_KIND
             ),
             xy=seen.xy,
+            image_xy=seen.xy,
             direction=bodies.direction,
             v_mag=bodies.v_mag,
             b_v=bodies.b_v,
@@ -233,20 +230,14 @@ class FocalPlane:
         return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
 
     def _reaching(
-        self,
-        scene: Scene,
-        direction: FloatArray,
-        v_mag: FloatArray,
-        b_v: FloatArray,
-        giant: FloatArray,
-        extent_rad: float | FloatArray,
+        self, scene: Scene, direction: FloatArray, electrons_s: FloatArray, extent_rad: float | FloatArray
     ) -> Seen:
         """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
         free."""
         camera, scenario = self.true_camera, self.scenario
         in_camera = scene.pointing.camera.apply(direction)
-        electrons = self.photometer.electrons_per_s(v_mag, b_v, giant) * scenario.detector.exposure_s
-        if self.illumination is not None:
+        electrons = electrons_s * scenario.detector.exposure_s
+        if self.vignettes:
             electrons = electrons * star_illumination(camera, scenario.optics.vignetting, in_camera)
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
@@ -277,8 +268,8 @@ class FocalPlane:
         xy, weights = star_paths(camera, directions, rate, detector.exposure_s, feature_px, margin_px, scene.jitter)
         return xy, weights, sources.electrons
 
-    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> None:
-        """Stars and small bodies through their PSFs, large bodies as disks."""
+    def _draw(self, mean_e: FloatArray, light: Light, scene: Scene) -> FloatArray:
+        """Stars and small bodies through their PSFs, large bodies as disks; returns the middles of their paths."""
         camera, sources = self.true_camera, light.sources
         xy, weights, electrons = self._paths(light, scene)
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
@@ -300,38 +291,46 @@ class FocalPlane:
                 self.psfs.psf(float(sources.b_v[i]), place),
                 LAW_OF_BODY.get(str(sources.name[i]), "lambert"),
             )
+        return np.asarray(path_middles(xy, weights, sources.xy))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         ghosts = self.scenario.optics.ghosts
         if ghosts:
             for xy, electrons, radius_px in zip(
-                *ghost_sources(self.true_camera, sources.xy, sources.electrons, ghosts), strict=True
+                *ghost_sources(self.true_camera, sources.image_xy, sources.electrons, ghosts), strict=True
             ):
                 add_disk(mean_e, xy, float(radius_px), float(electrons))
 
     # ------------------------------------------------------------------ background
-    def _diffuse_e(self, scene: Scene) -> float | FloatArray:
-        """Diffuse sky, Earth and its limb."""
-        camera, scenario = self.true_camera, self.scenario
-        s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
-        each = self.s10_e_s_pixel * scenario.detector.exposure_s
-        return s10 * each if self.illumination is None else s10 * each * self.illumination
+    @functools.cached_property
+    def _sky_e_s(self) -> FloatArray:
+        """Electrons a second of an even sky of 1 S10 in every pixel."""
+        return illumination_map(self.true_camera, self.scenario.optics.vignetting) * self.s10_e_s_pixel
 
-    def _tether_e(self, scene: Scene) -> float | FloatArray:
+    def _diffuse_e(self, scene: Scene) -> FloatArray | None:
+        """Diffuse sky, Earth and its limb, an image of its own; None where there is no such light."""
+        s10 = diffuse_sky_s10(self.true_camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
+        if not isinstance(s10, np.ndarray):
+            return self._sky_e_s * (s10 * self.scenario.detector.exposure_s) if s10 > 0.0 else None
+        s10 *= self._sky_e_s
+        s10 *= self.scenario.detector.exposure_s
+        return s10
+
+    def _tether_e(self, scene: Scene) -> FloatArray | None:
         """The tether in the light of Sun and Moon: disks where it is out of focus, points through the PSF beyond."""
         section, camera, bodies = self.scenario.tether, self.true_camera, scene.bodies
         if section.diameter_mm == 0.0:
-            return 0.0
+            return None
         lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
         if self.sky.earth:
             lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
         image = np.zeros((camera.height, camera.width))
-        rate = self.photometer.electrons_per_s(bodies.v_mag[lamps], bodies.b_v[lamps], np.zeros(len(lamps)))
+        rate = self.photometer.body_electrons_per_s(bodies.name[lamps], bodies.v_mag[lamps])
         for lamp, electrons_s in zip(lamps, rate, strict=True):
             towards = scene.pointing.camera.apply(bodies.direction[lamp])
             points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
             electrons = points.share * float(electrons_s) * self.scenario.detector.exposure_s
-            if self.illumination is not None:
+            if self.vignettes:
                 electrons *= star_illumination(camera, self.scenario.optics.vignetting, points.direction)
             xy = camera.project(points.direction)
             blurred = points.blur_rad / camera.pixel_rad > _DISK_PX
@@ -349,13 +348,13 @@ class FocalPlane:
         if self.baffle is None:
             return 0.0, ()
         detector, boresight = self.scenario.detector, scene.pointing.camera.boresight
-        names, directions, v_mag, b_v = stray_sources(scene.bodies, scene.r_km, self.sky)
+        names, directions, v_mag = stray_sources(scene.bodies, scene.r_km, self.sky)
         pitch_x, pitch_y = detector.pitch_um
         rate = stray_light_e_s_pixel(
             self.baffle,
             boresight,
             directions,
-            self.photometer.electrons_per_s(v_mag, b_v, np.zeros(len(v_mag))),  # sunlight, all of it
+            self.photometer.body_electrons_per_s(names, v_mag),
             self.photometer.aperture_area_cm2,
             pitch_x * pitch_y * 1e-8,
         )

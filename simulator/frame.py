@@ -77,7 +77,11 @@ class TrueSources:
     kind : str array
         ``star``, ``planet``, ``moon`` or ``sun``.
     xy : array, shape (N, 2)
-        Pixel at mid-exposure.
+        Pixel at mid-exposure, by the true attitude.
+    image_xy : array, shape (N, 2)
+        Middle of the path rendered over the exposure, with a rolling shutter over that of the rows it stands in: where
+        the image has its centre of light. They differ where paths are curved, or rows are exposed later than the
+        middle one.
     direction : array, shape (N, 3)
         Apparent direction, ICRS axes.
     v_mag, b_v, electrons : array
@@ -90,6 +94,7 @@ class TrueSources:
     name: NDArray[np.str_]
     kind: NDArray[np.str_]
     xy: FloatArray
+    image_xy: FloatArray
     direction: FloatArray
     v_mag: FloatArray
     b_v: FloatArray

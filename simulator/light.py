@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
 
-__all__ = ["Light", "Seen", "near_image"]
+__all__ = ["Light", "Seen", "near_image", "path_middles"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,3 +57,19 @@ def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -
             rows[count] = n
             count += 1
     return rows[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """Weighted means (N, 2) of paths (N, K, 2) over their moments that are not NaN; (N, 2) `otherwise` without one."""
+    out = otherwise.copy()
+    for n in range(len(paths)):
+        x, y, total = 0.0, 0.0, 0.0
+        for k in range(len(weights)):
+            if math.isfinite(paths[n, k, 0] + paths[n, k, 1]):
+                x += weights[k] * paths[n, k, 0]
+                y += weights[k] * paths[n, k, 1]
+                total += weights[k]
+        if total > 0.0:
+            out[n, 0], out[n, 1] = x / total, y / total
+    return out

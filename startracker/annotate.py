@@ -7,7 +7,6 @@ shares of the picture, so that 512 and 4000 pixels read alike. Matplotlib loads 
 
 from __future__ import annotations
 
-import io
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +19,14 @@ from startracker.catalog import load_catalog
 from startracker.catalog.names import constellation_lines, designation, proper_name
 from startracker.catalog.stars import StarCatalog
 from startracker.observer import Observer, aberrate
+from startracker.picture import figure_bytes
 from startracker.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["annotate", "annotated_png", "stretch"]
+__all__ = ["annotate", "annotated_picture", "stretch"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,14 +39,11 @@ _MISSING_SHARE = 0.6
 _SAMPLES = 500_000
 
 
-def annotated_png(image: NDArray[Any], solution: Solution, **options: Any) -> bytes:
-    """Bytes of a PNG file with the picture of `annotate`; the same bytes for the same picture."""
+def annotated_picture(image: NDArray[Any], solution: Solution, form: str = "png", **options: Any) -> bytes:
+    """Bytes of a PNG, SVG or PDF file with the figure of `annotate`; the same bytes for the same figure."""
     figure = annotate(image, solution, **options)
-    stream = io.BytesIO()
-    figure.savefig(
-        stream, format="png", metadata={"Software": None}, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 3}
-    )
-    return stream.getvalue()
+    fast = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
+    return figure_bytes(figure, form, facecolor=_BACKGROUND, **fast)
 
 
 def annotate(
@@ -195,8 +192,14 @@ def _stars(ax: Axes, sky: _Sky, labels: Labels, names: int) -> None:
     faintest = float(stars.v_mag.max(initial=0.0))
     # diameter in points: a magnitude brighter is 1.3 larger, from 6 at the faint end to 18
     diameter = np.clip(6.0 + 1.3 * (faintest - stars.v_mag), 6.0, 18.0)
-    ax.scatter(stars.xy[:, 0], stars.xy[:, 1], s=diameter**2, facecolors="none", edgecolors=MATCHED, linewidths=0.9,
-               label=f"identified ({len(stars)})", zorder=3)  # fmt: skip
+    for chosen, style, label in (
+        (stars.used, "-", "identified"),
+        (~stars.used, ":", "identified, left out of the fit"),
+    ):
+        if chosen.any():
+            ax.scatter(stars.xy[chosen, 0], stars.xy[chosen, 1], s=diameter[chosen] ** 2, facecolors="none",
+                       edgecolors=MATCHED, linewidths=0.9, linestyles=style,
+                       label=f"{label} ({np.count_nonzero(chosen)})", zorder=3)  # fmt: skip
     missing = sky.missing()
     if len(missing):
         ax.plot(*missing.T, "D", ms=5, mfc="none", mec=MISSING, mew=0.8, ls="none",

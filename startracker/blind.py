@@ -19,6 +19,8 @@ from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.front_end import Clock, FoundStars, clean_centroids, find_stars
 from startracker.identification import free_scale
+from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
+from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
 from startracker.identification.last_fit import last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
@@ -34,6 +36,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _POOR = 20
+_BEYOND_DOUBT = 7.0
+"""How far beyond the limit (in ln of the chance) the search ends at once."""
+_PATTERN_WORK, _GROW_WORK, _MOST_ROUNDS = 50_000, 500_000, 10
+"""Operations of trying a pattern, and of growing a fit besides those of the match in each round."""
 _BARREL = -0.06
 """k1 r² at the corner that stands for a strong barrel, -0.03 to -0.1; beyond -0.148 the image folds."""
 
@@ -147,7 +153,7 @@ def solve_unknown_fov(
         rough=camera,
     )
     if camera is not None:
-        parity, fov_deg = parity or camera.parity, camera.fov_deg
+        parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
     bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
     solution = search.run(bands, sides)
     clock.lap("identification")
@@ -210,6 +216,8 @@ class FreeSearch:
         Projection and distortion to begin with; its focal length goes by the band.
     trials : int
         Patterns tried so far.
+    operations : int
+        Taken so far (`IdentificationSettings.max_operations_free_scale`).
     """
 
     xy: FloatArray
@@ -222,45 +230,74 @@ class FreeSearch:
     trials: int = 0
     variance_px2: FloatArray | None = None
     rough: Camera | None = None
+    operations: int = 0
+
+    def __post_init__(self) -> None:
+        most = self.settings.max_centroids
+        if len(self.xy) > most:
+            self.xy, self.flux = self.xy[:most], None if self.flux is None else self.flux[:most]
+            self.variance_px2 = None if self.variance_px2 is None else self.variance_px2[:most]
+        area = float(self.width) * self.height
+        self._excess = log_excess_density(np.ascontiguousarray(self.xy), area)
 
     def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
-        """Search band by band and side by side until something is accepted beyond doubt."""
+        """Search band by band and side by side until something is accepted beyond doubt, or the limit is reached."""
+        return replace(self._run(bands, sides), operations=self.operations)
+
+    def _run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
         xy, needed = self.xy, free_scale.FEWEST_MATCHED
         if len(xy) < needed:
             status = Status.TOO_FEW_STARS if len(xy) else Status.NO_STARS
             reason = f"{len(xy)} stars seen, {needed} are needed where the focal length is not known"
             return Solution(status, reason, centroids=xy)
         sky = all_stars(self.catalog).seen_by(self.observer)
-        limit = math.log(self.settings.false_alarm_rate)
+        limit = log_limit(self.settings)
         best: FreeFit | None = None
         for corner_k1, widen in self._passes():
             for low, middle, high in bands:
-                guide = self._guide(sky, _depth(len(xy), self.width, self.height, low))
+                guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, low))
                 for side in sides:
                     assumed = self._assumed(middle, side, corner_k1)
                     index = quad_index(self.catalog)
                     found = free_scale.candidates(xy, assumed, index, low / middle, high / middle, widen)
                     for camera, pattern, centre, extent in found:
+                        if self.operations >= self.settings.max_operations_free_scale:
+                            return self._cut_short(best, sky)
                         self.trials += 1
+                        self.operations += _PATTERN_WORK
                         fit = self._try(camera, pattern, centre, extent, sky.directions, guide)
                         if fit is None or (best is not None and fit.log_evidence <= best.log_evidence):
                             continue
                         best = fit
-                        if self._log_chance(best) < limit - 7.0:
+                        if self._log_chance(best) < limit - _BEYOND_DOUBT:
                             return self._answer(best, sky)
-            if best is not None and self._log_chance(best) < limit:
+            if best is not None and accepts(self._log_chance(best), self.settings):
                 break
+        return self._verdict(best, sky)
+
+    def _verdict(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
+        """Answer of the search, accepted or not."""
+        xy, needed = self.xy, free_scale.FEWEST_MATCHED
         if best is None:
             reason = f"{len(xy)} stars seen; of {self.trials} patterns alike in the sky none brings {needed} to agree"
             return Solution(Status.NO_MATCH, reason, centroids=xy)
         chance = self._log_chance(best)
-        if chance < limit:
+        if accepts(chance, self.settings):
             return self._answer(best, sky)
         says = f"the best of {self.trials} patterns explains {len(best.pairs)} of {len(xy)} stars"
         if chance < 0.0:
-            reason = f"{says}: by chance with probability {math.exp(chance):.0e}"
-            return Solution(Status.AMBIGUOUS, f"{reason}, above the limit", centroids=xy)
+            reason = f"{says}: by chance with probability {math.exp(chance):.0e}, above the limit"
+            return Solution(Status.AMBIGUOUS, reason, centroids=xy, log_false_alarm=chance)
         return Solution(Status.NO_MATCH, f"{says}: no better than chance", centroids=xy)
+
+    def _cut_short(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
+        """Answer where the operations are used up."""
+        found = self._verdict(best, sky)
+        if found.solved:
+            return found
+        limit = self.settings.max_operations_free_scale
+        reason = f"ended by the limit of {limit:.3g} operations; until then: {found.reason}"
+        return replace(found, status=Status.SEARCH_LIMIT, reason=reason)
 
     def _passes(self) -> tuple[tuple[float, float], ...]:
         """Radial distortion at the corner (k1 r²) to assume, and how wide to search, one after the other.
@@ -276,7 +313,7 @@ class FreeSearch:
     def _assumed(self, fov_deg: float, side: int, corner_k1: float) -> Camera:
         if self.rough is not None:
             rough = self.rough
-            return replace(_without_rational(rough), parity=side)
+            return replace(free_scale.without_rational(rough), parity=side)
         camera = replace(Camera.from_fov(fov_deg, self.width, self.height), parity=side)
         if corner_k1 == 0.0:
             return camera
@@ -290,7 +327,7 @@ class FreeSearch:
         return brightest_stars(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
 
     def _log_chance(self, fit: FreeFit) -> float:
-        return math.log(max(self.trials, 1)) - fit.log_evidence
+        return log_chance(fit.log_evidence, log_gain=-math.log(max(self.trials, 1)))
 
     def _magnitudes(self) -> FloatArray | None:
         return None if self.flux is None else -2.5 * np.log10(self.flux)
@@ -312,17 +349,18 @@ class FreeSearch:
         if not np.hypot(off[:, 0], off[:, 1]).max() < 2.0 + 0.03 * extent:  # NaN too
             return None
         away = np.hypot(*(xy - centre).T)
+        self.operations += _GROW_WORK + _MOST_ROUNDS * len(xy) * (2 * len(xy) + 10)
         grown = free_scale.grow(camera, matrix, xy, guide, centre, 2.0 + 0.012 * np.maximum(away, extent))
         if grown is None:
             return None
         camera, matrix, covariance, rms, _ = grown
-        value, pairs = free_scale.weigh(camera, matrix, xy, self._magnitudes(), guide, anchors=4)
+        value, pairs = free_scale.weigh(camera, matrix, xy, self._magnitudes(), guide, 4, self._excess)
         return FreeFit(camera, matrix, pairs, covariance, rms, value) if len(pairs) else None
 
     def _answer(self, fit: FreeFit, sky: GuideDatabase) -> Solution:
         """Solution of an accepted fit: once more with all stars of the catalogue that bright."""
         xy, chance = self.xy, self._log_chance(fit)
-        guide = self._guide(sky, _depth(len(xy), self.width, self.height, _field_deg(fit.camera)))
+        guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, free_scale.field_deg(fit.camera)))
         fit = last_fit(fit, xy, self.variance_px2, guide)
         used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
         residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
@@ -334,8 +372,7 @@ class FreeSearch:
             np.full(len(used), np.nan) if self.flux is None else self.flux[used],
             residual,
         )
-        exponent = math.floor(min(chance, 0.0) / math.log(10.0))
-        reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance 1e{exponent}"
+        reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
         return Solution(
             Status.SOLVED,
             reason,
@@ -343,27 +380,8 @@ class FreeSearch:
             fit.covariance,
             stars,
             xy,
-            _field_deg(fit.camera),
+            free_scale.field_deg(fit.camera),
             fit.camera.parity,
             camera=fit.camera,
+            log_false_alarm=chance,
         )
-
-
-def _without_rational(camera: Camera) -> Camera:
-    """The camera without the denominator of its distortion, as the fit has none."""
-    if camera.projection != "pinhole":
-        return replace(camera, projection="fisheye")
-    return replace(camera, distortion=replace(camera.distortion, k4=0.0, k5=0.0, k6=0.0))
-
-
-def _field_deg(camera: Camera) -> float:
-    """Angle across the width, edge to edge, distortion included."""
-    left, right = camera.unproject([[-0.5, camera.cy], [camera.width - 0.5, camera.cy]])
-    return math.degrees(math.acos(min(1.0, float(left @ right))))
-
-
-def _depth(stars: int, width: int, height: int, fov_deg: float) -> int:
-    """Brightest stars of the sky that reach three times as deep as the image's stars, where they are evenly spread."""
-    side = math.radians(fov_deg)
-    field = side * side * min(height / width, 1.0)
-    return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))

@@ -46,6 +46,9 @@ class Camera:
         detector has turned over: its columns are reversed before anything else.
     projection : str
         ``pinhole``, ``fisheye`` (Kannala–Brandt as OpenCV has it), or ideal: ``equidistant``, ``equisolid``.
+    row_time_s : float
+        From the start of the exposure of one row to that of the next: of a rolling shutter; 0: all rows at once. A
+        frame's attitude is then that of the middle of the exposure of its middle row.
     """
 
     fx: float
@@ -57,6 +60,7 @@ class Camera:
     distortion: Distortion = field(default_factory=Distortion)
     parity: int = 1
     projection: str = "pinhole"
+    row_time_s: float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
@@ -65,6 +69,8 @@ class Camera:
             object.__setattr__(self, name, float(getattr(self, name)))
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
+        if not math.isfinite(self.row_time_s):
+            raise InputError(f"row_time_s must be a finite time in seconds; got {self.row_time_s}")
         if not math.isfinite(self.cx + self.cy):
             raise InputError(f"the principal point must be finite; got cx = {self.cx}, cy = {self.cy} pixels")
         self._check_projection()
@@ -141,8 +147,10 @@ class Camera:
     def from_dict(cls, data: Any, where: str = "camera") -> Camera:
         """Camera from plain values, with each wrong key or type named."""
         names = [f.name for f in fields(cls)]
-        if not isinstance(data, dict):
-            raise InputError(f"{where}: a camera needs the keys fx, fy, cx, cy; found {type(data).__name__}")
+        if not isinstance(data, dict) or not data.keys() & {"fx", "fy", "cx", "cy"}:
+            raise InputError(
+                f"{where}: is not a camera file: it has none of the keys fx, fy, cx, cy; boresight calibrate writes one"
+            )
         distortion = data.get("distortion") or {}
         faults = [f"unknown key '{key}'" for key in data if key not in names]
         faults += [f"missing key '{key}'" for key in ("fx", "fy", "cx", "cy") if key not in data]
@@ -199,16 +207,30 @@ class Camera:
     # ------------------------------------------------------------------ facts
     @property
     def fov_deg(self) -> float:
-        """Field of view across the full width, edge to edge, at the principal point's row.
+        """Angle seen across the full width, edge to edge, along the principal point's row, distortion included."""
+        return self._seen_deg([[-0.5, self.cy], [self.width - 0.5, self.cy]], self.undistorted_fov_deg)
+
+    @property
+    def fov_y_deg(self) -> float:
+        """Field of view down the full height, as `fov_deg`."""
+        undistorted = self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
+        return self._seen_deg([[self.cx, -0.5], [self.cx, self.height - 0.5]], undistorted)
+
+    @property
+    def undistorted_fov_deg(self) -> float:
+        """Field of view across the width that the focal length alone gives, as `from_fov` takes it.
 
         The distortion of a pinhole is left out; a fisheye's polynomial is its projection and is in.
         """
         return self._span_deg((self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx)
 
-    @property
-    def fov_y_deg(self) -> float:
-        """Field of view down the full height, as `fov_deg`."""
-        return self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
+    def _seen_deg(self, edges: list[list[float]], undistorted_deg: float) -> float:
+        """Angle between the directions of two pixels; the undistorted one where the lens model folds before them."""
+        if self.projection != "pinhole" or self.distortion == Distortion():
+            return undistorted_deg
+        one, other = self.unproject(edges)
+        angle = math.degrees(math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other)))
+        return angle if math.isfinite(angle) else undistorted_deg
 
     def _span_deg(self, low: float, high: float) -> float:
         """Angle between two edges at these distances, in focal lengths, on either side of the principal point."""

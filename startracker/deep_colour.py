@@ -22,11 +22,11 @@ def read_deep(picture: Any, file: Path) -> NDArray[np.uint16] | None:
 
     Not read so: interlaced PNG, TIFF in tiles or in separate planes, for which Pillow's eight bits remain.
     """
-    width, height = picture.size
     if picture.format == "PNG":
-        return _read_png(file.read_bytes(), width, height)
+        return _read_png(file.read_bytes(), *picture.size)
     if picture.format == "TIFF":
-        return _read_tiff(picture.tag_v2, file.read_bytes(), width, height)
+        tags = picture.tag_v2  # the size of the picture may be that of the upright one
+        return _read_tiff(tags, file.read_bytes(), int(tags[256]), int(tags[257]))
     return None
 
 

@@ -159,11 +159,11 @@ def search_step(trials: int, bands: tuple[tuple[float, float, float], ...], side
 
 def attitude_steps(solution: Solution) -> tuple[Step, ...]:
     """Stars used, those left out, residuals and standard errors of a solved field."""
-    stars, camera = solution.stars, solution.camera
+    stars, camera = solution.stars.fitted, solution.camera
     if not solution.solved or camera is None:
         return ()
     length = np.hypot(*stars.residual_px.T)
-    left = len(solution.centroids) - len(stars)
+    left, named = len(solution.centroids) - len(solution.stars), len(solution.stars) - len(stars)
     steps = [
         Step(
             "attitude",
@@ -172,6 +172,8 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
             f"{length.max():.3f} px ({stars.catalog_id[int(np.argmax(length))]})",
         )
     ]
+    if named:
+        steps.append(Step("attitude", f"{named} stars named and not used: off by more than their errors explain"))
     if left:
         steps.append(Step("attitude", f"{left} detections not used: no guide star near enough"))
     if solution.covariance is not None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -14,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.camera import Camera
 from startracker.centroid import Centroider
+from startracker.centroid.result import Centroids
 from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_smeared
+from startracker.detection.defects import fill_gaps, has_crowd, mask_extremes, mask_impulses
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, as_pixels, whole_range
@@ -26,7 +29,7 @@ from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.trace import Step, Steps
 
-__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again"]
+__all__ = ["Clock", "FoundStars", "clean_centroids", "find_stars", "look_again", "stated_variance"]
 
 FloatArray = NDArray[np.float64]
 
@@ -84,9 +87,13 @@ class FoundStars:
     pixels, background : array (H, W) and Background, optional
         For a second look.
     smeared : bool
-        Whether the stars are streaks.
+        Whether the stars seem to be streaks. These are the points nevertheless; `look_again` finds the streaks.
+    covariance_px2 : (N, 2, 2), optional
+        Of a centroid; None: `variance_px2` on both axes.
     lines : (N, 4)
-        Middle x and y and half the length along x and y of the streaks that were taken for stars.
+        Middle x and y and half the length along x and y of the streaks that share one motion.
+    streaks : Centroids, optional
+        Of a smeared frame: these streaks as the centroider measures them.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -102,6 +109,8 @@ class FoundStars:
     background: Background | None = None
     smeared: bool = False
     lines: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    covariance_px2: FloatArray | None = None
+    streaks: Centroids | None = None
 
 
 def find_stars(
@@ -141,6 +150,9 @@ def find_stars(
     steps: list[Callable[[], Step | Sequence[Step]]] = [
         partial(image_step, pixels.shape, image_sample(pixels), share, level)
     ]
+    if survey.masked:
+        text = f"{survey.masked} pixels left out: no light gives such values beside the others"
+        steps.append(partial(Step, "image", text))
     if share > _WHITE_SHARE:
         return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
     if survey.highest == survey.lowest:
@@ -149,17 +161,29 @@ def find_stars(
     try:
         background = estimate(pixels, detection.background_tile_px)
         clock.lap("background")
+        whole = fill_gaps(pixels) if survey.gaps else pixels
+        spots = detect(whole, background, detection, saturation_dn)
+        if has_crowd(spots, pixels.size):
+            pixels, hot = mask_impulses(pixels, background)
+            if hot:
+                background = estimate(pixels, detection.background_tile_px)
+                spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
+                spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
         steps.append(partial(background_step, background))
-        spots = detect(pixels, background, detection, saturation_dn)
         clock.lap("detection")
-        steps.append(partial(detection_steps, spots, detection, background))
-        found = measure(pixels, background, spots, centroid, gain_e_per_dn)
+        trails = spots if spots.are_streaks else spots.other
+        smeared = spots.are_streaks or (trails is None and _left_out_streaks(spots))
+        points = spots if trails is not spots or spots.other is None else spots.other
+        steps.append(partial(detection_steps, points, detection, background))
+        found = measure(pixels, background, points, centroid, gain_e_per_dn)
+        streaks = None
+        if smeared and trails is not None:
+            streaks = measure(pixels, background, trails, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
     steps.append(partial(centroid_step, found))
     variance = np.trace(found.covariance, axis1=1, axis2=2) / 2.0
-    lines = _lines(spots)
     return FoundStars(
         found.xy,
         found.flux,
@@ -170,8 +194,10 @@ def find_stars(
         saturated=int(np.count_nonzero(found.saturated)),
         pixels=pixels,
         background=background,
-        smeared=len(lines) > 0 or _left_out_streaks(spots),
-        lines=lines,
+        smeared=smeared,
+        lines=_lines(trails),
+        streaks=streaks,
+        covariance_px2=found.covariance,
     )
 
 
@@ -180,9 +206,9 @@ def _left_out_streaks(spots: Spots) -> bool:
     return spots.rejected.get("streak", 0) >= max(_FEWEST_STREAKS, len(spots) // 4)
 
 
-def _lines(spots: Spots) -> FloatArray:
+def _lines(spots: Spots | None) -> FloatArray:
     """What the motion of the frame has drawn of its stars, see `FoundStars`."""
-    if spots.centre is None or spots.streak is None or not spots.streak.any():
+    if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])
 
@@ -214,23 +240,29 @@ def look_again(
         return None
     lines = first.lines
     if not len(lines):  # not every detector looks for them
-        smeared = find_smeared(first.pixels, first.background, detection, saturation_dn)
+        smeared = find_smeared(fill_gaps(first.pixels), first.background, detection, saturation_dn)
         lines = lines if smeared is None else _lines(smeared)
     streaks = find_streaks(first.pixels, first.background, detection, saturation_dn, gain_e_per_dn, lines)
     clock.lap("streaks")
-    if streaks is None:
+    if streaks is not None:
+        stars, length = streaks.centroids, float(np.hypot(*streaks.motion[:2]))
+        middle = 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
+        xy = stars.xy - _bow(stars.xy, camera, streaks, middle)
+        text = f"{len(stars)} streaks of one motion, {length:.1f} px in the middle of the image"
+    elif first.streaks is not None:
+        stars, length = first.streaks, 2.0 * float(np.median(np.hypot(*lines[:, 2:].T)))
+        xy, text = stars.xy, f"{len(stars)} streaks of one motion, about {length:.1f} px long"
+    else:
         return None
-    stars = streaks.centroids
-    length, middle = float(np.hypot(*streaks.motion[:2])), 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
-    text = f"{len(stars)} streaks of one motion, {length:.1f} px in the middle of the image"
     return FoundStars(
-        stars.xy - _bow(stars.xy, camera, streaks, middle),
+        xy,
         stars.flux,
         np.trace(stars.covariance, axis1=1, axis2=2) / 2.0,
         saturated_share=first.saturated_share,
         saturation_dn=first.saturation_dn,
         steps=Steps(Step("detection", text), partial(centroid_step, stars)),
         saturated=int(np.count_nonzero(stars.saturated)),
+        covariance_px2=stars.covariance,
     )
 
 
@@ -265,12 +297,15 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
 
     A flux that is not a positive number counts as the faintest of all.
     """
-    points = np.asarray(xy, dtype=float)
+    try:
+        points = np.asarray(plain(xy), dtype=float)
+        signal = None if flux is None else np.asarray(plain(flux), dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError("centroids and fluxes must be numbers: xy with the shape (N, 2), flux with (N,)") from None
     if points.size == 0:
         points = points.reshape(0, 2)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
-    signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
     if signal is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
     keep = np.flatnonzero(np.isfinite(points).all(axis=1) & camera.contains(points))
@@ -289,27 +324,69 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
     return points[alone], None if signal is None else signal[alone]
 
 
+def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray) -> FloatArray | None:
+    """Variance (M,), pixels², of the centroids `kept` (M, 2) by `clean_centroids` of those given, from their stated
+    standard errors: one of each, or one for all; None where none is stated.
+
+    Raises
+    ------
+    InputError
+        For a shape that does not fit, or an error that is not positive and finite.
+    """
+    if sigma_px is None:
+        return None
+    points = np.asarray(xy, dtype=float).reshape(-1, 2)
+    try:
+        sigma = np.asarray(sigma_px, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
+    if sigma.shape not in ((), (len(points),)):
+        raise InputError(f"there are {len(points)} centroids, but sigma_px has the shape {sigma.shape}")
+    if sigma.size and not (np.isfinite(sigma) & (sigma > 0.0)).all():
+        raise InputError("sigma_px must be positive and finite, pixels")
+    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}  # the first of equal ones
+    chosen = [row[x, y] for x, y in kept.tolist()]
+    return np.asarray(np.broadcast_to(sigma, len(points))[chosen] ** 2)
+
+
 @njit(cache=True, error_model="numpy")
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
     """Points (N,) without another before them that is nearer than `SAME_STAR_PX` on both axes."""
     alone = np.ones(len(points), np.bool_)
-    for i in range(len(points)):
-        for j in range(i):
-            if max(abs(points[i, 0] - points[j, 0]), abs(points[i, 1] - points[j, 1])) < SAME_STAR_PX:
-                alone[i] = False
+    order = np.argsort(points[:, 0])
+    for first in range(len(points)):  # from left to right: what is near on x follows
+        i = order[first]
+        for second in range(first + 1, len(points)):
+            j = order[second]
+            if points[j, 0] - points[i, 0] >= SAME_STAR_PX:
                 break
+            if abs(points[i, 1] - points[j, 1]) < SAME_STAR_PX:
+                alone[max(i, j)] = False
     return alone
+
+
+def plain(values: ArrayLike) -> NDArray[Any]:
+    """An array with NaN where a masked array (`numpy.ma`) is masked; anything else as it is."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values)
+    if values.dtype.kind not in "buif" or not np.ma.is_masked(values):
+        return np.asarray(values.data)
+    kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which hold all the numbers exactly
+    return np.asarray(np.ma.filled(values.astype(kind), np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """A usable image as uint16 or float32, NaN where not finite; its range; its saturated share and that level."""
+    """A usable image as uint16 or float32, NaN where not finite or of a value that no light gives, of which there are
+    `masked`; its range; its saturated share and that level; whether it has NaN."""
 
     pixels: Image
     lowest: float
     highest: float
     saturated_share: float
     saturation_dn: float
+    masked: int = 0
+    gaps: bool = False
 
 
 def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[_Survey | None, str]:
@@ -318,7 +395,8 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     The saturation is the level given, the largest number of an unsigned type, or a flat top.
     """
     try:
-        given = np.asarray(image)
+        as_given = np.asanyarray(image)
+        given = plain(as_given)
         if given.dtype.kind not in "buif":
             return None, f"an image needs real numbers; got {given.dtype}"
     except (TypeError, ValueError):
@@ -334,23 +412,27 @@ def _survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: floa
     if not given.size:
         return None, "no pixel of the image is a finite number"
     level = saturation_dn
-    if level is None and given.dtype.kind == "u":
-        level = float(np.iinfo(given.dtype).max)
+    if level is None and as_given.dtype.kind == "u":
+        level = float(np.iinfo(as_given.dtype).max)
     if level is not None and pixels.dtype == np.uint16:
         least, most, full = whole_range(pixels, float(level))
         return _Survey(pixels, float(least), float(most), full / pixels.size, level), ""
     # whole numbers need no search for what is not finite, and have their range in a quarter of the time
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
-    if not (math.isfinite(lowest) and math.isfinite(highest)):  # NaN makes both NaN
+    gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
+    if gaps:
         pixels = np.where(np.isfinite(pixels), pixels, np.float32(np.nan))
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
         if not math.isfinite(highest):
             return None, "no pixel of the image is a finite number"
+    pixels, masked = mask_extremes(pixels, lowest, highest)
+    if masked:
+        lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
     if level is None:
         level = highest if highest > 0 else math.inf
     full = np.count_nonzero(pixels >= level) if highest >= level else 0
-    return _Survey(pixels, lowest, highest, full / pixels.size, level), ""
+    return _Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 
 def says_saturated(share: float, level: float) -> str:

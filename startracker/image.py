@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,18 @@ __all__ = ["LoadedImage", "read_image"]
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
 _ORIENTATION_TAG = 274
+_TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: lambda a: np.swapaxes(a, 0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(np.swapaxes(a, 0, 1), 2),
+    8: np.rot90,
+}
+"""What makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is upright already."""
+_UNDOES = {6: 8, 8: 6}
+"""The orientation whose turn undoes that of another; all others undo themselves."""
 _HINT = "give a PNG, TIFF, JPEG or FITS image"
 
 
@@ -35,7 +49,7 @@ class LoadedImage:
     header : dict
         What the file says of itself (FITS keywords; Pillow's format and mode).
     notes : tuple of str
-        What the user should know: channels averaged, an orientation flag not followed.
+        What the user should know: channels averaged, an EXIF orientation applied or not.
     """
 
     image: NDArray[np.float32]
@@ -44,12 +58,11 @@ class LoadedImage:
     notes: tuple[str, ...] = ()
 
 
-def read_image(path: str | Path, *, bayer: str | None = None) -> LoadedImage:
+def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = True) -> LoadedImage:
     """Read an image file.
 
     Colour is averaged over its channels (transparency left out), palettes are looked up; 16 bits a channel stay 16
-    bits. The picture is taken as it is stored: an EXIF orientation is not followed, as pixel coordinates would no
-    longer be the file's.
+    bits.
 
     Parameters
     ----------
@@ -58,6 +71,10 @@ def read_image(path: str | Path, *, bayer: str | None = None) -> LoadedImage:
     bayer : str, optional
         The file holds a raw colour mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is made grey
         (`startracker.bayer.bayer_to_grey`).
+    upright : bool
+        Turn the picture as its EXIF orientation says, as viewers show it; pixel coordinates are those of the upright
+        picture. False keeps the sensor's own rows and columns, for which a calibrated camera or a map of bad pixels
+        is made; a raw mosaic always keeps them, as its pattern goes with them.
 
     Raises
     ------
@@ -77,7 +94,7 @@ def read_image(path: str | Path, *, bayer: str | None = None) -> LoadedImage:
     if not start:
         raise InputError(f"{file}: is empty (0 bytes); {_HINT}")
     is_fits = start.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
-    loaded = _read_fits(file) if is_fits else _read_picture(file)
+    loaded = _read_fits(file) if is_fits else _read_picture(file, upright and bayer is None)
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
             raise InputError(f"{file}: has colour channels, so it is no raw mosaic; leave bayer out")
@@ -96,7 +113,7 @@ def read_image(path: str | Path, *, bayer: str | None = None) -> LoadedImage:
     return loaded
 
 
-def _read_picture(file: Path) -> LoadedImage:
+def _read_picture(file: Path, upright: bool) -> LoadedImage:
     import warnings
 
     from PIL import Image, UnidentifiedImageError
@@ -104,17 +121,19 @@ def _read_picture(file: Path) -> LoadedImage:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
-            with Image.open(file) as picture:
+            # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of its upright picture
+            with Image.open(io.BytesIO(file.read_bytes())) as picture:
                 width, height = picture.size
                 if width * height > _MOST_PIXELS:
                     raise InputError(f"{file}: {width}×{height} pixels are too many; crop or bin it")
+                orientation = picture.getexif().get(_ORIENTATION_TAG) or 1
+                deep = read_deep(picture, file)
                 picture.load()
-                orientation = picture.getexif().get(_ORIENTATION_TAG, 1)
                 header = {"format": picture.format, "mode": picture.mode}
                 array, notes = _channels(picture)
-                deep = read_deep(picture, file)
+                turned = picture.format == "TIFF"  # Pillow turns these itself
                 if deep is not None:
-                    array = deep
+                    array, turned = deep, False
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -124,8 +143,13 @@ def _read_picture(file: Path) -> LoadedImage:
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{file}: is damaged or truncated ({text}); get it anew") from error
-    if orientation not in (0, 1, None):
-        notes = (*notes, f"EXIF orientation {orientation} is not followed: coordinates are those of the stored pixels")
+    if orientation in _TURNS:
+        if upright and not turned:
+            array = _TURNS[orientation](array)
+        elif turned and not upright:
+            array = _TURNS[_UNDOES.get(orientation, orientation)](array)
+        done, whose = ("applied", "the upright picture") if upright else ("not applied", "the stored pixels")
+        notes = (*notes, f"EXIF orientation {orientation} {done}: coordinates are those of {whose}")
     return _finish(array, header, notes, file)
 
 

@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
+
+EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
+"""Speed of the Earth about the Sun, and of a satellite in a low orbit about the Earth."""
+_OBLIQUITY_RAD = np.radians(23.4393)
+_ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
+_FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
+"""Beyond anything launched: the fastest probe passed the Sun at 192 km/s, the farthest is at 170 au."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +38,41 @@ class Observer:
     velocity_km_s: FloatArray | None = None
     position_au: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        try:
+            epoch = float(self.epoch_jyear)
+        except (TypeError, ValueError):
+            raise InputError(f"epoch_jyear is {self.epoch_jyear!r}; it must be a number of years") from None
+        if not abs(epoch - 2000.0) <= _LONGEST_YEARS:
+            raise InputError(f"epoch_jyear is {epoch:g}; it must be a Julian year within {_LONGEST_YEARS} of 2000")
+        object.__setattr__(self, "epoch_jyear", epoch)
+        self._check("velocity_km_s", _FASTEST_KM_S, "km/s", "m/s")
+        self._check("position_au", _FARTHEST_AU, "au", "km")
+
+    def _check(self, name: str, most: float, unit: str, other: str) -> None:
+        """Make an array of one of the vectors, and refuse what no observer has.
+
+        Raises
+        ------
+        InputError
+            With the name of the vector.
+        """
+        given = getattr(self, name)
+        if given is None:
+            return
+        try:
+            vector = np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"{name} must be three numbers, {unit}; got {given!r}") from None
+        if vector.shape != (3,):
+            raise InputError(f"{name} must be three numbers, {unit}; got the shape {vector.shape}")
+        length = float(np.linalg.norm(vector))
+        if not length <= most:  # NaN too
+            raise InputError(
+                f"{name} has the length {length:g} {unit}; at most {most:g} is possible (is it in {other}?)"
+            )
+        object.__setattr__(self, name, vector)
+
 
 def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     """Directions (N, 3) as a moving observer sees them: the full special-relativistic aberration.
@@ -43,3 +86,17 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     along = directions @ beta
     out = directions * inverse_gamma + beta * (1.0 + along / (1.0 + inverse_gamma))[:, None]
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+def unknown_aberration(matrix: FloatArray) -> FloatArray:
+    """Covariance (3, 3), rad², of an attitude (3, 3) ICRS to camera whose observer's velocity is not known.
+
+    To first order in β the aberration turns the field about the boresight b by θ = b × β, up to 20.5″ by the Earth's
+    motion, which has any direction in the ecliptic: the covariance of β is (β_E²/2) (I − n nᵀ), n being the pole of the
+    ecliptic. An orbit about the Earth adds (β_o²/3) I.
+    """
+    pole = matrix @ _ECLIPTIC_POLE
+    earth, orbit = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
+    beta = (earth + orbit) * np.eye(3) - earth * np.outer(pole, pole)
+    across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of b = (0, 0, 1)
+    return np.asarray(across @ beta @ across.T)

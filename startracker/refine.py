@@ -12,21 +12,38 @@ from numpy.typing import NDArray
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
-from startracker.estimation import Estimator
+from startracker.estimation import OPTIMAL, Estimator
+from startracker.estimation.pose import (
+    TRUSTED,
+    UNKNOWN_FLOOR_PX,
+    Pose,
+    displacements,
+    few_stars_factor,
+    fit_pose,
+    pixel_slopes,
+)
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.verification import fit_step, focal_slopes, turned
 from startracker.image_map import ImageMap, to_pixels
+from startracker.observer import Observer, unknown_aberration
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 REJECT_SIGMAS = 3.7
 """A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
-_UNKNOWN_FLOOR_PX = 0.003
 _FEWEST_TO_REJECT = 4
-_MISFIT_SIGMAS = 4.0
+_ROUNDS = 4
+NAMED_PX, BY_CHANCE = 3.0, 0.02
+"""A centroid this near to a guide star is this star, where at most this share of the guide stars would have a centroid
+as near by chance."""
+RATE_SIGMA_RAD_S = math.radians(2.0)
+"""Rate of a body, about each axis, of which nothing is known but that the stars are seen."""
+EPOCH_SIGMA_YR = 30.0
+"""Years between the catalogue's epoch and a frame whose time is not known."""
 _MANY, _LEAST_SCALE = 10, 0.4
 _MARGIN_PX = 3.0
 
@@ -40,11 +57,13 @@ class Refined:
     matrix : (3, 3)
         ICRS to camera.
     covariance : (3, 3)
-        Of the rotation-vector error in camera axes, rad², scaled with the residuals.
+        Of the rotation-vector error in camera axes, rad² (`startracker.estimation.pose`).
     pairs : int (M, 2)
-        Centroid and guide index of the stars used.
+        Centroid and guide index of all stars that are named.
+    used : bool (M,)
+        Whether a star is part of the fit: blends and other outliers are named, and left out.
     residual_px : (M, 2)
-        Measured minus predicted.
+        Measured minus predicted by the attitude and the camera.
     camera : Camera
         The one given, or with the focal length fitted.
     """
@@ -52,6 +71,7 @@ class Refined:
     matrix: FloatArray
     covariance: FloatArray
     pairs: IntArray
+    used: BoolArray
     residual_px: FloatArray
     camera: Camera
 
@@ -65,12 +85,16 @@ def refine(
     estimator: Estimator,
     free_focal: bool = False,
     directions: FloatArray | None = None,
+    covariance_px2: FloatArray | None = None,
+    observer: Observer | None = None,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
 
     Starts from the identified pairs; then, until nothing changes: attitude, prediction of every guide star on the
-    image, nearest centroids, rejection of residuals beyond 3.7 robust standard errors (blends, false matches). The
-    robust scale is the median of the normalised residuals, not below one where the errors are known and stars are few.
+    image, nearest centroids, rejection of residuals beyond 3.7 robust standard errors. From there the fit of
+    `startracker.estimation.pose` takes over, which finds how large the errors really are and whether the camera is as
+    calibrated; it takes in every centroid within 3.7 of these standard errors of a guide star. Centroids that are
+    farther away, but nearer than chance explains, are named and not used.
 
     Parameters
     ----------
@@ -86,11 +110,11 @@ def refine(
         Whether the focal length is fitted along (both axes by one factor); the covariance has its part then.
     directions : (N, 3), optional
         Of the centroids through the camera, where they are known.
-
-    Notes
-    -----
-    The covariance is the estimator's, times χ²/ν, ν = 2M − 3, or − 4; where the errors are known only when that is more
-    than chance makes it, 4 √(2/ν) above one.
+    covariance_px2 : (N, 2, 2), optional
+        Of each centroid, where the two axes differ, as of streaks.
+    observer : Observer, optional
+        What the guide stars are seen by. Without it the covariance has the motion of the stars since the catalogue's
+        epoch and the aberration of light in it.
     """
     known = variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
@@ -113,18 +137,119 @@ def refine(
         used = fitting
         if same and not free_focal:  # nor would the next fit be another
             break
-    vectors, reference, sigma = _chosen(used, directions, sky, sigma)
-    estimate = estimator(vectors, reference, sigma * camera.pixel_rad)
-    matrix, covariance = estimate.matrix, estimate.covariance
-    if free_focal:
-        normal, _ = _normal(camera, matrix, vectors, reference, sigma)
-        covariance = np.asarray(np.linalg.inv(normal)[:3, :3], dtype=np.float64)
-    residual, chi2 = _residuals(used, matrix, reference, xy, sigma, camera.image_map)
-    freedom = max(2 * len(used) - (4 if free_focal else 3), 1)
-    factor = max(chi2 / freedom, _UNKNOWN_FLOOR_PX**2)
-    if known and factor < 1.0 + _MISFIT_SIGMAS * math.sqrt(2.0 / freedom):
-        factor = 1.0
-    return Refined(matrix, covariance * factor, used, residual, camera)
+    stated = np.zeros((len(xy), 2, 2))
+    stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
+    if known and covariance_px2 is not None:
+        stated = covariance_px2 + floor**2 * np.eye(2)
+    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer)
+    pose, matrix = field.fit(used, matrix)
+    named, fits = field.named(pose, matrix)
+    for _ in range(_ROUNDS):
+        fitting = named[fits]
+        if np.array_equal(fitting, used) or len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):
+            break
+        used = fitting
+        pose, matrix = field.fit(used, matrix)
+        named, fits = field.named(pose, matrix)
+    matrix, covariance = field.attitude(pose, matrix, used, estimator)
+    if not np.array_equal(named[fits], used):
+        named, fits = _joined(used, named)
+    residual = xy[named[:, 0]] - camera.project(sky[named[:, 1]] @ matrix.T)
+    return Refined(matrix, covariance, named, fits, residual, camera)
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """Centroids of one image and what is known of them, see `refine`."""
+
+    xy: FloatArray
+    stated: FloatArray
+    known: bool
+    camera: Camera
+    guide: GuideDatabase
+    free_focal: bool
+    observer: Observer | None
+
+    def fit(self, pairs: IntArray, matrix: FloatArray) -> tuple[Pose, FloatArray]:
+        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), and the attitude that it comes to."""
+        stars, camera = pairs[:, 0], self.camera
+        reference = self.guide.directions[pairs[:, 1]]
+        residual, slopes, offset = _linearised(self.xy[stars], matrix, reference, camera.image_map)
+        offset -= (camera.cx, camera.cy)
+        extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
+        stated, first = self.stated[stars], 1 if self.free_focal else 0
+        if self.known:
+            pose = fit_pose(residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first)
+        else:
+            scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
+            for _ in range(2):
+                pose = fit_pose(residual, slopes, offset, stated * scale, extra, extra_sigma, 0.0, first)
+                scale *= pose.factor
+            factor = few_stars_factor(max(2 * len(stars) - 3, 1))
+            pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
+        x, y, z = pose.turn
+        return pose, turned(matrix, -x, -y, -z)
+
+    def _extra(
+        self, guides: IntArray, matrix: FloatArray, slopes: FloatArray, offset: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Displacements (M, 2, E) that are always fitted: by the turn between the rows' exposures, and by the motion
+        of the stars since the catalogue's epoch; standard deviations (E,) of their amplitudes beforehand."""
+        columns, sigma = [], []
+        camera = self.camera
+        if camera.row_time_s:
+            row_s = (offset[:, 1] + camera.cy - (camera.height - 1) / 2.0) * camera.row_time_s
+            columns += [slopes[:, :, k] * row_s[:, None] for k in range(3)]
+            sigma += [RATE_SIGMA_RAD_S] * 3
+        if self.observer is None:
+            here = self.guide.directions[guides]
+            motion = self.guide.motion[guides] @ matrix.T
+            turn = np.cross(motion, here @ matrix.T)  # θ with −θ × v = motion, for motion across v
+            columns.append(np.einsum("nij,nj->ni", slopes, turn))
+            sigma.append(EPOCH_SIGMA_YR)
+        if not columns:
+            return np.zeros((len(guides), 2, 0)), np.zeros(0)
+        return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
+
+    def named(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, BoolArray]:
+        """Pairs (K, 2) of all centroids that belong to guide stars, and which of them fit within their errors."""
+        index, places, moved = self._predicted(pose, matrix)
+        count = max(len(self.xy), 1)
+        area = float(self.camera.width * self.camera.height)
+        near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
+        scale = pose.factor if self.known else pose.sigma_px[0] ** 2
+        found: tuple[IntArray, BoolArray] = _named(
+            self.xy, self.stated, index, places + moved, scale, pose.systematic_px2, near_px
+        )
+        return found
+
+    def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
+        camera, guide = self.camera, self.guide
+        index, vectors, places = stars_on_image(
+            matrix, field_cosine(camera, _MARGIN_PX), _MARGIN_PX, guide.directions, guide.grid, camera.image_map
+        )
+        slopes, offset = pixel_slopes(vectors, camera.image_map), places - (camera.cx, camera.cy)
+        extra, _ = self._extra(index, matrix, slopes, offset)
+        return index, places, displacements(slopes, offset, extra, pose.unknowns)
+
+    def attitude(
+        self, pose: Pose, matrix: FloatArray, used: IntArray, estimator: Estimator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Attitude by the estimator, and its covariance."""
+        covariance, camera = pose.covariance, self.camera
+        if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
+            reference = self.guide.directions[used[:, 1]]
+            _, slopes, offset = _linearised(self.xy[used[:, 0]], matrix, reference, camera.image_map)
+            offset -= (camera.cx, camera.cy)
+            extra, _ = self._extra(used[:, 1], matrix, slopes, offset)
+            pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
+            seen = camera.unproject(self.xy[used[:, 0]] - displacements(slopes, offset, extra, pose.unknowns))
+            estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
+            matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
+        if self.observer is None:
+            covariance = covariance + unknown_aberration(matrix)
+        return matrix, covariance
 
 
 def _refocused(
@@ -201,24 +326,60 @@ def _matched_again(
 
 
 @njit(cache=True, error_model="numpy")
-def _chosen(
-    used: IntArray, directions: FloatArray, sky: FloatArray, sigma: FloatArray
+def _linearised(
+    xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions (M, 3), guide stars (M, 3) and standard errors (M,) of pairs."""
-    return directions[used[:, 0]], sky[used[:, 1]], sigma[used[:, 0]]
+    """Measured minus predicted (M, 2) of guide stars (M, 3), their slopes (M, 2, 3), and where they are predicted."""
+    vectors = reference @ matrix.T
+    places: FloatArray = to_pixels(vectors, image)
+    return xy - places, pixel_slopes(vectors, image), places
 
 
 @njit(cache=True, error_model="numpy")
-def _residuals(
-    used: IntArray, matrix: FloatArray, reference: FloatArray, xy: FloatArray, sigma: FloatArray, image: ImageMap
-) -> tuple[FloatArray, float]:
-    """Measured minus predicted (M, 2) of pairs, and χ²."""
-    residual, chi2 = _predicted(matrix, reference, image), 0.0
-    for k in range(len(used)):
-        for axis in range(2):
-            residual[k, axis] = xy[used[k, 0], axis] - residual[k, axis]
-            chi2 += (residual[k, axis] / sigma[k]) ** 2
-    return residual, chi2
+def _named(
+    xy: FloatArray,
+    stated: FloatArray,
+    index: IntArray,
+    places: FloatArray,
+    factor: float,
+    systematic_px2: float,
+    near_px: float,
+) -> tuple[IntArray, BoolArray]:
+    """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), and which fit.
+
+    A centroid that fits is within 3.7 standard errors; the others go to what guide stars are left within `near_px`.
+    """
+    gate = np.empty(len(xy))
+    for n in range(len(xy)):
+        a, b, c = stated[n, 0, 0], stated[n, 0, 1], stated[n, 1, 1]
+        widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
+        gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
+    near, _ = nearest_unique(xy, places, gate)
+    taken = np.zeros(len(places), np.bool_)
+    for n in range(len(xy)):
+        if near[n] >= 0:
+            taken[near[n]] = True
+    rest, free = np.flatnonzero(near < 0), np.flatnonzero(~taken)
+    other, _ = nearest_unique(xy[rest], places[free], np.full(len(rest), near_px))
+    pairs, fits, count = np.empty((len(xy), 2), np.int64), np.zeros(len(xy), np.bool_), 0
+    late = np.full(len(xy), -1)
+    for k in range(len(rest)):
+        if other[k] >= 0:
+            late[rest[k]] = free[other[k]]
+    for n in range(len(xy)):
+        place = near[n] if near[n] >= 0 else late[n]
+        if place >= 0:
+            pairs[count, 0], pairs[count, 1], fits[count] = n, index[place], near[n] >= 0
+            count += 1
+    return pairs[:count], fits[:count]
+
+
+def _joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
+    """Pairs that are used and those named that share no star with them, by centroid; and which are used."""
+    other = ~(np.isin(named[:, 0], used[:, 0]) | np.isin(named[:, 1], used[:, 1]))
+    pairs = np.concatenate([used, named[other]])
+    order = np.argsort(pairs[:, 0], kind="stable")
+    return pairs[order], order < len(used)
 
 
 @njit(cache=True, error_model="numpy")
@@ -231,6 +392,6 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
     freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
     scale = np.median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:
-        return max(scale, _UNKNOWN_FLOOR_PX)
+        return max(scale, UNKNOWN_FLOOR_PX)
     # where many stars agree better than they claim to, as without noise, a blend among them shows
     return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)

@@ -6,9 +6,35 @@ documentation can never name different knobs.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
+
+from startracker.errors import InputError
 
 _FORBID = {"extra": "forbid"}  # read by pydantic, which this package does not import
+
+
+def _check(settings: Any, **limits: tuple[float, float]) -> None:
+    """Refuse a knob that is no number within its limits, both included, or infinite where no limit is; None is let be.
+
+    Raises
+    ------
+    InputError
+        With the knob's name, what it is and what it must be.
+    """
+    for name, (least, most) in limits.items():
+        value = getattr(settings, name)
+        if value is None:
+            continue
+        good = isinstance(value, (int, float)) or (hasattr(value, "dtype") and value.dtype.kind in "iuf")
+        if not (good and least <= value <= most):
+            within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+            raise InputError(f"{name} is {value!r}; it must be a number {within}")
+
+
+_ABOVE_0, _BELOW_1 = math.ulp(0.0), math.nextafter(1.0, 0.0)
+_POSITIVE, _COUNT, _FROM_0 = (_ABOVE_0, math.inf), (1, math.inf), (0.0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -60,6 +86,22 @@ class DetectionSettings:
     cluster_radius_px: float | None = None
     threshold_dn: float | None = None
 
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            threshold_sigma=_POSITIVE,
+            min_pixels=_COUNT,
+            max_pixels=_COUNT,
+            max_axis_ratio=(1.0, math.inf),
+            max_stars=_COUNT,
+            background_tile_px=(4, math.inf),
+            search_step_px=_COUNT,
+            psf_sigma_px=_POSITIVE,
+            isolation=_FROM_0,
+            cluster_radius_px=_POSITIVE,
+            threshold_dn=_POSITIVE,
+        )
+
     __pydantic_config__ = _FORBID
 
 
@@ -87,6 +129,11 @@ class CentroidSettings:
     psf_sigma_px: float | None = None
     psf: str | None = None
     flat_field_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, window_px=(3, 101), psf_sigma_px=_POSITIVE, flat_field_error=_FROM_0)
+        if self.window_px % 2 == 0:
+            raise InputError(f"window_px is {self.window_px}; it must be odd, so that a pixel is in its middle")
 
     __pydantic_config__ = _FORBID
 
@@ -120,6 +167,14 @@ class IdentificationSettings:
         Triads: fewest of a group that must name a guide star.
     three_stars : bool
         Triads: where only three stars are seen and all triads agree, one vote is enough.
+    max_centroids : int
+        Brightest centroids that identification takes; what a list holds beyond them is not looked at.
+    max_operations : int
+        Steps of one search with a known camera (pairs, candidates and stars compared), after which it ends with the
+        status ``search_limit``. They are counted, not timed: the same list ends at the same step on every machine. One
+        takes a nanosecond or so.
+    max_operations_free_scale : int
+        The same where the focal length is not known.
     """
 
     separation_tolerance_deg: float | None = None
@@ -136,6 +191,30 @@ class IdentificationSettings:
     enclosed_tolerance_deg: float | None = 1.0
     vote_number: int = 2
     three_stars: bool = True
+    max_centroids: int = 250
+    max_operations: int = 2_000_000_000
+    max_operations_free_scale: int = 5_000_000_000
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            separation_tolerance_deg=(_ABOVE_0, 180.0),
+            magnitude_tolerance=_POSITIVE,
+            min_stars=(2, math.inf),
+            max_stars=(2, math.inf),
+            group_threshold=_COUNT,
+            max_groups_per_star=_COUNT,
+            close_pair_deg=_FROM_0,
+            close_pair_magnitude=_FROM_0,
+            false_alarm_rate=(_ABOVE_0, _BELOW_1),
+            rotation_tolerance_deg=_POSITIVE,
+            grouping_tolerance_deg=_POSITIVE,
+            enclosed_tolerance_deg=_POSITIVE,
+            vote_number=_COUNT,
+            max_centroids=(3, math.inf),
+            max_operations=_COUNT,
+            max_operations_free_scale=_COUNT,
+        )
 
     __pydantic_config__ = _FORBID
 
@@ -161,6 +240,15 @@ class TrackingSettings:
     max_window_px: int = 20
     prior_limit_deg: float = 15.0
     false_rejection: float = 1e-6
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            max_stars=_COUNT,
+            max_window_px=_COUNT,
+            prior_limit_deg=_FROM_0,
+            false_rejection=(_ABOVE_0, _BELOW_1),
+        )
 
     __pydantic_config__ = _FORBID
 
@@ -219,5 +307,24 @@ class OperationSettings:
     blemish_sigma: float = 5.0
     blemish_shift_px: float = 8.0
     reference_b_v: float = 0.65
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            saturated_pixels=_FROM_0,
+            shorten=(_ABOVE_0, _BELOW_1),
+            shortest_exposure_s=_POSITIVE,
+            lengthen_below=(0.0, _BELOW_1),
+            exposure_step_s=_FROM_0,
+            sun_share=(_ABOVE_0, 1.0),
+            suspend_turn_deg=_POSITIVE,
+            longest_suspension_s=_POSITIVE,
+            clear_pixels=_COUNT,
+            blemish_frames=_FROM_0,
+            blemish_share=(_ABOVE_0, 1.0),
+            blemish_sigma=_POSITIVE,
+            blemish_shift_px=_FROM_0,
+            reference_b_v=(-10.0, 10.0),
+        )
 
     __pydantic_config__ = _FORBID

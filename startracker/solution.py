@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
 import numpy as np
@@ -28,6 +28,7 @@ class Status(StrEnum):
     SATURATED = "saturated"
     NO_MATCH = "no_match"
     AMBIGUOUS = "ambiguous"
+    SEARCH_LIMIT = "search_limit"
     BAD_IMAGE = "bad_image"
     STALE = "stale"
     """Of tracking: the frame is one that came before."""
@@ -53,6 +54,9 @@ class MatchedStars:
         Measured signal, DN.
     residual_px : array, shape (M, 2)
         Measured minus predicted, pixels.
+    used : bool array, optional
+        Whether the attitude was fitted to the star; those that are off by more than noise explains (blends, defective
+        pixels beside them) are named and left out. By default all.
     """
 
     xy: FloatArray
@@ -61,9 +65,21 @@ class MatchedStars:
     v_mag: FloatArray
     flux: FloatArray
     residual_px: FloatArray
+    used: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        if len(self.used) != len(self.catalog_id):
+            object.__setattr__(self, "used", np.ones(len(self.catalog_id), np.bool_))
 
     def __len__(self) -> int:
         return len(self.catalog_id)
+
+    @property
+    def fitted(self) -> MatchedStars:
+        """Those that the attitude was fitted to."""
+        if self.used.all():
+            return self
+        return MatchedStars(*(getattr(self, column.name)[self.used] for column in fields(self)))
 
     @classmethod
     def none(cls) -> MatchedStars:
@@ -89,7 +105,7 @@ class Solution:
     centroids : array, shape (N, 2)
         All star candidates found, brightest first.
     fov_deg : float, optional
-        Field across the width: the camera's, or the fitted one where it was not known.
+        Angle seen across the width, distortion included: the camera's, or the fitted one where it was not known.
     parity : int
         +1 as the sky is seen, −1 mirrored.
     times_ms : dict
@@ -98,6 +114,12 @@ class Solution:
         The camera that the attitude goes with: the one given, or the fitted one.
     steps : sequence of Step
         What each stage found, tried and rejected, in words; `startracker.explain.as_text` prints it.
+    log_false_alarm : float
+        Natural logarithm of the chance that random points agree with the sky as well; 0 where nothing was found.
+    operations : int
+        Steps that the search took (`IdentificationSettings.max_operations`), the same on every machine.
+    prior_contradicted : bool
+        Whether a prior was given and the sky was found outside it.
     """
 
     status: Status
@@ -111,6 +133,9 @@ class Solution:
     times_ms: dict[str, float] = field(default_factory=dict)
     camera: Camera | None = None
     steps: Sequence[Step] = ()
+    log_false_alarm: float = 0.0
+    operations: int = 0
+    prior_contradicted: bool = False
 
     @property
     def solved(self) -> bool:
@@ -134,10 +159,10 @@ class Solution:
 
     @property
     def rmse_arcsec(self) -> float | None:
-        """Root mean square distance of the stars from where the solution puts them, arcseconds."""
+        """Root mean square distance of the fitted stars from where the solution puts them, arcseconds."""
         if self.camera is None or not len(self.stars):
             return None
-        squares = np.sum(self.stars.residual_px**2, axis=1)
+        squares = np.sum(self.stars.fitted.residual_px**2, axis=1)
         return float(np.sqrt(np.mean(squares)) * self.camera.pixel_rad / ARCSEC_RAD)
 
     @property

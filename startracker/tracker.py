@@ -31,6 +31,7 @@ from startracker.front_end import (
     find_stars,
     look_again,
     says_saturated,
+    stated_variance,
 )
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior
@@ -55,6 +56,8 @@ IMAGE_FLOOR_PX = 0.1
 WORST_PX = 5.0
 """A centroid with a larger error says nothing worth knowing."""
 _AXES = math.sqrt(3.0)
+_NOT_FOUND = (Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
+"""Answers after which what a prior excludes is searched, too."""
 
 
 class StarTracker:
@@ -175,6 +178,7 @@ class StarTracker:
         xy: ArrayLike,
         flux: ArrayLike | None = None,
         *,
+        sigma_px: ArrayLike | None = None,
         prior: Attitude | None = None,
         prior_deg: float = 1.0,
         observer: Observer | None = None,
@@ -188,18 +192,21 @@ class StarTracker:
             left out.
         flux : array_like, shape (N,), optional
             Signal, any linear unit. Without it the order counts as the order of brightness, magnitudes do not.
+        sigma_px : array_like, shape (N,) or a number, optional
+            Standard error of each centroid on one axis, pixels. Without it all count alike, and their error is told by
+            how well they fit; the covariance of few stars is then that much larger.
         prior, prior_deg, observer
             As in `solve`.
 
         Raises
         ------
         InputError
-            When the arrays' shapes do not fit.
+            When the arrays' shapes do not fit, or an error is not positive.
         """
         clock = Clock()
         points, signal = clean_centroids(xy, flux, self.camera)
-        guide = self.guide.seen_by(observer)
-        solution = self._solve(points, signal, None, _prior(prior, prior_deg), observer, guide, clock)
+        guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
+        solution = self._solve(points, signal, variance, _prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
@@ -232,7 +239,8 @@ class StarTracker:
         guide = self.guide.seen_by(observer)
 
         def solve(look: FoundStars) -> Solution:
-            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock)
+            covariance = look.covariance_px2
+            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock, covariance)
 
         def streaks() -> FoundStars | None:
             known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
@@ -270,6 +278,7 @@ class StarTracker:
         observer: Observer | None,
         guide: GuideDatabase,
         clock: Clock,
+        covariance_px2: FloatArray | None = None,
     ) -> Solution:
         tried: Sequence[Step] = ()
         if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
@@ -285,7 +294,7 @@ class StarTracker:
                 variance_px2=variance_px2,
                 rough=camera,
             )
-            fov = camera.fov_deg
+            fov = camera.undistorted_fov_deg
             band = (fov * (1.0 - error), fov, fov * (1.0 + error))
             solution = search.run((band,), (camera.parity,))
             clock.lap("free_scale")
@@ -297,18 +306,27 @@ class StarTracker:
                 return replace(solution, times_ms=clock.times_ms(), steps=tried)
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
         directions, usable, vectors, sigma = _seen(xy, stated, self.camera.pixel_rad, self.camera.image_map)
-        observed = Observed(vectors, None if flux is None else flux[usable], sigma)
+        brightest = slice(0, self.identification.max_centroids)
+        signal = None if flux is None else flux[usable]
+        observed = Observed(vectors, signal, sigma)
+        if len(vectors) > self.identification.max_centroids:
+            observed = Observed(vectors[brightest], None if signal is None else signal[brightest], sigma[brightest])
         found = self._identify(observed, guide, self.identification, prior)
-        if prior is not None and found.status in (Status.NO_MATCH, Status.AMBIGUOUS):
+        contradicted = False
+        if prior is not None and found.status in _NOT_FOUND:
             elsewhere = self._identify(observed, guide, self.identification, None)
+            operations = found.operations + elsewhere.operations
             if elsewhere.status is Status.SOLVED:
-                found = _beside_prior(elsewhere)
+                found, contradicted = _beside_prior(elsewhere), True
+            found = replace(found, operations=operations)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
         told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
         tried = Steps(tried, told)
         if found.status is not Status.SOLVED:
-            return replace(self._unsolved(found.status, found.reason, clock, xy), steps=tried)
+            unsolved = self._unsolved(found.status, found.reason, clock, xy)
+            chance, operations = found.log_false_alarm, found.operations
+            return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
         pairs = found.pairs.copy()
         pairs[:, 0] = usable[pairs[:, 0]]
         camera, free = self.camera, found.focal != 1.0
@@ -316,7 +334,18 @@ class StarTracker:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
             known = None if free else directions
-            refined = refine(pairs, xy, variance_px2, camera, guide, self._estimate, free, directions=known)
+            refined = refine(
+                pairs,
+                xy,
+                variance_px2,
+                camera,
+                guide,
+                self._estimate,
+                free,
+                directions=known,
+                covariance_px2=covariance_px2,
+                observer=observer,
+            )
         except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
             return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
@@ -327,6 +356,7 @@ class StarTracker:
             guide.v_mag[chosen],
             np.full(len(used), np.nan) if flux is None else flux[used],
             refined.residual_px,
+            refined.used,
         )
         clock.lap("attitude")
         return Solution(
@@ -341,6 +371,9 @@ class StarTracker:
             clock.times_ms(),
             refined.camera,
             tried,
+            found.log_false_alarm,
+            found.operations,
+            contradicted,
         )
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
@@ -372,11 +405,18 @@ def _seen(
     return directions, usable, directions[usable], sigma[:count]
 
 
-def _prior(attitude: Attitude | None, prior_deg: float) -> Prior | None:
+def _prior(attitude: object, prior_deg: float) -> Prior | None:
     if attitude is None:
         return None
-    if not (math.isfinite(prior_deg) and prior_deg > 0):
-        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg}")
+    if not isinstance(attitude, Attitude):
+        made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
+        raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
+    try:
+        fits = math.isfinite(prior_deg) and prior_deg > 0
+    except TypeError:
+        fits = False
+    if not fits:
+        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg!r}")
     # at the limit about all three axes at once
     return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))
 

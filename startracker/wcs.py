@@ -4,29 +4,37 @@ A fisheye has FITS' zenithal equidistant projection (ARC) in place of the gnomon
 equal-area one (ZEA): with r = θ and r = 2 sin(θ/2) these are the ideal lenses themselves, and reach 90° and beyond.
 
 The tangent point is the boresight at the principal point (FITS counts pixels from 1 and our first pixel's centre is
-(0, 0)). The header maps pixels to the directions the solution's stars were given in: ICRS when the solution took the
-aberration off, apparent directions otherwise.
+(0, 0)). The header maps pixels to the directions of the attitude. With the observer's velocity these are apparent ones,
+and the header maps to astrometric positions instead, as catalogues have them for the epoch: aberration is taken off.
+Aberration by β = v/c is a conformal map that shrinks angles about a position n to 1/(γ (1 + β·n)) of what they are in
+the catalogue (the square root of the ratio of solid angles); what it bends beyond that, ½ β θ² at θ from the tangent
+point (0.3″ at 10°, 2.8″ at 30°), joins the lens' distortion in the SIP polynomials.
 
-Source: Calabretta & Greisen 2002, A&A 395, 1077; Shupe et al. 2005, ASP Conf. 347, 491 (SIP).
+Source: Calabretta & Greisen 2002, A&A 395, 1077; Shupe et al. 2005, ASP Conf. 347, 491 (SIP); for the aberration of
+angles Klioner 2003, AJ 125, 1580, eq. 8, and McKinley 1980, Am. J. Phys. 48, 612.
 """
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq
 
-from startracker.attitude import Attitude
+from startracker.attitude import Attitude, matrix_to_quat
 from startracker.camera import Camera
-from startracker.constants import ARCSEC_RAD
+from startracker.constants import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
+from startracker.observer import aberrate
 
 __all__ = ["wcs_header"]
 
 FloatArray = NDArray[np.float64]
+Rays = Callable[[FloatArray], FloatArray]
 
 _GRID = 31
 _WANTED_PX = 0.002
@@ -37,7 +45,7 @@ _STANDARD_ORDER = 9
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
-def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
+def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | None = None) -> dict[str, Any]:
     """FITS header cards of the image's world coordinates.
 
     Parameters
@@ -46,6 +54,10 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
         With its distortion and parity.
     attitude : Attitude
         ICRS to camera.
+    velocity_km_s : array_like, shape (3,), optional
+        Barycentric velocity of the observer, ICRS axes, where the attitude is that of the camera among apparent
+        directions (a true attitude, or one solved with an observer): the positions are then astrometric ones. Left out,
+        they are those of the attitude: a solution without an observer has catalogue positions already.
 
     Returns
     -------
@@ -58,7 +70,8 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
     (ξ, η) = CD · (u + A(u, v), v + B(u, v)). A and B are fitted to the camera's inverse distortion, the order (3, 5, 7
     or 9) raised until the largest error is below 0.002 px; AP and BP are the way back. Where 9, SIP's highest, is not
     good to 1″, 11 and 13 are tried, which astropy reads and some programs do not. CSYER1 and CSYER2 hold the largest
-    error of A and B over the image, degrees, found between the points of the fit.
+    error of A and B over the image, degrees, found between the points of the fit. An ideal lens has no polynomials
+    where aberration bends the field by less than 0.002 px. WCSNAME says ``astrometric`` where the velocity was given.
 
     Raises
     ------
@@ -66,15 +79,21 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
         When the lens distorts so strongly that order 13 errs by 1″ or 0.05 px, whichever is more, or that
         a part of the image has no direction at all.
     """
+    scale: float = 1.0
+    rays: Rays | None = None
+    if velocity_km_s is not None:
+        apparent, velocity = attitude, np.asarray(velocity_km_s, dtype=float)
+        attitude, scale = _catalogued(apparent, velocity)
+        turn = attitude.as_matrix() @ apparent.as_matrix().T
+        rays = functools.partial(_still, turn=turn, velocity_km_s=apparent.as_matrix() @ velocity)
     matrix = attitude.as_matrix()
     ra, dec = math.radians(attitude.ra_deg), math.radians(attitude.dec_deg)
     east = np.array([-math.sin(ra), math.cos(ra), 0.0])
     north = np.array([-math.sin(dec) * math.cos(ra), -math.sin(dec) * math.sin(ra), math.cos(dec)])
     axes = np.stack([east, north]) @ matrix[:2].T  # camera x and y in the tangent plane
-    scale = np.diag([camera.parity / camera.fx, 1.0 / camera.fy])
-    cd = np.degrees(axes @ scale)
-    distorted = not camera.distortion.is_zero
-    code = _CODES[camera.projection] + ("-SIP" if distorted else "")
+    cd = np.degrees(axes @ np.diag([camera.parity * scale / camera.fx, scale / camera.fy]))
+    sip = _sip(camera, rays, scale)
+    code = _CODES[camera.projection] + ("" if sip is None else "-SIP")
     header: dict[str, Any] = {
         "WCSAXES": 2,
         "CTYPE1": f"RA---{code}",
@@ -92,17 +111,45 @@ def wcs_header(camera: Camera, attitude: Attitude) -> dict[str, Any]:
         "LONPOLE": 180.0,
         "RADESYS": "ICRS",
     }
-    if distorted:
-        sip, error_px = _sip(camera)
+    if velocity_km_s is not None:
+        header["WCSNAME"] = "astrometric"
+    if sip is not None:
+        cards, error_px = sip
         error_deg = math.degrees(error_px * camera.pixel_rad)
-        header |= {"CSYER1": error_deg, "CSYER2": error_deg, **sip}
+        header |= {"CSYER1": error_deg, "CSYER2": error_deg, **cards}
     return header
 
 
-def _sip(camera: Camera) -> tuple[dict[str, Any], float]:
-    """SIP coefficients of a camera's distortion, forward and back, and the forward one's largest error in pixels."""
-    away, ideal = _both_ways(camera, _nodes(_GRID))
-    between = _both_ways(camera, np.linspace(-1.0, 1.0, 2 * _GRID))
+def _catalogued(apparent: Attitude, velocity_km_s: FloatArray) -> tuple[Attitude, float]:
+    """Attitude whose boresight is where a catalogue has what an observer sees there, turned by the least angle, and
+    angles in the catalogue over those seen, γ (1 + β·n)."""
+    seen = apparent.boresight
+    catalogued = aberrate(seen[None, :], -velocity_km_s)[0]
+    axis = np.cross(catalogued, seen)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turn = np.eye(3) + cross + cross @ cross / (1.0 + float(catalogued @ seen))  # turns catalogued into seen
+    beta = velocity_km_s / SPEED_OF_LIGHT_KM_S
+    scale = (1.0 + float(beta @ catalogued)) / math.sqrt(1.0 - float(beta @ beta))
+    return Attitude(matrix_to_quat(apparent.as_matrix() @ turn)), scale
+
+
+def _still(vectors: FloatArray, turn: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
+    """Catalogued directions, in the axes of the catalogued attitude, of what is seen along `vectors` (N, 3); camera
+    axes."""
+    return np.asarray(aberrate(vectors, -velocity_km_s) @ turn.T)
+
+
+def _sip(camera: Camera, rays: Rays | None, scale: float) -> tuple[dict[str, Any], float] | None:
+    """SIP coefficients of distortion and aberration, forward and back, and the forward ones' largest error in pixels;
+    None where there is nothing to correct."""
+    if camera.distortion.is_zero:
+        if rays is None:
+            return None
+        away, ideal = _both_ways(camera, np.linspace(-1.0, 1.0, 9), rays, scale)
+        if np.abs(ideal - away).max() < _WANTED_PX:
+            return None
+    away, ideal = _both_ways(camera, _nodes(_GRID), rays, scale)
+    between = _both_ways(camera, np.linspace(-1.0, 1.0, 2 * _GRID), rays, scale)
     # A(0,1) and the like stay zero: the linear part is the CD matrix's. Lens polynomials have no second order unless
     # decentred, but SIP orders are complete.
     header: dict[str, Any] = {}
@@ -130,8 +177,9 @@ def _nodes(count: int) -> FloatArray:
     return -np.cos(np.pi * np.arange(count) / (count - 1))
 
 
-def _both_ways(camera: Camera, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distorted and ideal places (N, 2) of a grid over the image, pixels from the principal point."""
+def _both_ways(camera: Camera, steps: FloatArray, rays: Rays | None, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Distorted and ideal places (N, 2) of a grid over the image, pixels from the principal point; an ideal pixel is
+    `scale` times the angle of a camera's."""
     x, y = (side * (steps + 1.0) / 2.0 - 0.5 for side in (camera.width, camera.height))
     seen = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     vectors = camera.unproject(seen)
@@ -141,7 +189,8 @@ def _both_ways(camera: Camera, steps: FloatArray) -> tuple[FloatArray, FloatArra
             f"{100.0 * float(np.mean(~good)):.2g} % of the image lie beyond the fold of its lens model: a WCS needs a "
             "direction for every pixel; crop the image"
         )
-    ideal = _plane(camera, vectors[good]) * np.array([camera.parity * camera.fx, camera.fy])
+    plane = _plane(camera, vectors[good] if rays is None else rays(vectors[good]))
+    ideal = plane * np.array([camera.parity * camera.fx, camera.fy]) / scale
     return seen[good] - np.array([camera.cx, camera.cy]), ideal
 
 
@@ -150,7 +199,10 @@ def _plane(camera: Camera, vectors: FloatArray) -> FloatArray:
     if camera.projection == "pinhole":
         return np.asarray(vectors[:, :2] / vectors[:, 2:])
     side = np.hypot(vectors[:, 0], vectors[:, 1])
-    return np.asarray(vectors[:, :2] * (np.arctan2(side, vectors[:, 2]) / np.maximum(side, 1e-300))[:, None])
+    radius = np.arctan2(side, vectors[:, 2])
+    if camera.projection == "equisolid":
+        radius = 2.0 * np.sin(radius / 2.0)
+    return np.asarray(vectors[:, :2] * (radius / np.maximum(side, 1e-300))[:, None])
 
 
 def _fit(

@@ -39,9 +39,9 @@ def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool
 
 
 def misfit_px(solution: Solution) -> float:
-    """Root mean square distance of the stars from where the solution puts them."""
-    residual = solution.stars.residual_px.ravel()
-    return math.sqrt(float(residual @ residual) / len(solution.stars))
+    """Root mean square distance of the fitted stars from where the solution puts them."""
+    residual = solution.stars.fitted.residual_px
+    return math.sqrt(float(residual.ravel() @ residual.ravel()) / len(residual))
 
 
 @njit(cache=True, error_model="numpy")

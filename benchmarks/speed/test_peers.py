@@ -26,7 +26,7 @@ def drawn():
     light = made.focal_plane.expose(seen)
     inside = made.camera.contains(light.sources.xy)
     gain = expose(made, seen, 0).gain_e_per_dn
-    return made, seen, light.sources.xy[inside], light.sources.electrons[inside], float(light.background_e), gain
+    return made, seen, light.sources.xy[inside], light.sources.electrons[inside], float(np.median(light.mean_e)), gain
 
 
 @cache

@@ -50,6 +50,10 @@ SetValues = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
 ]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Compute everything again, and replace results of another run that stand in DIR."),
+]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's seed.")]
 
 
@@ -89,8 +93,13 @@ def run_command(
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the trials that an interrupted run left in DIR.")
+        bool,
+        typer.Option(
+            "--resume",
+            help="Make a finished run longer by its trials in DIR. Those of an interrupted run are taken over anyway.",
+        ),
     ] = False,
+    force: Force = False,
     sequence: Annotated[
         bool,
         typer.Option(
@@ -116,13 +125,13 @@ def run_command(
 
     if sequence:
         refuse_unused({"--trials": trials, "--workers": workers, "--dask": dask, "--resume": resume}, sequence=True)
-        request = SequenceRequest(scenario, frames, step_s, seed, set_values or [], single, animate, out)
+        request = SequenceRequest(scenario, frames, step_s, seed, set_values or [], single, animate, out, force)
         raise typer.Exit(run_sequence_command(request))
     only = {"--frames": frames, "--step-s": step_s, "--single": single, "--animate": animate}
     refuse_unused(only, sequence=False)
     from simulator.cli.run_command import run_study
 
-    raise typer.Exit(run_study(scenario, trials, seed, set_values or [], workers, out, resume, dask))
+    raise typer.Exit(run_study(scenario, trials, seed, set_values or [], workers, out, resume, dask, force))
 
 
 @app.command("render")
@@ -193,13 +202,14 @@ def sweep_command(
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-sweep.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the points that an interrupted sweep left in DIR.")
+        bool, typer.Option("--resume", help="Go on from an interrupted sweep in DIR; a finished one stays as it is.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
     from simulator.cli.sweep_command import run_sweep_command
 
-    code = run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume, dask)
+    code = run_sweep_command(scenario, over, lhs, trials, seed, set_values or [], workers, out, resume, dask, force)
     raise typer.Exit(code)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simulator.cli.checks import writable
+from simulator.cli.checks import picture_format, writable
 from simulator.cli.solve_command import _FITS_SUFFIXES, _SUFFIXES, _is_our_frame
 from simulator.fits import read_fits
 from simulator.paths import write_atomically
@@ -17,7 +17,7 @@ from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, summary
-from startracker.calibration.plot import residual_png
+from startracker.calibration.plot import residual_picture
 from startracker.camera import Camera
 from startracker.errors import BoresightError, InputError
 from startracker.front_end import Clock, find_stars
@@ -70,7 +70,10 @@ def calibrate_images(request: CalibrateRequest) -> int:
         parameters=None if request.parameters is None else [p.strip() for p in request.parameters.split(",")],
     )
     # both are whole in memory before either is written
-    text, picture = camera_yaml(result), None if request.plot is None else residual_png(result)
+    text, picture = (
+        camera_yaml(result),
+        None if request.plot is None else residual_picture(result, picture_format(request.plot)),
+    )
     write_atomically(request.out, text)
     if request.plot is not None and picture is not None:
         write_atomically(request.plot, picture)
@@ -99,8 +102,8 @@ def _check(request: CalibrateRequest) -> None:
     epoch = request.epoch_jyear
     if epoch is not None and not (math.isfinite(epoch) and _YEARS[0] <= epoch <= _YEARS[1]):
         raise InputError(f"--epoch: must be a year such as 2026.2, from {_YEARS[0]:g} to {_YEARS[1]:g}; got {epoch:g}")
-    for path in (request.out, request.plot):
-        writable(path)
+    writable(request.out)
+    picture_format(request.plot)
     if request.plot is not None and request.plot.resolve() == request.out.resolve():
         raise InputError(f"{request.out}: --out and --plot name the same file")
 
@@ -115,7 +118,7 @@ def _field(path: Path, request: CalibrateRequest) -> StarField:
         image, saturation, gain = frame.image, frame.saturation_dn, frame.gain_e_per_dn
         observer = frame.observer
     else:
-        loaded = read_image(path)
+        loaded = read_image(path, upright=False)  # one orientation for all: the sensor's own
         image, saturation = loaded.image, loaded.saturation_dn
     found = find_stars(
         image,

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from startracker.errors import InputError
+from startracker.picture import FORMATS
 
 
 def at_least(least: int, **options: int | None) -> None:
@@ -31,6 +32,22 @@ def processes(workers: int | None, dask: str | None, trials: int) -> int:
         raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return workers or max(1, min(cores, trials // 100))
+
+
+def picture_format(path: Path | None) -> str:
+    """Format of a picture to be written, from its suffix, "png" for no picture.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written, or its suffix is no format.
+    """
+    writable(path)
+    form = "png" if path is None else path.suffix.lower().removeprefix(".")
+    if form not in FORMATS:
+        known = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
+        raise InputError(f"{path}: pictures are written as {known}; give the name such an ending")
+    return form
 
 
 def writable(path: Path | None) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from simulator.checks import load_scenario
-from simulator.cli.checks import at_least, writable
+from simulator.cli.checks import at_least, picture_format, writable
 from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically
 from simulator.renderer import Renderer
+from simulator.scenario.fields import parse_utc
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 
@@ -43,12 +44,12 @@ def render_frames(
         picture = _target(preview, f"{name}.png", len(scenarios) > 1)
         if image is None and picture is None:
             image = Path(f"{name}.fits")
-        for target in (image, picture):
-            writable(target)
+        writable(image)
+        form = picture_format(picture)
         at_s = (when - scenario.epoch).total_seconds() if when else None
         renderer = Renderer(scenario.noiseless() if noiseless else scenario)
         frame, truth = renderer.frame(index or 0, at_s=at_s, attitude=attitude)
-        _write(frame, truth, image, picture, noiseless_plane)
+        _write(frame, truth, image, picture, noiseless_plane, form)
         print(
             f"{frame.utc} UTC  RA {truth.attitude.ra_deg:.5f}°  Dec {truth.attitude.dec_deg:+.5f}°  "
             f"roll {truth.attitude.roll_deg:.4f}°  in the field: {_in_field(frame, truth)}"
@@ -63,14 +64,16 @@ def _target(given: Path | None, name: str, several: bool) -> Path | None:
     return make_folder(given) / name
 
 
-def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, noiseless_plane: bool) -> None:
+def _write(
+    frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, noiseless_plane: bool, form: str
+) -> None:
     if image is not None:
         write_fits(image, frame, truth, noiseless_plane=noiseless_plane)
         print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
     if picture is not None:
         from simulator.study.plots import frame_preview, save_bytes
 
-        write_atomically(picture, save_bytes(frame_preview(frame, truth)))
+        write_atomically(picture, save_bytes(frame_preview(frame, truth), form))
         print(f"{picture}: preview")
 
 
@@ -95,7 +98,7 @@ def _parse_pointing(text: str) -> Attitude:
 
 def _parse_time(text: str) -> datetime:
     try:
-        value = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"--at: '{text}' is not an ISO 8601 time such as 2026-03-21T12:00:00Z") from None
-    return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+        return parse_utc(text)
+    except ValueError as error:
+        why = f": {error}" if str(error) else " is not an ISO 8601 time such as 2026-03-21T12:00:00Z"
+        raise InputError(f"--at: '{text}'{why}") from None

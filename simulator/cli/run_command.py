@@ -10,12 +10,13 @@ from rich.table import Table
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.terminal import open_console, progress_bar
-from simulator.paths import make_folder
 from simulator.study.run import RESULT_FILES, Study, run
-from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from simulator.study.statistics import AXES, BODY_AXES, MET, NOT_MET, UNDECIDED, advice, deg_text
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+_COLOURS = {MET: "green", NOT_MET: "red", UNDECIDED: "yellow"}
 
 
 def run_study(
@@ -27,20 +28,21 @@ def run_study(
     out: Path | None,
     resume: bool,
     dask: str | None = None,
+    force: bool = False,
 ) -> int:
     """Run the study; exit status 0, or 130 where it was interrupted."""
     at_least(1, trials=trials)
     at_least(0, seed=seed)
     scenario = load_scenario(path, set_values, trials=trials, seed=seed)
     workers = processes(workers, dask, scenario.study.trials)
-    folder = make_folder(out or Path("out") / scenario.name)
+    folder = out or Path("out") / scenario.name
     with progress_bar(scenario.name, "trials", scenario.study.trials) as tell:
-        study = run(scenario, workers=workers, dask=dask, out=folder, resume=resume, progress=tell)
-    _print(study, open_console())
+        study = run(scenario, workers=workers, dask=dask, out=folder, resume=resume, force=force, progress=tell)
+    _print(study, folder, open_console())
     return 130 if study.summary["interrupted"] else 0
 
 
-def _print(study: Study, console: Console) -> None:
+def _print(study: Study, folder: Path, console: Console) -> None:
     summary, name = study.summary, study.scenario.name
     low, high = summary["identification_rate_interval95"]
     if summary["interrupted"]:
@@ -49,19 +51,27 @@ def _print(study: Study, console: Console) -> None:
         console.print(f"Unphysical, and allowed by the scenario: {reason}")
     table = Table(title=f"{name}: attitude errors over {summary['solved']} solved frames", title_justify="left")
     table.add_column("axis")
-    for heading in ("mean", "std", "rms", "3σ", "99.7 %", "largest", "specified", ""):
+    for heading in ("mean", "std", "rms", "99.7 % below", "95 % interval", "largest", "specified", ""):
         table.add_column(heading, justify="right")
     for axis in AXES:
         e = summary["errors_deg"][axis]
         verdict = summary["specification"].get(axis)
+        low, high = e["p997_interval95"]
         table.add_row(
             "about boresight" if axis == "about_boresight" else axis.replace("_", " "),
-            *(deg_text(e[key]) for key in ("mean", "std", "rms", "three_sigma", "p997", "max")),
+            *(deg_text(e[key]) for key in ("mean", "std", "rms", "p997")),
+            f"{deg_text(low)} to {deg_text(high)}",
+            deg_text(e["max"]),
             deg_text(verdict["specified_deg"]) if verdict else "",
-            ("[green]met[/]" if verdict["met"] else "[red]not met[/]") if verdict else "",
+            f"[{_COLOURS[verdict['verdict']]}]{verdict['verdict']}[/]" if verdict else "",
             end_section=axis == BODY_AXES[-1],
         )
     console.print(table)
+    if any(entry["verdict"] == UNDECIDED for entry in summary["specification"].values()):
+        console.print(
+            "undecided: the interval of the 99.7 % percentile does not lie on one side of what is specified; "
+            + advice(summary["solved"])
+        )
     console.print(
         f"{summary['solved']} of {summary['trials']} frames solved, "
         + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
@@ -74,4 +84,9 @@ def _print(study: Study, console: Console) -> None:
     )
     for status, count in summary["unsolved_by_status"].items():
         console.print(f"  {count} × {status}")
-    console.print(f"{study.folder}: {', '.join(RESULT_FILES)}")
+    for note in study.notes:
+        console.print(note, markup=False, soft_wrap=True)
+    if study.folder is None:
+        console.print(f"{folder}: keeps the results of an earlier run with more trials; run again to finish this one")
+    else:
+        console.print(f"{folder}: {', '.join(RESULT_FILES)}")

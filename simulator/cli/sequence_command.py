@@ -11,7 +11,6 @@ from rich.table import Table
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.terminal import open_console, progress_bar
-from simulator.paths import make_folder
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.run import Sequence, run_sequence
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
@@ -39,6 +38,8 @@ class SequenceRequest:
         As in `run_sequence`.
     out : Path, optional
         Folder for the results.
+    force : bool
+        Replace what stands there.
     """
 
     scenario: Path
@@ -49,6 +50,7 @@ class SequenceRequest:
     single: bool
     animate: bool
     out: Path | None
+    force: bool = False
 
 
 def refuse_unused(unused: dict[str, Any], *, sequence: bool) -> None:
@@ -78,9 +80,16 @@ def run_sequence_command(request: SequenceRequest) -> int:
     values += [f"sequence.frames={request.frames}"] if request.frames is not None else []
     values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
     scenario = load_scenario(request.scenario, values, seed=request.seed)
-    folder = make_folder(request.out or Path("out") / f"{scenario.name}-sequence")
+    folder = request.out or Path("out") / f"{scenario.name}-sequence"
     with progress_bar(scenario.name, "frames", scenario.sequence.frames) as tell:
-        sequence = run_sequence(scenario, out=folder, single=request.single, animate=request.animate, progress=tell)
+        sequence = run_sequence(
+            scenario,
+            out=folder,
+            single=request.single,
+            animate=request.animate,
+            force=request.force,
+            progress=tell,
+        )
     _print(sequence, open_console())
     if request.animate and find_ffmpeg() is None:
         print("ffmpeg is not installed: the animation is a GIF only")

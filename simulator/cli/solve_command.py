@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.cli.checks import writable
+from simulator.cli.checks import picture_format, writable
 from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
 from simulator.fits import read_fits
 from simulator.frame import Frame
@@ -84,6 +84,7 @@ class _Job:
     flux: NDArray[np.float64] | None = None
     saturation_dn: float | None = None
     frame: Frame | None = None
+    notes: tuple[str, ...] = ()
 
     def pixels(self) -> NDArray[Any]:
         """The image; black where a list of centroids was solved."""
@@ -107,8 +108,11 @@ def solve_images(request: SolveRequest) -> int:
             status = max(status, 1)
         observer = job.frame.observer if job.frame else None
         if request.as_json:
-            print(json.dumps({"image": job.name, **as_dict(solution, request.points, observer)}, allow_nan=False))
+            answer = as_dict(solution, request.points, observer)
+            print(json.dumps({"image": job.name, **answer, "notes": list(job.notes)}, allow_nan=False))
         else:
+            if request.explain:
+                solution = replace(solution, steps=(*(Step("file", note) for note in job.notes), *solution.steps))
             print(f"{job.name}: {as_text(solution, request.points, observer, explain=request.explain)}")
         try:
             if request.wcs is not None:
@@ -133,13 +137,6 @@ def _check(request: SolveRequest) -> None:
         raise InputError(f"--fov: must be between 0.1 and 120 degrees, not {request.fov_deg:g}")
     if not math.isfinite(request.magnitude_limit):
         raise InputError("--magnitude-limit: must be a number")
-    if (
-        request.method is not None
-        and request.fov_deg is None
-        and request.camera is None
-        and request.centroids is not None
-    ):
-        raise InputError("--method: needs --camera or --fov; without them the field of view is found out first")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
     if request.parity is not None and request.parity not in _PARITIES:
@@ -147,8 +144,9 @@ def _check(request: SolveRequest) -> None:
     if request.annotate is None and (request.grid or request.constellations):
         raise InputError("--grid and --constellations: draw on the picture of --annotate OUT.png; give that too")
     _ = request.points  # each is a pair of numbers
+    writable(request.wcs)
+    picture_format(request.annotate)
     for path in (request.wcs, request.annotate):
-        writable(path)
         if path is not None and (len(request.images) > 1 or any(p.is_dir() for p in request.images)):
             raise InputError(f"{path}: --wcs and --annotate take one image at a time")
 
@@ -184,7 +182,9 @@ class _Solver:
             camera = self.camera or self._from_fov(width, height) or frame.camera
             frame = replace(frame, image=self._without_bad_pixels(frame.image))
             return _Job(str(path), width, height, camera, frame.image, saturation_dn=frame.saturation_dn, frame=frame)
-        loaded = read_image(path, bayer=self.request.bayer)
+        # a camera file and a map of bad pixels know the sensor's own rows and columns
+        upright = self.camera is None and self.bad_pixels is None
+        loaded = read_image(path, bayer=self.request.bayer, upright=upright)
         height, width = loaded.image.shape
         known = self.camera or self._from_fov(width, height)
         if self.camera is not None and (self.camera.width, self.camera.height) != (width, height):
@@ -193,7 +193,7 @@ class _Solver:
                 f"{self.camera.width}×{self.camera.height}"
             )
         image = self._without_bad_pixels(loaded.image)
-        return _Job(str(path), width, height, known, image, saturation_dn=loaded.saturation_dn)
+        return _Job(str(path), width, height, known, image, saturation_dn=loaded.saturation_dn, notes=loaded.notes)
 
     def _without_bad_pixels(self, image: NDArray[Any]) -> NDArray[Any]:
         """NaN where the map of --bad-pixels is not zero."""
@@ -231,6 +231,11 @@ class _Solver:
         by_hand = request.fov_deg is not None
         camera = job.camera
         if camera is None:
+            if request.method is not None:
+                raise InputError(
+                    f"{job.name}: --method needs --camera or --fov; without them the field of view is found first, "
+                    "by four-star patterns"
+                )
             return self._without_camera(job)
         if not by_hand or request.method is not None:
             return self._with_camera(job, camera)
@@ -305,7 +310,7 @@ def _residual_px(solution: Solution) -> float:
     """Root mean square residual; infinite where there is no solution."""
     if not solution.matched:
         return math.inf
-    return float(np.sqrt(np.mean(np.sum(solution.stars.residual_px**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(solution.stars.fitted.residual_px**2, axis=1))))
 
 
 def _is_our_frame(path: Path) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.fits import catalog_attitude
+from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
 from startracker.observer import Observer
@@ -44,9 +44,10 @@ def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -
                 "name": str(name),
                 "v_mag": float(magnitude),
                 "residual_px": [float(residual[0]), float(residual[1])],
+                "used": bool(used),
             }
-            for xy, number, name, magnitude, residual in zip(
-                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, strict=True
+            for xy, number, name, magnitude, residual, used in zip(
+                stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, stars.used, strict=True
             )
         ],
         "pixels": [
@@ -102,7 +103,8 @@ def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Obs
     from astropy.io import fits
 
     unit = fits.PrimaryHDU(image)
-    unit.header.update(wcs_header(solution.camera, catalog_attitude(solution.attitude, observer or Observer())))
+    velocity = None if observer is None else observer.velocity_km_s
+    unit.header.update(wcs_header(solution.camera, solution.attitude, velocity))
     buffer = io.BytesIO()
     unit.writeto(buffer)
     write_atomically(path, buffer.getvalue())
@@ -111,7 +113,7 @@ def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Obs
 def write_picture(
     path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None, **options: Any
 ) -> None:
-    """The annotated picture as PNG, of an unsolved field too; `options` are those of `startracker.annotate`."""
-    from startracker.annotate import annotated_png
+    """The annotated picture in the format of its suffix, of an unsolved field too; `options` as in `annotate`."""
+    from startracker.annotate import annotated_picture
 
-    write_atomically(path, annotated_png(image, solution, observer=observer, **options))
+    write_atomically(path, annotated_picture(image, solution, picture_format(path), observer=observer, **options))

@@ -5,6 +5,8 @@ A study is a function whose parameters are its arguments and options on the comm
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,6 +36,9 @@ SetValues = Annotated[
 ]
 AlongPath = Annotated[
     bool, typer.Option("--path", help="Along the mission's boresight path in place of the whole sky.")
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace results of another scenario, version or longer study in DIR.")
 ]
 Workers = Annotated[int, typer.Option("--workers", metavar="N", help="Processes on this machine.")]
 
@@ -72,34 +77,33 @@ def coverage_study(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-coverage.")
     ] = None,
+    force: Force = False,
 ) -> int:
     """Stars in the field over the whole sky or along the path: map, minima, availability."""
     from simulator.checks import load_scenario
-    from simulator.paths import make_folder
     from simulator.study.coverage.boresights import Exclusion
     from simulator.study.coverage.files import RESULT_FILES, write_coverage
     from simulator.study.coverage.survey import baffle_exclusion, coverage
+    from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     loaded = load_scenario(scenario, set_values)
     baffle = baffle_exclusion(loaded)
-    exclusion = Exclusion(
-        baffle.sun_deg if sun_deg is None else sun_deg,
-        baffle.moon_deg if moon_deg is None else moon_deg,
-        baffle.earth_deg if earth_deg is None else earth_deg,
-    )
-    folder = make_folder(out or Path("out") / f"{loaded.name}-coverage")
-    result = coverage(
-        loaded,
-        boresights,
-        path=path,
-        rolls=rolls,
-        magnitude_limit=magnitude_limit,
-        snr=snr,
-        circle_deg=circle_deg,
-        exclusion=exclusion,
-    )
-    write_coverage(result, loaded, folder)
-    _print_coverage(result, open_console())
+    given = {"sun_deg": sun_deg, "moon_deg": moon_deg, "earth_deg": earth_deg}
+    exclusion = Exclusion(**{name: getattr(baffle, name) if angle is None else angle for name, angle in given.items()})
+    asked: dict[str, Any] = {
+        "path": path,
+        "rolls": rolls,
+        "magnitude_limit": magnitude_limit,
+        "snr": snr,
+        "circle_deg": circle_deg,
+        "exclusion": exclusion,
+    }
+    sha256 = scenario_sha256(loaded, coverage=True, **asked)
+    identity = Identity("coverage", loaded.name, loaded.seed, sha256, {"boresights": boresights})
+    with results_folder(out or Path("out") / f"{loaded.name}-coverage", identity, force=force) as folder:
+        result = coverage(loaded, boresights, **asked)
+        write_coverage(result, loaded, folder, identity)
+    _print_coverage(result, [name.removesuffix("_deg") for name in given if given[name] is None], open_console())
     print(f"{folder}: {', '.join(RESULT_FILES)}")
     return 0
 
@@ -128,40 +132,47 @@ def design_study(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-design.")
     ] = None,
+    force: Force = False,
 ) -> int:
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
-    from simulator.paths import make_folder
     from simulator.study.design.files import write_design
     from simulator.study.design.search import design, verify
+    from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
-    folder = make_folder(out or Path("out") / f"{loaded.name}-design")
-    console = open_console(error=True)
-    with console.status("reckoning") as status:
-        result = design(
-            loaded,
-            over,
-            low,
-            high,
-            steps=steps,
-            least_stars=stars,
-            least_availability=availability,
-            count=boresights,
-            path=path,
-            progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
-        )
-    write_design(result, None, folder)
-    _print_design(result, open_console())
-    if verify_trials and result.best is not None:
-        with console.status(f"verifying: {verify_trials} trials"):
-            checked = verify(loaded, result, verify_trials, workers)
-        write_design(result, checked, folder)
-        _print_verification(checked, open_console())
+    console, told = open_console(error=True), open_console()
+    asked: dict[str, Any] = {
+        "steps": steps,
+        "least_stars": stars,
+        "least_availability": availability,
+        "path": path,
+    }
+    sha256 = scenario_sha256(loaded, design=(over, low, high), **asked)
+    amounts = {"boresights": boresights, "verification trials": verify_trials}
+    identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
+    checked = None
+    with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
+        with console.status("reckoning") as status:
+            result = design(
+                loaded,
+                over,
+                low,
+                high,
+                count=boresights,
+                progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
+                **asked,
+            )
+        _print_design(result, told)
+        if verify_trials and result.best is not None:
+            with console.status(f"verifying: {verify_trials} trials"):
+                checked = verify(loaded, result, verify_trials, workers)
+            _print_verification(result, checked, told)
+        write_design(result, checked, folder, identity)
     print(f"{folder}: design.json, design.png")
-    return 0 if result.best is not None else 1
+    return 1 if result.best is None or (checked and checked.contradictions) else 0
 
 
 def budget_study(
@@ -172,23 +183,33 @@ def budget_study(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-budget.")
     ] = None,
+    force: Force = False,
 ) -> int:
     """What makes up the error: effects switched off one at a time, and the classes of ECSS-E-ST-60-20C."""
-    import json
+    from dataclasses import replace
 
     from simulator.checks import load_scenario
-    from simulator.paths import make_folder, write_atomically
+    from simulator.paths import write_atomically
     from simulator.study.budget.error_budget import budget
     from simulator.study.budget.plot import budget_figure
     from simulator.study.plots import save_bytes
+    from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 
     loaded = load_scenario(scenario, set_values)
-    folder = make_folder(out or Path("out") / f"{loaded.name}-budget")
-    with progress_bar(f"{loaded.name}: error budget", "trials") as tell:
-        result = budget(loaded, trials, workers, progress=tell)
-    write_atomically(folder / "budget.json", json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
-    write_atomically(folder / "budget.png", save_bytes(budget_figure(result)))
-    print(result.table())
+    sha256 = scenario_sha256(loaded, budget=True)
+    identity = Identity("budget", loaded.name, loaded.seed, sha256, {"trials": trials})
+    with results_folder(out or Path("out") / f"{loaded.name}-budget", identity, force=force) as folder:
+        with progress_bar(f"{loaded.name}: error budget", "trials") as tell:
+            result = budget(loaded, trials, workers, progress=tell)
+        print(result.table())
+        if result.interrupted and not force and standing(folder, "budget"):
+            print(f"{folder}: keeps the budget that was there, as this one was interrupted")
+            return 130
+        if result.interrupted:
+            identity = replace(identity, amounts={"trials": 0})
+        values = result.to_dict() | {"identity": identity.to_dict()}
+        write_atomically(folder / "budget.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
+        write_atomically(folder / "budget.png", save_bytes(budget_figure(result)))
     print(f"{folder}: budget.json, budget.png")
     return 130 if result.interrupted else 0
 
@@ -234,7 +255,18 @@ def _table(console: Console, title: str, headings: Sequence[str], rows: Sequence
     console.print(table)
 
 
-def _print_coverage(result: Coverage, console: Console) -> None:
+def _exclusion_text(body: str, angle_deg: float, of_baffle: bool) -> str:
+    """An exclusion angle and where it comes from."""
+    from simulator.scenario.fields import all_keys
+
+    where = "of its limb" if body == "earth" else "of its centre"
+    path = f"optics.baffle.{body}_exclusion_deg"
+    default = next(key.default for key in all_keys() if key.path == path)
+    source = f"{path}, {'the default' if angle_deg == default else 'as set'}" if of_baffle else f"--{body}-deg"
+    return f"within {angle_deg:g}° {where} ({source})"
+
+
+def _print_coverage(result: Coverage, of_baffle: Sequence[str], console: Console) -> None:
     summary = result.summary()
     stars, what = summary["stars"], "time" if result.boresights.kind == "path" else "sky"
     console.print(
@@ -242,9 +274,10 @@ def _print_coverage(result: Coverage, console: Console) -> None:
         f"in {summary['field_deg2']:.1f} square degrees, over {summary['over']}"
     )
     for body, share in summary["excluded_share"].items():
-        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}")
+        told = _exclusion_text(body, summary["exclusion_deg"][body], body in of_baffle)
+        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}, {told}")
     if stars["min"] is None:
-        console.print("  everything is excluded")
+        console.print("  everything is excluded; the options --sun-deg, --moon-deg and --earth-deg set other angles")
         return
     low = summary["poorest"][0]
     console.print(
@@ -303,16 +336,27 @@ def _print_design(result: Design, console: Console) -> None:
     if result.best is None:
         console.print(f"No {title} in this range meets everything.")
     else:
-        console.print(f"Smallest {title} that meets everything: {result.best.value:.4g} {unit}")
+        console.print(f"Smallest {title} predicted to meet everything: {result.best.value:.4g} {unit}")
 
 
-def _print_verification(checked: Verification, console: Console) -> None:
+def _print_verification(result: Design, checked: Verification, console: Console) -> None:
+    from simulator.study.design.search import PARAMETERS
     from simulator.study.statistics import BODY_AXES, deg_text
 
     rows = []
     for axis in BODY_AXES:
         measured, predicted = checked.three_sigma_deg[axis], checked.predicted_deg[axis]
         ratio = f"{measured / predicted:.2f}" if measured is not None and predicted else "–"
-        rows.append((axis, deg_text(predicted), deg_text(measured), ratio))
+        specified = deg_text(result.specification_deg[axis])
+        rows.append((axis, deg_text(predicted), deg_text(measured), ratio, deg_text(checked.p997_deg[axis]), specified))
     title = f"{checked.trials} trials, {checked.solved} solved, {checked.wrong} wrong"
-    _table(console, title, ("3σ", "predicted", "measured", "ratio"), rows)
+    _table(console, title, ("3σ", "predicted", "measured", "ratio", "99.7 % below", "specified"), rows)
+    name, unit, _ = PARAMETERS[result.parameter]
+    value = result.best.value if result.best else math.nan
+    if checked.contradictions:
+        console.print(
+            f"[red]The verification contradicts the prediction[/]: at {name} {value:.4g} {unit} "
+            + "; ".join(checked.contradictions)
+        )
+    else:
+        console.print(f"The verification does not contradict the prediction at {name} {value:.4g} {unit}.")

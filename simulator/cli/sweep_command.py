@@ -14,7 +14,7 @@ from rich.table import Table
 
 from simulator.cli.checks import at_least, processes
 from simulator.cli.terminal import open_console
-from simulator.paths import make_folder, write_atomically
+from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
 
@@ -37,6 +37,7 @@ def run_sweep_command(
     out: Path | None,
     resume: bool,
     dask: str | None = None,
+    force: bool = False,
 ) -> int:
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
     from simulator.study.sweep.run import plan_sweep, run_sweep
@@ -45,9 +46,9 @@ def run_sweep_command(
     at_least(0, seed=seed)
     plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
     workers = processes(workers, dask, plan.scenario.study.trials * len(plan.points))
-    folder = make_folder(out or Path("out") / f"{plan.scenario.name}-sweep")
+    folder = out or Path("out") / f"{plan.scenario.name}-sweep"
     with SweepProgress(plan) as bar:
-        sweep = run_sweep(plan, folder, workers=workers, dask=dask, resume=resume, progress=bar.tell)
+        sweep = run_sweep(plan, folder, workers=workers, dask=dask, resume=resume, force=force, progress=bar.tell)
     _print(sweep, open_console(_WIDTH))
     return 130 if sweep.table["interrupted"] else 0
 
@@ -137,7 +138,11 @@ def _print(sweep: Sweep, console: Console) -> None:
             values = ", ".join(f"{path} {value_text(value)}" for path, value in point["values"].items())
             console.print(f"Refused: {values}: {point['reason']}", markup=False)
     if table["interrupted"]:
-        console.print(f"Interrupted: {len(done)} of {len(table['points'])} points are finished and kept; --resume.")
+        console.print(
+            f"Interrupted: {len(done)} of {len(table['points'])} points are finished and kept; run again to go on."
+        )
+    for note in sweep.notes:
+        console.print(note, markup=False, soft_wrap=True)
     console.print(f"{sweep.folder}: {', '.join(RESULT_FILES)}", markup=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from simulator.cli.terminal import open_console
+from startracker._version import __version__
+from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.theses.printed import PrintedStudy
@@ -24,12 +27,17 @@ OutFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder for the table and the figures; default: out/NAME.")
 ]
 
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace results of another version, or of more sections, that stand in DIR.")
+]
 
-def greyling1995_study(section: SectionName = None, out: OutFolder = None) -> int:
+
+def greyling1995_study(section: SectionName = None, out: OutFolder = None, force: Force = False) -> int:
     """Greyling 1995 (the microsatellite's star camera) again: each printed value beside the computed one."""
     from simulator.theses import greyling1995
 
-    return finish(lambda progress: greyling1995.run(section, progress), out or Path("out") / "greyling1995")
+    folder = out or Path("out") / "greyling1995"
+    return finish(lambda progress: greyling1995.run(section, progress), "greyling1995", section, folder, force)
 
 
 def yee1999_study(
@@ -91,6 +99,7 @@ def yee1999_study(
     ] = None,
     section: SectionName = None,
     out: OutFolder = None,
+    force: Force = False,
 ) -> int:
     """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
     from simulator.cli.yee_picture import PictureRequest, report, run_picture
@@ -121,32 +130,69 @@ def yee1999_study(
     analysis = run_picture(request)
     report(analysis, request, open_console(_WIDTH))
     if centroids is None:
-        finish(lambda progress: yee1999.run(section, progress, analysis), out or Path("out") / "yee1999")
+        folder = out or Path("out") / "yee1999"
+        finish(lambda progress: yee1999.run(section, progress, analysis), "yee1999", section, folder, force)
     return 0 if analysis.plate is not None else 1
 
 
-def finish(run: Callable[[Callable[[str], None]], PrintedStudy], folder: Path) -> int:
+def finish(
+    run: Callable[[Callable[[str], None]], PrintedStudy], name: str, section: str | None, path: Path, force: bool
+) -> int:
     """Run a study of a thesis with its progress shown, print its table, write its JSON and figures.
 
     Parameters
     ----------
     run : callable
         Computes it; is given what to call with the name of each section.
-    folder : Path
+    name : str
+        Of the study.
+    section : str, optional
+        The only section that is computed.
+    path : Path
         Where the files go.
+    force : bool
+        Replace what stands there.
 
     Returns
     -------
     int
         Exit status 0.
+
+    Raises
+    ------
+    InputError
+        Where results of another version or of more sections stand, or another process is at work there.
     """
     from simulator.paths import make_folder
+    from simulator.study.folder_lock import folder_lock
 
-    make_folder(folder)
-    with open_console(error=True).status("computing") as status:
-        study = run(lambda name: status.update(f"computing: {name}"))
-        status.update("drawing the figures")
-        files = study.write(folder)
+    folder = make_folder(path)
+    with folder_lock(folder):
+        if not force:
+            _refuse_loss(folder / f"{name}.json", section)
+        with open_console(error=True).status("computing") as status:
+            study = run(lambda part: status.update(f"computing: {part}"))
+            status.update("drawing the figures")
+            files = study.write(folder)
     study.print(open_console(_WIDTH))
     print(f"{folder}: {', '.join(files)}")
     return 0
+
+
+def _refuse_loss(file: Path, section: str | None) -> None:
+    """Refuse to replace results of another version, or of more sections."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        version, sections = found["version"], list(found["sections"])
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError, KeyError, TypeError):
+        version, sections = "unknown", []
+    either = "choose another --out, or replace them with --force"
+    if version != __version__:
+        raise InputError(f"{file}: results of another version (boresight {version}) stand there; {either}")
+    if section is not None and set(sections) > {section}:
+        raise InputError(
+            f"{file}: results of {len(sections)} sections (boresight {version}) stand there, and only '{section}' was "
+            f"asked for; {either}"
+        )

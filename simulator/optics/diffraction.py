@@ -121,13 +121,17 @@ class Images:
             ]
         )
 
-    def matrices(self, offsets_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Matrices that integrate over pixels at these offsets along columns and along rows."""
-        along_x = pixel_matrix(offsets_px, self.samples, self.finest, self.diffusion_px, 1.0)
-        if self.aspect == 1.0:
+    def matrices(
+        self, offsets_px: FloatArray, origin_px: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[FloatArray, FloatArray]:
+        """Matrices that integrate over pixels at these offsets from `origin_px` along columns and along rows; the
+        geometric centroid is at (0, 0)."""
+        x, y = (offsets_px + origin for origin in origin_px)
+        along_x = pixel_matrix(x, self.samples, self.finest, self.diffusion_px, 1.0)
+        if self.aspect == 1.0 and origin_px[0] == origin_px[1]:
             return along_x, along_x
         size = 1.0 / self.aspect  # of a row, in columns
-        return along_x, pixel_matrix(offsets_px * size, self.samples, self.finest, self.diffusion_px, size)
+        return along_x, pixel_matrix(y * size, self.samples, self.finest, self.diffusion_px, size)
 
     def shares(self, weights: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
         """Share of the light in pixels at the offsets of the matrices, (rows, columns), for a spectrum (K,)."""

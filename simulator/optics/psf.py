@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
 from simulator.optics import airy, diffraction
+from simulator.optics.measured import measured_centroid
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
 from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
@@ -114,6 +115,9 @@ class Psf:
         Step of these tables.
     aspect : float
         Pitch along columns over pitch along rows.
+    geometric_px : (float, float)
+        Position of the geometric centroid of an aberrated image relative to the star's, which is its measured centroid
+        (`simulator.optics.measured.measured_centroid`), pixels along columns and rows.
     """
 
     model: str
@@ -126,6 +130,7 @@ class Psf:
     drawn: FloatArray | None = None
     wing_step_px: float = _WING_STEP_PX
     aspect: float = 1.0
+    geometric_px: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for table in (self.core, self.wing, self.drawn):
@@ -275,6 +280,10 @@ def aberrated(
 ) -> list[Psf]:
     """PSFs of one wavefront for several spectra.
 
+    The position of a star is the measured centroid of its image, of the mean of the spectra: a camera is calibrated
+    with measured centroids, so that coma, which moves them from the geometric one, is part of its distortion. All
+    spectra keep their geometric centroids together, so that the colour of a star still moves its measured one.
+
     The core is exact at the phases of the table (1e-6 of the peak) and interpolated between them (2e-4 of the
     peak); it is kept in single precision.
     The wings are those of the aperture without aberrations, scaled by 1 + α/r² so that no light is lost.
@@ -313,18 +322,21 @@ def aberrated(
     r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
     wings = weights @ np.array([airy.annulus_share(r, scale, aspect, hole) for scale in lambda_n])
     totals = weights @ np.array([float(airy.encircled_energy(r[-1] / scale, hole)) for scale in lambda_n])
-    half = math.ceil(spread + margin)
-    for _ in range(2):  # the second time round the stamp holds what the first has told of the peak
-        images = diffraction.Images(waves, lambda_n, hole, aspect, lens.diffusion_px, half)
+    half, room = math.ceil(spread + margin), 1
+    for _ in range(2):  # the second time the stamp is as large as peak and centroid of the first ask
+        images = diffraction.Images(waves, lambda_n, hole, aspect, lens.diffusion_px, half + room)
+        centre = measured_centroid(images, weights.mean(axis=0), half)
+        away = max(abs(centre[0]), abs(centre[1]))
         coarse = images.matrices(np.arange(-half, half + 1.0))
         peaks = [float(images.shares(spectrum, *coarse).max()) for spectrum in weights]
-        wanted = max(stamp_half_px(half, wing, peak, aspect) for wing, peak in zip(wings, peaks, strict=True))
-        if wanted == half:
+        least = min(math.ceil(spread + away + margin), MAX_HALF_PX)
+        wanted = max(stamp_half_px(least, wing, peak, aspect) for wing, peak in zip(wings, peaks, strict=True))
+        if wanted == half and away <= room:
             break
-        half = wanted
+        half, room = wanted, math.ceil(away) + 1
     phases = 12 * max(1, math.ceil(1.0 / finest))
     most = offsets(half, phases, max(STRIDES))
-    matrices = images.matrices(most / phases)
+    matrices = images.matrices(most / phases, centre)
     psfs = []
     for spectrum, wing, total in zip(weights, wings, totals, strict=True):
         fine = images.shares(spectrum, *matrices)
@@ -336,9 +348,8 @@ def aberrated(
         scale = float(spectrum @ lambda_n)
         sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
         feature = scale * min(1.0, aspect) / 2.0
-        psfs.append(
-            Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, joined, drawn, aspect=aspect)
-        )
+        made = Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, joined, drawn, aspect=aspect)
+        psfs.append(replace(made, geometric_px=(-centre[0], -centre[1])))
     return psfs
 
 

@@ -184,7 +184,12 @@ def _mirrored(psf: Psf, swap: bool, sign_x: int, sign_y: int) -> Psf:
     if psf.core is None or (not swap and sign_x > 0 and sign_y > 0):
         return psf
     core = np.asarray(psf.core[::sign_y, ::sign_x, ::sign_y, ::sign_x], dtype=np.float32)
-    return replace(psf, core=np.ascontiguousarray(core.transpose(1, 0, 3, 2) if swap else core))
+    x, y = sign_x * psf.geometric_px[0], sign_y * psf.geometric_px[1]
+    return replace(
+        psf,
+        core=np.ascontiguousarray(core.transpose(1, 0, 3, 2) if swap else core),
+        geometric_px=(y, x) if swap else (x, y),
+    )
 
 
 def build_psf_set(

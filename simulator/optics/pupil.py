@@ -65,7 +65,7 @@ def intensity(
     obscuration : float
         Central obscuration, share of the diameter.
     centred : bool
-        Put the centroid of the geometric image at 0, as the calibration of a camera does: coma, as Zernike has it,
+        Put the geometric centroid of the image at 0: coma, as Zernike has it,
         moves the centroid by 4√2 λN a wave rms. False: as the polynomials are.
 
     Returns

@@ -10,7 +10,7 @@ import difflib
 import re
 import types
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
@@ -22,6 +22,10 @@ from simulator.scenario.document import show_value
 from simulator.scenario.schema import KNOB_LIMITS, ScenarioModel
 
 MISSING = dataclasses.MISSING
+
+NameChecks = Mapping[str, Callable[[Any, Mapping[str, Any]], str | None]]
+"""Dotted path to a function of the key's value and of the valid values of all keys by dotted path: it returns what is
+wrong with the value, or None."""
 
 _UNITS = {
     "deg_s": "degrees/s",
@@ -156,16 +160,33 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
     """
     base = _strip(key.annotation)[0]
     given = data
+    hint = _hint(key.annotation, given)
     if base is datetime and isinstance(data, str):
         try:
-            data = datetime.fromisoformat(data.strip())
-            data = data.replace(tzinfo=UTC) if data.tzinfo is None else data.astimezone(UTC)
-        except (ValueError, OverflowError):
-            data = given
+            data = parse_utc(data)
+        except ValueError as error:
+            hint = f": {error}" if str(error) else ""
     try:
         return _adapter(key)(tuple(data) if isinstance(data, list) else data), ""
     except (ValidationError, OverflowError):
-        return None, f"must be {describe(key.annotation)}, not {show_value(given)}{_hint(key.annotation, given)}"
+        return None, f"must be {describe(key.annotation)}, not {show_value(given)}{hint}"
+
+
+def parse_utc(text: str) -> datetime:
+    """Date and time in UTC of ISO 8601 text; without a zone it is taken as UTC.
+
+    Raises
+    ------
+    ValueError
+        For anything else. Its text says why where the form is right but there is no such date or time (30 February),
+        and is empty otherwise.
+    """
+    try:
+        value = datetime.fromisoformat(text.strip())
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        formed = re.match(r"\d{4}-\d{2}-\d{2}($|[T ]\d{2}:\d{2})", text.strip())
+        raise ValueError(f"there is no such date or time ({error})" if formed else "") from None
 
 
 def describe(annotation: Any) -> str:

@@ -11,7 +11,7 @@ import itertools
 import math
 import re
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -19,11 +19,9 @@ import numpy as np
 
 from simulator.scenario.document import TOLD, Table, parse_value, show_value
 from simulator.scenario.errors import Place, Problem, ScenarioError
-from simulator.scenario.fields import Key, all_keys, check_value
+from simulator.scenario.fields import Key, NameChecks, all_keys, check_value
 from simulator.scenario.output import yaml_value
 from startracker.errors import InputError
-
-NameChecks = Mapping[str, Callable[[Any], str | None]]
 
 MAX_POINTS = 100_000
 """More points than this are a slip of the pen: each is a Monte Carlo study of its own."""
@@ -292,7 +290,7 @@ def _check(axis: SweptKey, place: Place, names: NameChecks, problems: list[Probl
     for n, value in enumerate(candidates):
         _, message = check_value(axis.key, value)
         if not message and axis.path in names:
-            message = names[axis.path](value) or ""
+            message = names[axis.path](value, {}) or ""
         if not message and value in candidates[:n]:
             message = f"{show_value(value)} is given twice"
         if message:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,14 +19,11 @@ from pydantic import PrivateAttr, model_validator
 from simulator.scenario import physics
 from simulator.scenario.document import TOLD, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Place, Problem, ScenarioError
-from simulator.scenario.fields import MISSING, Key, all_keys, check_value, flatten, keys_of, nest
+from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.overrides import apply_overrides, merge, set_option
 from simulator.scenario.schema import ScenarioModel
 
-NameChecks = Mapping[str, Callable[[Any], str | None]]
-"""Dotted path to a function that says what is wrong with the key's value, or None."""
-
-CURVE_KEYS = ("optics.transmission", "detector.quantum_efficiency")
+FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
 """Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
 
 _NOISELESS: dict[str, Any] = {
@@ -164,6 +161,12 @@ class Scenario(ScenarioModel):
         """SHA-256 of all values, in hexadecimal: the same for equal scenarios."""
         return hashlib.sha256(self.to_yaml(comments=False).encode()).hexdigest()
 
+    def files(self) -> dict[str, Path]:
+        """Files that its values name, by dotted key."""
+        flat = flatten(self)
+        named = {key: self.base_dir / value for key in FILE_KEYS if isinstance(value := flat[key], str)}
+        return {key: file for key, file in named.items() if file.is_file()}
+
     def with_values(self, *, trials: int | None = None, seed: int | None = None) -> Scenario:
         """The same with another number of trials or another seed; ScenarioError where it may not be."""
         problems: list[Problem] = []
@@ -192,16 +195,16 @@ _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 
 def find_scenario(path: str | Path) -> Path:
     """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
-    file = Path(path)
-    if (
-        not file.suffix
-        and file.parent == Path()
-        and str(path) not in ("", ".", "..")
-        and (file.is_dir() or not os.path.lexists(file))
-    ):
+    return _file_or_shipped(Path(path), str(path))
+
+
+def _file_or_shipped(file: Path, written: str) -> Path:
+    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
+    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
+    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
         here = Path(__file__).resolve().parent
         for folder in (here / "shipped", here.parents[1] / "scenarios"):
-            shipped = folder / f"{file.name}.yaml"
+            shipped = folder / f"{written}.yaml"
             if shipped.is_file():
                 return shipped
     return file
@@ -225,7 +228,7 @@ def _read_chain(
 
 def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tuple[str, str], ...]) -> Table | None:
     folder = os.path.dirname(name) if chain else ""
-    tree = _absolute_curves(tree, folder)
+    tree = _absolute_files(tree, folder)
     entry = tree.entries.pop("base", None)
     if entry is None:
         return tree
@@ -235,7 +238,8 @@ def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tup
     if not isinstance(base, str) or not base:
         problems.append(Problem(entry.place, "base", f"must be the name of a scenario file, not {show_value(base)}"))
         return None
-    base_name = os.path.normpath(os.path.join(folder, base))
+    beside = os.path.normpath(os.path.join(folder, base))
+    base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
     real = os.path.realpath(base_name) if "\0" not in base_name else base_name
     known = [seen for seen, _ in chain]
     if real in known:
@@ -246,16 +250,21 @@ def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tup
     return merge(below, tree) if below else None
 
 
-def _absolute_curves(tree: Table, folder: str) -> Table:
+def _absolute_files(tree: Table, folder: str) -> Table:
     """Names of CSV files made absolute, so that they are still found from elsewhere: from a base, or once resolved."""
-    for path in CURVE_KEYS:
-        section, key = path.split(".")
-        table = tree.entries.get(section)
-        entry = table.node.entries.get(key) if table and isinstance(table.node, Table) else None
-        if table and entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data):
+    for path in FILE_KEYS:
+        tables, keys = [tree], path.split(".")
+        for key in keys[:-1]:
+            inner = tables[-1].entries.get(key)
+            if inner and isinstance(inner.node, Table):
+                tables.append(inner.node)
+        entry = tables[-1].entries.get(keys[-1]) if len(tables) == len(keys) else None
+        if entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data):
             file = os.path.abspath(os.path.join(folder, entry.node.data))
-            layer = Table(tree.place, {key: Entry(entry.place, Value(file, entry.node.place))})
-            tree = merge(tree, Table(tree.place, {section: Entry(table.place, layer)}))
+            layer = Table(tables[-1].place, {keys[-1]: Entry(entry.place, Value(file, entry.node.place))})
+            for table, key in zip(tables[-2::-1], keys[-2::-1], strict=True):
+                layer = Table(table.place, {key: Entry(table.entries[key].place, layer)})
+            tree = merge(tree, layer)
     return tree
 
 
@@ -278,14 +287,14 @@ def _build(
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
-    tree = merge(tree, _absolute_curves(options, ""))
+    tree = merge(tree, _absolute_files(options, ""))
     flat = _check_table(tree, ScenarioModel, "", Place(top.source), problems)
     allowed = flat.get("allow_unphysical", False)
     for violation in physics.violations(flat):
         if not (violation.overridable and allowed):
             problems.append(Problem(_place_of(tree, violation.key), violation.key, _advice(violation)))
     for path, check in (names or {}).items():
-        if path in flat and (message := check(flat[path])):
+        if path in flat and (message := check(flat[path], flat)):
             problems.append(Problem(_place_of(tree, path), path, message))
     if problems:
         raise ScenarioError(problems)

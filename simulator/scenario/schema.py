@@ -269,6 +269,9 @@ KNOB_LIMITS: dict[type, dict[str, Any]] = {
         "grouping_tolerance_deg": Positive,
         "enclosed_tolerance_deg": Positive | None,
         "vote_number": Count,
+        "max_centroids": Annotated[int, Field(ge=3)],
+        "max_operations": Count,
+        "max_operations_free_scale": Count,
     },
     OperationSettings: {
         "saturated_pixels": Annotated[int, Field(ge=0)],

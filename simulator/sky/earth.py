@@ -155,7 +155,7 @@ def earth_radiance_map(
 
 def stray_sources(
     bodies: Bodies, r_km: ArrayLike, section: SkySection, rings: int = 24, sectors: int = 48
-) -> tuple[NDArray[np.str_], FloatArray, FloatArray, FloatArray]:
+) -> tuple[NDArray[np.str_], FloatArray, FloatArray]:
     """What may shine into the baffle: Sun, Moon, and the lit Earth in pieces.
 
     The visible part of the Earth is cut into pieces of equal solid angle about the nadir, each a point of V = −2.5
@@ -176,14 +176,14 @@ def stray_sources(
         ``Sun``, ``Moon``, ``Earth``.
     directions : (N, 3)
         Unit vectors.
-    v_mag, b_v : (N,)
-        Brightness and colour; the Earth's is the Sun's.
+    v_mag : (N,)
+        Brightness.
     """
     chosen = np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"]))
     if section.earth and len(chosen):
         chosen = chosen[~occulted(bodies.direction[chosen], r_km)]
     names, directions = bodies.name[chosen], bodies.direction[chosen]
-    v_mag, b_v = bodies.v_mag[chosen], bodies.b_v[chosen]
+    v_mag = bodies.v_mag[chosen]
     sun = np.flatnonzero(bodies.name == "Sun")
     if section.earth and len(sun):
         pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
@@ -192,8 +192,7 @@ def stray_sources(
         names = np.concatenate([names, np.full(len(lit), "Earth")])
         directions = np.concatenate([directions, pieces[lit]])
         v_mag = np.concatenate([v_mag, 10.0 - 2.5 * np.log10(light[lit])])
-        b_v = np.concatenate([b_v, np.full(len(lit), bodies.b_v[sun[0]])])
-    return names, directions, v_mag, b_v
+    return names, directions, v_mag
 
 
 def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, float]:

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.curves import Curve
+from simulator.sky.albedo import body_photons
 from simulator.sky.colours import GIANT_SHARE
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA
 from startracker.errors import InputError
@@ -83,6 +84,7 @@ class Photometer:
     _rate: _Tables = field(init=False, repr=False)
     _first_moment: _Tables = field(init=False, repr=False)
     _bins: dict[tuple[float, ...], _Tables] = field(init=False, repr=False)
+    _bodies: dict[str, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.aperture_area_cm2) and self.aperture_area_cm2 > 0):
@@ -97,6 +99,7 @@ class Photometer:
             ("_rate", tuple(self.aperture_area_cm2 * table[:, 0] for table in both)),
             ("_first_moment", tuple(self.aperture_area_cm2 * table[:, 1] for table in both)),
             ("_bins", {}),
+            ("_bodies", {}),
         ):
             object.__setattr__(self, name, value)
 
@@ -114,6 +117,23 @@ class Photometer:
         """
         scale = 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
         return np.asarray(_looked_up(self._rate, b_v, giant) * scale)
+
+    def body_electrons_per_s(self, names: NDArray[np.str_], v_mag: ArrayLike) -> FloatArray:
+        """Photo-electrons a second of bodies of the solar system: sunlight times albedo (`simulator.sky.albedo`).
+
+        Parameters
+        ----------
+        names : (N,) array of str
+            English names.
+        v_mag : (N,) array
+            Magnitudes V of the whole bodies.
+        """
+        for name in {str(name) for name in names} - self._bodies.keys():
+            photons = body_photons(self._wavelength_nm, name, self.spectrum)
+            rate = self.aperture_area_cm2 * np.trapezoid(photons * self._efficiency, self._wavelength_nm)
+            self._bodies[name] = float(rate)
+        at_zero = np.array([self._bodies[str(name)] for name in names])
+        return at_zero * 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
 
     def effective_wavelength_nm(self, b_v: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
         """Mean wavelength of a star's photo-electrons, ∫ λ n η dλ / ∫ n η dλ, nm; (N,)."""

@@ -37,7 +37,7 @@ LATE_GIANT = (10.0, 16.0)
 """`giant` of M0 to M6 giants, 10 + subtype; see `colour_sequence`."""
 
 _C2_M_K = HC_J_NM * 1e-9 / BOLTZMANN_J_K  # colour-science's default is rounded to 0.014388
-_GRID_NM = np.arange(470.0, 700.5, 0.5)
+V_GRID_NM = np.arange(470.0, 700.5, 0.5)
 
 
 def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0) -> FloatArray:
@@ -93,7 +93,7 @@ def _along(line: Sequence, key: FloatArray, wavelength_nm: FloatArray) -> FloatA
     red = beyond > 0.0
     if red.any():
         photons[red] *= 10.0 ** (-0.4 * beyond[red, None] * relative_extinction(line.wavelength_nm))
-    photons *= (V0_PHOTONS_S_CM2_NM / V_EFFECTIVE_NM / _mean_v(line.wavelength_nm, photons))[:, None]
+    photons *= (V0_PHOTONS_S_CM2_NM / V_EFFECTIVE_NM / mean_v(line.wavelength_nm, photons))[:, None]
     return _resampled(line.wavelength_nm, photons, wavelength_nm)
 
 
@@ -102,11 +102,11 @@ def _interpolator(line: Sequence) -> MonotoneCubic:
     return MonotoneCubic.through(line.key, np.log(np.maximum(line.photons, 1e-30)))
 
 
-def _mean_v(wavelength_nm: FloatArray, photons: FloatArray) -> FloatArray:
+def mean_v(wavelength_nm: FloatArray, photons: FloatArray) -> FloatArray:
     """Mean of n_λ/λ, which is ∝ F_λ, over Bessell's V; photons (N, W)."""
-    passband = load_curve("bessell_v", "passband")(_GRID_NM)
-    energy = _resampled(wavelength_nm, photons, _GRID_NM) / _GRID_NM
-    return np.asarray(np.trapezoid(energy * passband, _GRID_NM, axis=1) / np.trapezoid(passband, _GRID_NM))
+    passband = load_curve("bessell_v", "passband")(V_GRID_NM)
+    energy = _resampled(wavelength_nm, photons, V_GRID_NM) / V_GRID_NM
+    return np.asarray(np.trapezoid(energy * passband, V_GRID_NM, axis=1) / np.trapezoid(passband, V_GRID_NM))
 
 
 def _resampled(at_nm: FloatArray, photons: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
@@ -158,7 +158,7 @@ def blackbody(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0
     """
     temperature = np.atleast_1d(temperature_k(b_v))
     photons = _planck_photons(wavelength_nm, temperature)
-    mean = _mean_v(_GRID_NM, _planck_photons(_GRID_NM, temperature))
+    mean = mean_v(V_GRID_NM, _planck_photons(V_GRID_NM, temperature))
     return np.asarray(photons * (V0_PHOTONS_S_CM2_NM / V_EFFECTIVE_NM / mean)[:, None])
 
 

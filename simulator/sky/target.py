@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from simulator.scenario.schema import PointingSection
 from simulator.sky.solar_system import RADIUS_KM, Bodies
 from startracker.attitude import Attitude, direction_to_radec
+from startracker.catalog.names import designation_rows, proper_names
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 
@@ -19,28 +21,39 @@ FloatArray = NDArray[np.float64]
 def find_target(name: str, catalog: StarCatalog) -> str | int:
     """Name of a body, or row of a star in the catalogue, of what a user wrote.
 
-    Capitals and spaces do not matter; ``HIP 32349``, ``HR 2491`` and a bare number are the catalogue's own numbers.
+    Letter case and spaces do not matter. A star goes by its IAU proper name (``Sirius``), its Bayer or Flamsteed
+    designation (``Alp CMa``, ``33 Psc``), or its number in the catalogue (``HIP 32349``, ``HR 2491``, or bare).
 
     Raises
     ------
     InputError
-        When there is neither a body nor a star of that name.
+        When there is neither a body nor a star of that name; suggests the closest one.
     """
-    wanted = "".join(name.split()).casefold()
+    wanted = _folded(name)
     for body in RADIUS_KM:
-        if body.casefold() == wanted:
+        if _folded(body) == wanted:
             return body
-    names = np.char.replace(np.char.lower(catalog.star_name.astype(str)), " ", "")
-    rows = np.flatnonzero(names == wanted)
+    proper = {_folded(proper): star for star, proper in proper_names().items()}
+    designated = designation_rows(catalog)
+    rows = {_folded(star): row for star, row in designated.items()}
+    row = rows.get(_folded(proper.get(wanted, wanted)))
+    if row is not None:
+        return row
     number = wanted.removeprefix("hip" if catalog.name == "hipparcos" else "hr")
-    if not len(rows) and number.lstrip("-").isdecimal():
-        rows = np.flatnonzero(catalog.id == int(number))
-    if not len(rows):
-        raise InputError(
-            f"pointing.target: '{name}' is no body ({', '.join(RADIUS_KM)}) and no star of the catalogue "
-            f"{catalog.name} within sky.magnitude_limit; write a name such as 'Alp CMa' or '33 Psc', or RA, Dec, roll"
-        )
-    return int(rows[np.argmin(catalog.v_mag[rows])])
+    if number.lstrip("-").isdecimal() and len(numbered := np.flatnonzero(catalog.id == int(number))):
+        return int(numbered[0])
+    known = {_folded(spelled): spelled for spelled in (*designated, *proper_names().values(), *RADIUS_KM)}
+    close = difflib.get_close_matches(wanted, known, n=1)
+    hint = f"did you mean '{known[close[0]]}'?" if close else "write a name such as Sirius, 'Alp CMa' or '33 Psc'"
+    raise InputError(
+        f"'{name}' is neither a body ({', '.join(RADIUS_KM)}) nor a star of {catalog.name} within "
+        f"sky.magnitude_limit; {hint}"
+    )
+
+
+def _folded(name: str) -> str:
+    """A name as names are compared: without spaces and letter case."""
+    return "".join(name.split()).casefold()
 
 
 def attitude_towards(direction: FloatArray, section: PointingSection) -> Attitude:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.style import PICTURE_STYLE, new_figure
+from startracker.picture import figure_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -231,9 +232,5 @@ def _note(ax: Axes, text: str) -> None:
 
 
 def save_bytes(figure: Figure, form: str = "png", dpi: int = 130) -> bytes:
-    """Figure as the bytes of a PNG or SVG file, the same bytes for the same figure."""
-    import io
-
-    stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=dpi, metadata={"Software": None} if form == "png" else {"Date": None})
-    return stream.getvalue()
+    """Figure as the bytes of a PNG, SVG or PDF file, the same bytes for the same figure."""
+    return figure_bytes(figure, form, dpi=dpi)

@@ -16,12 +16,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from simulator.paths import make_folder, write_atomically
+from simulator.paths import write_atomically
 from simulator.scenario import Scenario
+from simulator.study.results_folder import results_folder, standing
 from simulator.study.statistics import BODY_AXES, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
-from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost
+from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
 
@@ -58,12 +59,15 @@ class Study:
         What ``summary.json`` holds.
     folder : Path, optional
         Where the files are.
+    notes : tuple of str
+        Sentences on finished trials that were found damaged and computed again.
     """
 
     scenario: Scenario
     columns: Columns
     summary: dict[str, Any]
     folder: Path | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def trials(self) -> pa.Table:
@@ -80,6 +84,7 @@ def run(
     dask: str | None = None,
     out: str | Path | None = None,
     resume: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Study:
     """Run a Monte Carlo study of a scenario.
@@ -96,19 +101,42 @@ def run(
         Address of a dask.distributed scheduler, to run on its workers instead; the rows are the same.
     out : path, optional
         Folder for ``summary.json``, ``trials.parquet``, ``report.html`` and ``scenario.resolved.yaml``; none: nothing
-        is written.
+        is written. Trials that an interrupted run of the same scenario, seed and version left there are taken over.
     resume : bool
-        Go on from the trials that an earlier run of the same scenario left in `out`, finished or not.
+        Take over the trials of a finished run too, to make it longer.
+    force : bool
+        Compute everything again, and replace what stands in `out`, whatever it is.
     progress : callable, optional
         Called with (finished, all).
 
     Raises
     ------
     InputError
-        For numbers below 1, an unwritable folder, a full disk, no cluster, or a resume that does not fit.
+        For numbers below 1, an unwritable folder, a full disk, no cluster; where `out` holds results of another
+        scenario, seed, version or longer run; or where another process is at work there.
+
+    Notes
+    -----
+    A run that is interrupted with fewer trials than an earlier one of the same scenario left in `out` does not replace
+    the results of that one: the study's `folder` is then None, and its trials are kept for the next run.
     """
     scenario = scenario.with_values(trials=trials, seed=seed)
-    folder = make_folder(Path(out)) if out is not None else None
+    if out is None:
+        return _run(scenario, None, workers, dask, resume, force, progress)
+    identity = run_identity(scenario, scenario.study.trials)
+    with results_folder(Path(out), identity, resume=resume, force=force) as folder:
+        return _run(scenario, folder, workers, dask, resume, force, progress)
+
+
+def _run(
+    scenario: Scenario,
+    folder: Path | None,
+    workers: int,
+    dask: str | None,
+    resume: bool,
+    force: bool,
+    progress: Progress | None,
+) -> Study:
     started = time.perf_counter()
     done = run_trials(
         scenario,
@@ -117,24 +145,32 @@ def run(
         dask=dask,
         folder=folder,
         resume=resume,
+        force=force,
         progress=progress,
     )
     elapsed_s = time.perf_counter() - started
     if done.finished == 0:
         raise BoresightError("interrupted before the first trial was finished: nothing to report")
-    if folder is None:
+    notes = tuple(done.store.notes)
+    if folder is None or (done.interrupted and not force and done.finished < _trials_standing(folder)):
         columns = Columns(done.table)
-        return Study(scenario, columns, _summary(scenario, done, columns, elapsed_s))
+        return Study(scenario, columns, _summary(scenario, done, columns, elapsed_s), notes=notes)
     staging = folder / PARTS_FOLDER
     with nothing_lost():
-        done.store.write(staging / TRIALS_FILE, done.requested)
+        checksum = done.store.write(staging / TRIALS_FILE, done.requested)
         columns = Columns(staging / TRIALS_FILE)
-        summary = _summary(scenario, done, columns, elapsed_s)
+        summary = _summary(scenario, done, columns, elapsed_s) | {"trials_sha256": checksum}
         _write_pages(scenario, columns, summary, staging, done.runner)
         _move_into_place(staging, folder)
     if not done.interrupted:
         discard_parts(folder)
-    return Study(scenario, Columns(folder / TRIALS_FILE), summary, folder)
+    return Study(scenario, Columns(folder / TRIALS_FILE), summary, folder, notes)
+
+
+def _trials_standing(folder: Path) -> int:
+    """Trials of the results that stand in a folder."""
+    old = standing(folder, "run")
+    return old.amounts["trials"] if old else 0
 
 
 def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: float) -> dict[str, Any]:
@@ -143,6 +179,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "name": scenario.name,
         "seed": scenario.seed,
         "version": __version__,
+        "identity": run_identity(scenario, done.finished).to_dict(),
         "requested": done.requested,
         "interrupted": done.interrupted,
         **summarise(columns, specification, scenario.seed),

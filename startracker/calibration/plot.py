@@ -6,7 +6,6 @@ the figure is drawn.
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,12 +13,13 @@ from numpy.typing import NDArray
 
 from startracker.calibration.result import Calibration
 from startracker.constants import ARCSEC_RAD
+from startracker.picture import figure_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["residual_figure", "residual_png"]
+__all__ = ["residual_figure", "residual_picture"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,11 +28,9 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _BINS = 8
 
 
-def residual_png(calibration: Calibration) -> bytes:
-    """The figure as the bytes of a PNG file, the same for the same calibration."""
-    stream = io.BytesIO()
-    residual_figure(calibration).savefig(stream, format="png", dpi=130, metadata={"Software": None})
-    return stream.getvalue()
+def residual_picture(calibration: Calibration, form: str = "png") -> bytes:
+    """The figure as the bytes of a PNG, SVG or PDF file, the same for the same calibration."""
+    return figure_bytes(residual_figure(calibration), form, dpi=130)
 
 
 def residual_figure(calibration: Calibration) -> Figure:

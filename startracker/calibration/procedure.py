@@ -5,6 +5,8 @@
    point, aspect, radial and tangential terms are kept is decided by the Bayesian information criterion (Schwarz 1978)
    over all combinations: a term must lower χ² by more than ln(number of observations) for each coefficient.
 3. All catalogue stars are projected and matched anew within 3.7 robust standard errors; until nothing changes.
+4. Images whose own focal length is not that of the majority are left out (`startracker.calibration.consensus`), and
+   the rest is fitted again. An image given twice counts once.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
-from startracker.blind import solve_unknown_fov
-from startracker.calibration.field import SkyPart, StarField, pair_up, sky_part
+from startracker.calibration.consensus import agreeing, focal_lengths, repeated
+from startracker.calibration.field import StarField, pair_up
+from startracker.calibration.known import KnownField, identify_all, starting_camera
 from startracker.calibration.result import CalibratedField, Calibration
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
-from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.lens import PARAMETERS, only, plain
 from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
@@ -35,11 +37,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
-_STATED_PX = 0.1
-"""Of centroids that come without an error; what matters is that they are alike."""
 _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
 _MOST_MAG = 3.0
 _FEWEST = 8
+_ROUNDS = 4
 _VAGUE = 4.0
 """A centroid whose stated error is this many times the image's median is a blend or no star: it is left out."""
 
@@ -100,63 +101,63 @@ def calibrate(
     if parameters is not None and (unknown := [name for name in parameters if name not in allowed]):
         raise InputError(f"there is no parameter {unknown[0]!r} to fit; there are {', '.join(sorted(allowed))}")
     table = load_catalog(catalog) if isinstance(catalog, str) else catalog
-    known, unsolved = _identify(fields, camera, fov_deg, catalog)
+    copies = repeated(fields)
+    left_out = {fields[k].name: f"the same image as {fields[first].name}" for k, first in copies.items()}
+    single = [one for k, one in enumerate(fields) if k not in copies]
+    known, unsolved = identify_all(single, camera, fov_deg, catalog, table)
     if not known:
         first = next(iter(unsolved.items()))
         raise InputError(f"no image could be identified; {first[0]}: {first[1]}")
     kinds = _projections(projection, camera, known[0].camera)
-    best: _Bench | None = None
+    best: tuple[_Bench, dict[str, str]] | None = None
     for kind in kinds:
-        bench = _Bench.begin(known, table, kind, refraction, parameters)
-        if bench is not None and (best is None or bench.score() < best.score()):
-            best = bench
+        bench, outlying = _largest_agreeing(known, kind, refraction, parameters)
+        if bench is not None and (best is None or bench.score() < best[0].score()):
+            best = bench, outlying
     if best is None:
         count = sum(len(k.pairs) for k in known)
         raise InputError(f"{count} stars in {len(known)} images are too few for a fit; give more images")
-    return best.answer(unsolved)
+    return best[0].answer(unsolved | best[1] | left_out)
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """An identified image."""
+def _largest_agreeing(
+    known: list[KnownField], kind: str, refraction: bool, wanted: Sequence[str] | None
+) -> tuple[_Bench | None, dict[str, str]]:
+    """Fit of the images that agree on the focal length, and why each of the others is left out.
 
-    field: StarField
-    camera: Camera
-    matrix: FloatArray
-    pairs: list[tuple[int, int]]  # row of the centroid, number in the catalogue
-
-
-def _identify(
-    fields: Sequence[StarField], camera: Camera | None, fov_deg: float | None, catalog: str | StarCatalog
-) -> tuple[list[_Known], dict[str, str]]:
-    known: list[_Known] = []
-    unsolved: dict[str, str] = {}
-    parity = None
-    rough = camera
-    for one in fields:
-        solution = solve_unknown_fov(
-            one.xy,
-            one.width,
-            one.height,
-            flux=one.flux,
-            fov_deg=None if rough is not None else fov_deg,
-            parity=parity,
-            camera=rough,
-            variance_px2=one.variance_px2,
-            catalog=catalog,
-            observer=one.observer,
+    Raises
+    ------
+    InputError
+        Where not even half of the images agree.
+    """
+    matches = [k.matches() for k in known]
+    matrices = [k.matrix for k in known]
+    everyone = np.ones(len(known), dtype=np.bool_)
+    lengths = focal_lengths(starting_camera(known, kind), matrices, matches)
+    kept = agreeing(lengths, everyone, lens_known=False)
+    bench: _Bench | None = None
+    for _ in range(_ROUNDS):
+        if 2 * kept.sum() <= len(known):
+            break
+        bench = _Bench.begin([k for k, keep in zip(known, kept, strict=True) if keep], kind, refraction, wanted)
+        if bench is None:
+            return None, {}
+        lengths = focal_lengths(bench.fit.camera, matrices, matches)
+        before, kept = kept, agreeing(lengths, kept, lens_known=True)
+        if np.array_equal(before, kept):
+            break
+    factor = np.exp(lengths.log_factor - np.median(lengths.log_factor[kept if kept.any() else everyone]))
+    if 2 * kept.sum() <= len(known):
+        listed = ", ".join(f"{k.field.name} {f:.4f}" for k, f in zip(known, factor, strict=True))
+        raise InputError(
+            f"the images were not taken at one focal length (relative to their median: {listed}); "
+            "give images of one zoom and focus, three or more of them where one may differ"
         )
-        if solution.attitude is None or solution.camera is None:
-            unsolved[one.name] = solution.reason
-            continue
-        row = {(float(x), float(y)): k for k, (x, y) in enumerate(one.xy)}
-        pairs = [
-            (row[float(x), float(y)], int(number))
-            for (x, y), number in zip(solution.stars.xy, solution.stars.catalog_id, strict=True)
-        ]
-        known.append(_Known(one, solution.camera, solution.attitude.as_matrix(), pairs))
-        rough, parity = solution.camera, solution.camera.parity  # the same camera: it helps with the next image
-    return known, unsolved
+    return bench, {
+        k.field.name: f"its focal length is {f:.4f} times that of the others; give images of one zoom and focus"
+        for k, f, keep in zip(known, factor, kept, strict=True)
+        if not keep
+    }
 
 
 def _projections(projection: str, camera: Camera | None, fitted: Camera) -> tuple[str, ...]:
@@ -171,8 +172,7 @@ def _projections(projection: str, camera: Camera | None, fitted: Camera) -> tupl
 class _Bench:
     """The state between the rounds of matching and fitting."""
 
-    known: list[_Known]
-    skies: list[SkyPart]
+    known: list[KnownField]
     kind: str
     refraction: bool
     fixed: tuple[str, ...] | None
@@ -182,24 +182,14 @@ class _Bench:
     fit: JointFit
 
     @classmethod
-    def begin(
-        cls, known: list[_Known], table: StarCatalog, kind: str, refraction: bool, wanted: Sequence[str] | None
-    ) -> _Bench | None:
+    def begin(cls, known: list[KnownField], kind: str, refraction: bool, wanted: Sequence[str] | None) -> _Bench | None:
         """Match and fit from the identified stars until the pairs stay the same; None where no lens fits."""
-        skies = [sky_part(table, k.field.observer, k.matrix, k.camera) for k in known]
-        pairs = []
-        for one, sky in zip(known, skies, strict=True):
-            place = {int(number): j for j, number in enumerate(sky.catalog.id)}
-            pairs.append(np.array([(i, place[n]) for i, n in one.pairs if n in place], dtype=np.int64).reshape(-1, 2))
+        pairs = [k.pairs for k in known]
         if sum(map(len, pairs)) < _FEWEST:
             return None
-        focal = float(np.median([k.camera.fx for k in known]))
-        k1 = float(np.median([k.camera.distortion.k1 for k in known]))
-        # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to the third order
-        lens = Distortion(k1=k1 if kind == "pinhole" else k1 + 1.0 / 3.0)
-        start = replace(known[0].camera, fx=focal, fy=focal, distortion=lens, projection=kind)
+        start = starting_camera(known, kind)
         fixed = None if wanted is None else tuple(n for n in PARAMETERS[kind] if n in {*wanted, "f"})
-        bench = cls(known, skies, kind, refraction, fixed, pairs, 0.0, [0] * len(known), _unfitted(start, known))
+        bench = cls(known, kind, refraction, fixed, pairs, 0.0, [0] * len(known), _unfitted(start, known))
         first = fit_jointly(start, [k.matrix for k in known], bench.matches(), ("f", "k1"))
         if first is None:
             return None
@@ -217,17 +207,11 @@ class _Bench:
 
     def sigma(self, image: int) -> FloatArray:
         """Standard error of each centroid on one axis, px, floor included."""
-        one = self.known[image].field
-        variance = np.full(len(one.xy), _STATED_PX**2) if one.variance_px2 is None else one.variance_px2
-        catalogue = (self.skies[image].catalog.position_sigma_rad / self.known[image].camera.pixel_rad) ** 2
-        return np.asarray(np.sqrt(variance + catalogue + self.floor_px**2))
+        return self.known[image].sigma(self.floor_px)
 
     def matches(self) -> list[Matches]:
         """Stars of each image as the fit takes them."""
-        return [
-            Matches(k.field.xy[p[:, 0]], sky.directions[p[:, 1]], self.sigma(i)[p[:, 0]])
-            for i, (k, sky, p) in enumerate(zip(self.known, self.skies, self.pairs, strict=True))
-        ]
+        return [k.matches(p, self.floor_px) for k, p in zip(self.known, self.pairs, strict=True)]
 
     def refit(self) -> bool:
         """Noise floor from the residuals, fit with everything, then with what is significant alone."""
@@ -256,7 +240,7 @@ class _Bench:
 
     def _places(self, image: int) -> FloatArray:
         """Pixels (K, 2) of the catalogue stars in the present fit; NaN outside the field."""
-        vectors = stretch(self.skies[image].directions @ self.fit.matrices[image].T, self.fit.stretches[image])
+        vectors = stretch(self.known[image].sky.directions @ self.fit.matrices[image].T, self.fit.stretches[image])
         places = self.fit.camera.project(vectors)
         places[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
         return places
@@ -278,7 +262,7 @@ class _Bench:
         )
         scale = max(float(np.median(normal)) / _RAYLEIGH_MEDIAN, 1e-9)
         for i, one in enumerate(self.known):
-            sky, places = self.skies[i], self._places(i)
+            sky, places = one.sky, self._places(i)
             gate = np.maximum(REJECT_SIGMAS * scale * self.sigma(i), _LEAST_GATE_PX)
             widest = np.maximum(gate, _FIRST_GATE_PX * scale * np.median(self.sigma(i)) + 1.0)
             sigma = self.sigma(i)
@@ -303,7 +287,7 @@ class _Bench:
         covariance = rescaled(fit, matches, with_refraction=self.refraction)
         lens = len(fit.names)
         fields = []
-        for i, (one, sky, pairs) in enumerate(zip(self.known, self.skies, self.pairs, strict=True)):
+        for i, (one, pairs) in enumerate(zip(self.known, self.pairs, strict=True)):
             at = slice(lens + 3 * i, lens + 3 * i + 3)
             fields.append(
                 CalibratedField(
@@ -311,8 +295,8 @@ class _Bench:
                     Attitude.from_matrix(fit.matrices[i]),
                     covariance[at, at],
                     one.field.xy[pairs[:, 0]],
-                    sky.catalog.id[pairs[:, 1]],
-                    sky.catalog.v_mag[pairs[:, 1]],
+                    one.sky.catalog.id[pairs[:, 1]],
+                    one.sky.catalog.v_mag[pairs[:, 1]],
                     fit.residuals[i],
                     matches[i].sigma_px,
                     self.rejected[i],
@@ -331,13 +315,13 @@ class _Bench:
             self.floor_px,
             fit.chi2,
             fit.freedom,
-            float(np.mean(epochs)) if epochs else self.skies[0].catalog.epoch_jyear,
+            float(np.mean(epochs)) if epochs else self.known[0].sky.catalog.epoch_jyear,
             unsolved,
         )
         return replace(result, notes=_notes(result))
 
 
-def _unfitted(camera: Camera, known: list[_Known]) -> JointFit:
+def _unfitted(camera: Camera, known: list[KnownField]) -> JointFit:
     images = len(known)
     return JointFit(camera, [k.matrix for k in known], np.zeros((images, 2)), (), np.empty((0, 0)), math.inf, 0.0, [])
 

@@ -164,15 +164,24 @@ class GuideDatabase:
         """The same stars from where and when the observer is: space motion, annual parallax, aberration of light."""
         if observer is None:
             return self
-        if not self._motion:
-            self._motion.extend(np.ascontiguousarray(axes.T) for axes in self.catalog.space_motion())
         years = observer.epoch_jyear - self.catalog.epoch_jyear
         place = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
         velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
-        start, motion = self._motion
+        start, motion = self._space_motion()
         directions = seen_directions(start, motion, parallax, years, place, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
+
+    def _space_motion(self) -> list[FloatArray]:
+        """Directions and space motion a Julian year at the catalogue's epoch, (3, G) each; kept."""
+        if not self._motion:
+            self._motion.extend(np.ascontiguousarray(axes.T) for axes in self.catalog.space_motion())
+        return self._motion
+
+    @property
+    def motion(self) -> FloatArray:
+        """Space motion (G, 3) of the unit vectors a Julian year, ICRS axes."""
+        return np.asarray(self._space_motion()[1].T)
 
     def brightest(self, count: int) -> GuideDatabase:
         """The same sky with the `count` brightest stars alone."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog
 
-__all__ = ["constellation_lines", "designation", "proper_name", "proper_names"]
+__all__ = ["constellation_lines", "designation", "designation_rows", "proper_name", "proper_names"]
 
 _LETTERS = (
     "Alp=α Bet=β Gam=γ Del=δ Eps=ε Zet=ζ Eta=η The=θ Iot=ι Kap=κ Lam=λ Mu=μ Nu=ν Xi=ξ Omi=ο Pi=π Rho=ρ Sig=σ Tau=τ "
@@ -57,7 +57,7 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
     constellation : str array, shape (L,)
         IAU abbreviation.
     """
-    row = _rows(catalog)
+    row = designation_rows(catalog)
     pairs: list[tuple[int, int]] = []
     names: list[str] = []
     for line in _lines("constellations.txt"):
@@ -71,8 +71,8 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
     return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(names, dtype=np.str_)
 
 
-def _rows(catalog: StarCatalog) -> dict[str, int]:
-    """Row of each designation, and of each letter without its index that of the brightest such star."""
+def designation_rows(catalog: StarCatalog) -> dict[str, int]:
+    """Row of each designation; a Bayer letter without its index is that of the brightest such star."""
     rows: dict[str, int] = {}
     named = np.flatnonzero(catalog.star_name != "")
     for i in named[np.argsort(catalog.v_mag[named], kind="stable")]:

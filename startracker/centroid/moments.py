@@ -15,7 +15,7 @@ from startracker.centroid.window import measure_stars, measure_widths
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.spots import Spots
-from startracker.detection.values import Image, as_pixels
+from startracker.detection.values import Image, as_pixels, is_value
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
@@ -87,8 +87,9 @@ def first_moment(
     Returns
     -------
     Centroids
-        Brightest first. Candidates without a positive signal, with a pixel in the window that is not finite, or whose
-        moment no star in the window explains, are left out.
+        Brightest first. A candidate with a pixel in the window that is not finite gets its `weighted_moment`, which
+        leaves such pixels out. Candidates without a positive signal, or whose moment no star in the window explains,
+        are left out.
 
     Raises
     ------
@@ -103,7 +104,27 @@ def first_moment(
         closer, _ = measure_moments(replace(frame, half=1), spots)
         better = (closer[:, 3:5].sum(axis=1) < table[:, 3:5].sum(axis=1)) & ~spots.saturated
         table[better] = closer[better]
+    lost = np.flatnonzero(~np.isfinite(table[:, 0]))
+    if len(lost) and _any_gap(frame.image, spots.x_peak[lost], spots.y_peak[lost], frame.half):
+        from startracker.centroid.psf_fit import weighted_table  # which begins with moments
+
+        table[lost] = weighted_table(frame, spots, table, sigmas)[0][lost]
     return collect(table, sigmas, spots, frame.half)
+
+
+@njit(cache=True, error_model="numpy")
+def _any_gap(image: Image, xs: IntArray, ys: IntArray, half: int) -> bool:
+    """Whether a pixel in one of the windows is not finite, though most of that window is."""
+    height, width = image.shape
+    for n in range(len(xs)):
+        gaps, total = 0, 0
+        for y in range(max(ys[n] - half, 0), min(ys[n] + half + 1, height)):
+            for x in range(max(xs[n] - half, 0), min(xs[n] + half + 1, width)):
+                gaps += int(not is_value(image[y, x]))
+                total += 1
+        if 0 < 2 * gaps < total:
+            return True
+    return False
 
 
 @dataclass(frozen=True, eq=False)

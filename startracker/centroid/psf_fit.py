@@ -59,24 +59,34 @@ def weighted_moment(
     if not len(spots):
         return Centroids.none()
     moments, sigmas = measure_moments(frame, spots)
+    table, psf = weighted_table(frame, spots, moments, sigmas)
+    return collect(table, _widths(psf), spots, max(frame.half, math.ceil(psf.sigma_px)))
+
+
+def weighted_table(
+    frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]
+) -> tuple[FloatArray, PsfModel]:
+    """Measurements (N, 6) by weighted moments, or the `moments` given where these fail, and the star image."""
     psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
-    table = weighted_moments(
-        frame.image,
-        frame.level,
-        frame.noise,
-        psf.table,
-        psf.oversampling,
-        np.array(psf.shape),
-        start[:, 0].copy(),
-        start[:, 1].copy(),
-        halves,
-        ceilings,
-        frame.inverse_gain,
-        frame.settings.bias_correction,
+    table = np.asarray(
+        weighted_moments(
+            frame.image,
+            frame.level,
+            frame.noise,
+            psf.table,
+            psf.oversampling,
+            np.array(psf.shape),
+            start[:, 0].copy(),
+            start[:, 1].copy(),
+            halves,
+            ceilings,
+            frame.inverse_gain,
+            frame.settings.bias_correction,
+        )
     )
     failed = ~np.isfinite(table).all(axis=1) | spots.saturated
     table[failed] = moments[failed]
-    return collect(table, _widths(psf), spots, max(frame.half, math.ceil(psf.sigma_px)))
+    return table, psf
 
 
 def least_squares(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,12 +15,13 @@ from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.selection import select_smeared, select_spots
+from startracker.detection.shapes import MAJOR, MINOR, SHAPE_SNR, measure_shapes
 from startracker.detection.spots import PEAK_RESIDUAL, PIXELS, X_PEAK, Y_PEAK, Spots
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
-__all__ = ["find_components", "find_smeared"]
+__all__ = ["find_components", "find_smeared", "weigh"]
 
 _RAISE = 2.0
 """Factor between the thresholds at which an oversized object is looked at again."""
@@ -31,6 +35,16 @@ no star is before the smear is seen."""
 _WHOLE_PIXELS, _PARTED_SHARE = 12, 0.25
 """Where such a share of objects of so many pixels was parted, they may be streaks of soft images, in pieces because the
 noise of their photons makes them uneven."""
+_FEWEST_POINTS, _POINT_SHARE = 5, 0.25
+"""Round star images, and their share of the number of streaks, from which the frame is not trailed. A trailed frame has
+one or two, of hot pixels or cosmic rays that touch; satellites are fewer than stars."""
+_WEIGHTS_PX = (1.2, 2.4, 4.8)
+"""Gaussian weights under which widths are measured: the first that is wider than the star images."""
+_WIDTH_RATIO, _CLEAR_SNR = 2.0, 8.0
+"""Factor in variance between images of one width at this signal-to-noise ratio: 4 standard errors of the variance, and
+the variation of a lens over its field. A trail of 4 px differs by more from a star of σ = 0.9 px."""
+_ON_TRAIL_PX = 4.0
+"""Half width of a streak and the error of its line: a point nearer may be a piece of it."""
 _LONGEST = 5
 """A streak may have this many times `max_pixels`."""
 
@@ -52,8 +66,8 @@ def find_components(
     distinct valleys between them are parted (`startracker.detection.blends`).
 
     Where three of the brightest objects are streaks, or many were parted, the frame may be smeared: it is searched
-    again at half the threshold, and if the streaks fit one motion of the camera (`startracker.detection.smear`),
-    these are the stars.
+    again at half the threshold. If streaks fit one motion of the camera (`startracker.detection.smear`), either all
+    stars are trailed by it, or the stars are points and the streaks are satellites: see `weigh`.
 
     Parameters
     ----------
@@ -86,11 +100,55 @@ def find_components(
     runs, signal, excess = search_filtered(pixels, background, half, threshold)
     table, parted = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
     whole = np.count_nonzero(table[:, PIXELS] >= _WHOLE_PIXELS) - parted
+    trails = None
     if parted >= max(_FEWEST_LONG, _PARTED_SHARE * whole) or _looks_smeared(table, settings):
-        spots = find_smeared(pixels, background, settings, saturation_dn)
-        if spots is not None:
-            return spots
-    return select_spots(table, settings, known, pixels, background, half, excess)
+        trails = find_smeared(pixels, background, settings, saturation_dn)
+    if trails is None:
+        return select_spots(table, settings, known, pixels, background, half, excess)
+    more = replace(settings, max_stars=settings.max_stars + len(trails))  # short streaks may be among them
+    points = select_spots(table, more, known, pixels, background, half, excess)
+    return weigh(trails, points, pixels, background, settings.max_stars)
+
+
+def weigh(trails: Spots, points: Spots, image: Image, background: Background, most: int) -> Spots:
+    """Candidates of the likelier hypothesis, all stars trailed or all stars points; the other's as `Spots.other`.
+
+    A trailed frame has no round images of stars: what is left beside its streaks are hot pixels and cosmic rays, which
+    are sharper, and pieces of streaks, which lie on these. So the number decides of points that have the width of the
+    frame's star images along both axes and lie on no streak. The streaks tell that width across themselves. Where
+    points are chosen, those that are streaks of the common motion are left out.
+
+    Parameters
+    ----------
+    trails, points : Spots
+        Candidates under either hypothesis.
+    image, background
+        What they were found in.
+    most : int
+        Points wanted.
+    """
+    assert trails.centre is not None
+    assert trails.streak is not None
+    assert points.centre is not None
+    level, noise, width = background.level_plane, background.noise_plane, math.nan
+    for weight in _WEIGHTS_PX:
+        across = measure_shapes(image, level, noise, trails.x_peak, trails.y_peak, weight)[:, MINOR]
+        width = float(np.median(across[np.isfinite(across)])) if np.isfinite(across).any() else math.nan
+        if width < weight**2:
+            break
+    shapes = measure_shapes(image, level, noise, points.x_peak, points.y_peak, weight)
+    broad = shapes[:, MAJOR] > width * _WIDTH_RATIO
+    star = (shapes[:, MINOR] > width / _WIDTH_RATIO) & ~broad & (shapes[:, SHAPE_SNR] > _CLEAR_SNR)
+    length = np.maximum(np.hypot(*trails.streak.T), 1e-12)
+    unit = trails.streak / length[:, None]
+    apart = points.centre[:, None] - trails.centre[None]
+    along = np.abs((apart * unit).sum(axis=2))
+    beside = np.abs(apart[..., 0] * unit[:, 1] - apart[..., 1] * unit[:, 0])
+    on_trail = ((along < 0.5 * length + _ON_TRAIL_PX) & (beside < _ON_TRAIL_PX)).any(axis=1)
+    stars = np.count_nonzero(star & ~on_trail & ~points.edge & ~points.saturated)
+    if stars < max(_FEWEST_POINTS, _POINT_SHARE * len(trails)):
+        return replace(trails, other=points.take(np.arange(min(most, len(points)))))
+    return replace(points.take(np.flatnonzero(~(on_trail & broad))[:most]), other=trails)
 
 
 def find_smeared(

@@ -11,7 +11,7 @@ from startracker.detection.forms import brightest_first, is_halo, measure_forms
 from startracker.detection.matched import quantiles
 from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.scan import UNFILTERED
-from startracker.detection.smear import agrees, common_motion, motion_at
+from startracker.detection.smear import agrees, frame_motion, motion_at
 from startracker.detection.spots import (
     AT_PEAK,
     EDGE,
@@ -205,7 +205,7 @@ def select_smeared(
     whole = np.flatnonzero(forms.long & (table[:, EDGE] == 0))
     order = whole[np.lexsort((table[whole, X_PEAK], table[whole, Y_PEAK], -table[whole, FLUX]))]
     middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)
-    motion = common_motion(forms.centre[order] - middle, forms.lines[order])
+    motion = frame_motion(forms.centre[order] - middle, forms.lines[order])
     if motion is None:
         return None
     expected = motion_at(forms.centre[order] - middle, motion)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from startracker.detection.values import Image, is_value
 
-__all__ = ["PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
+__all__ = ["MAJOR", "MINOR", "PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
 brightest pixel, signal-to-noise ratio."""
-PEAK_SHARE, SHAPE_SNR = 3, 4
+MINOR, MAJOR, PEAK_SHARE, SHAPE_SNR = 0, 1, 3, 4
 _RECENTRINGS = 3
 
 FloatImage = NDArray[np.float32]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["common_motion", "elongations"]
+__all__ = ["common_motion", "elongations", "frame_motion"]
 
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
@@ -71,6 +71,34 @@ def common_motion(
     length = np.median(np.hypot(*motion_at(xy[:tried], motion).T))
     sure = length > clear_px or np.count_nonzero(fits[:tried]) >= _SHORT_AGREEING * tried
     return motion if sure and length > shortest_px else None
+
+
+def frame_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
+    """`common_motion`, also where a train of satellites has bright streaks, all alike in another direction.
+
+    Where no motion of the brightest streaks is that of half of all streaks, each of the two largest groups of one
+    motion is set aside in turn; of the motions that the others then share, that of more streaks is the frame's.
+    """
+    first = common_motion(xy, lines)
+    if len(xy) < 2 * _FEWEST or (first is not None and 2 * np.count_nonzero(_fits(xy, lines, first)) >= len(xy)):
+        return first
+    best, most, left = first, 0 if first is None else np.count_nonzero(_fits(xy, lines, first)), np.ones(len(xy), bool)
+    for _ in range(2):
+        agreeing, group = _search(xy[left], lines[left], min(int(left.sum()), _TRIED))
+        if agreeing < _FEWEST:
+            break
+        aside = _fits(xy, lines, group)
+        left &= ~aside
+        motion = common_motion(xy[~aside], lines[~aside])
+        count = 0 if motion is None else np.count_nonzero(_fits(xy, lines, motion))
+        if count > most:
+            best, most = motion, count
+    return best
+
+
+def _fits(xy: FloatArray, lines: FloatArray, motion: FloatArray) -> NDArray[np.bool_]:
+    """Which streaks a motion explains."""
+    return agrees(lines, motion_at(xy, motion))
 
 
 def motion_at(xy: FloatArray, motion: FloatArray) -> FloatArray:

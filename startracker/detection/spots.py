@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,9 @@ class Spots:
         Length along x and y, pixels, of the line that the frame's motion drew of a star; 0 where there is none.
     rejected : mapping of str to int
         How many objects were left out for which reason.
+    other : Spots, optional
+        Where the frame shows streaks of one motion: the candidates under the hypothesis that was not chosen, points
+        where these are streaks, streaks where these are points.
     """
 
     x_peak: NDArray[np.int64]
@@ -63,9 +66,29 @@ class Spots:
     centre: NDArray[np.float64] | None = None
     streak: NDArray[np.float64] | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
+    other: Spots | None = None
 
     def __len__(self) -> int:
         return len(self.flux)
+
+    @property
+    def are_streaks(self) -> bool:
+        """Whether these are stars trailed by the frame's motion."""
+        return self.streak is not None and bool(self.streak.any())
+
+    def take(self, index: NDArray[np.int64]) -> Spots:
+        """Some of the candidates."""
+        return replace(
+            self,
+            x_peak=self.x_peak[index],
+            y_peak=self.y_peak[index],
+            flux=self.flux[index],
+            pixels=self.pixels[index],
+            saturated=self.saturated[index],
+            edge=self.edge[index],
+            centre=None if self.centre is None else self.centre[index],
+            streak=None if self.streak is None else self.streak[index],
+        )
 
     @classmethod
     def none(cls, rejected: Mapping[str, int] | None = None) -> Spots:

@@ -16,6 +16,7 @@ from startracker.estimation.wahba import davenport, esoq2, quest, wahba_svd
 
 __all__ = [
     "METHODS",
+    "OPTIMAL",
     "Estimate",
     "Estimator",
     "Plate",
@@ -48,3 +49,7 @@ METHODS: dict[str, Estimator] = {
 ``svd``, ``davenport``, ``quest`` and ``esoq2`` are optimal and agree; ``triad`` and ``star_pair`` use two stars;
 ``plate_constants`` leaves the scale free.
 """
+
+OPTIMAL: frozenset[Estimator] = frozenset({wahba_svd, davenport, quest, esoq2})
+"""Those that minimise the weighted squares: they give one and the same attitude, and so does the fit of
+`startracker.estimation.pose`."""

@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.bayes_factor import count_table
-from startracker.identification.hypothesis import Bench, hypothesis_of, too_few
+from startracker.identification.hypothesis import Bench, hypothesis_of, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.search_state import Finds, Limits, Pairs, Stars
+from startracker.identification.search_state import Finds, Limits, Pairs
 from startracker.identification.triangles import PAIR_SIGMAS, search_triangles, triangle_costs
-from startracker.identification.verification import MOST_EXTRA, focal_slopes
 from startracker.settings import IdentificationSettings
 
 FloatArray = NDArray[np.float64]
@@ -55,7 +53,7 @@ class _Turn(NamedTuple):
     triangles : int
         Looked up under this assumption by the end of the turn, at most.
     work : float
-        Nanoseconds at most, about.
+        Operations at most.
     """
 
     assumption: str
@@ -93,6 +91,7 @@ _MOST_STARS = 120
 _BRIGHT = 9
 _LEAST_SIDE = 0.12
 _MOST_FINDS = 12
+_HITS_FOR_RATE = 10.0
 _NO_PRIOR = np.eye(3)
 
 
@@ -126,13 +125,7 @@ def adaptive(
     if len(observed) < least:
         return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
-    stars = Stars(
-        observed.vectors,
-        focal_slopes(observed.vectors),
-        observed.sigma_rad,
-        observed.magnitudes_or_nan(),
-        count_table(len(observed), 2 * len(observed) + MOST_EXTRA),
-    )
+    stars = kernel_stars(observed, guide)
     near = (
         guide.pairs_within(SHORT_SIDES)
         if prior is None
@@ -149,11 +142,17 @@ def adaptive(
         start, stop = done.get(turn.assumption, 0), min(turn.triangles, len(triangles), _enough(turn, len(observed)))
         if start >= stop:
             continue
+        if bench.left <= 0:
+            bench.cut_short = True
+            break
         limits = _limits(bench, observed, turn)
-        count, looked, found = search_triangles(
+        count, looked, found, operations = search_triangles(
             triangles.part(start, stop), stars, guide.view, pairs, limits, finds, count
         )
         done[turn.assumption] = start + looked
+        bench.operations += int(operations)
+        if bench.left <= 0 and start + looked < stop:
+            bench.cut_short = True
         bench.note(f"{turn.assumption}: {looked} triangles, {found} alike in the sky, {count - kept} worth a look")
         kept = count
         for row in range(count):
@@ -197,16 +196,10 @@ def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
         slack = prior.radius_rad + 6.0 * turn.multiple * float(observed.sigma_rad.max()) + turn.focal_range
         matrix, cosine = prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
     tolerance, sure = bench.settings.magnitude_tolerance, bench.sure_evidence
-    return Limits(
-        turn.multiple,
-        turn.focal_range,
-        tolerance,
-        turn.chance_hits,
-        sure,
-        turn.work,
-        matrix,
-        cosine,
-    )
+    # who accepts much by chance wants what few other stars confirm to be looked at, too
+    chance_hits = max(turn.chance_hits, _HITS_FOR_RATE * bench.settings.false_alarm_rate)
+    work = min(turn.work, bench.left)
+    return Limits(turn.multiple, turn.focal_range, tolerance, chance_hits, sure, work, matrix, cosine)
 
 
 @lru_cache(maxsize=128)

@@ -40,6 +40,8 @@ SCALE_LOG_PRIOR = np.log(np.array([0.1, 0.15, 0.2, 0.2, 0.15, 0.1, 0.06, 0.04]))
 SCATTERS_MAG = np.array([0.12, 0.35])
 """Scatters of the magnitudes averaged over: a calibrated instrument, and any."""
 _WIDE_MAG, _WIDE_SHARE, _FLOOR = 1.5, 0.2, 1e-3
+WEIGHINGS = len(SCALES) + 3 * len(SCATTERS_MAG)
+"""Times that `log_bayes_factor` goes through all depths and matches."""
 _SAMPLE = 24
 _USUAL_STARS = 250
 _LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)

@@ -20,6 +20,7 @@ from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
+from startracker.identification.clustering_null import clustering_price
 from startracker.identification.evidence import log_evidence, magnitude_ratio
 from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
@@ -149,9 +150,18 @@ def _sane(camera: Camera) -> bool:
 
 
 def weigh(
-    camera: Camera, matrix: FloatArray, xy: FloatArray, magnitude: FloatArray | None, guide: GuideDatabase, anchors: int
+    camera: Camera,
+    matrix: FloatArray,
+    xy: FloatArray,
+    magnitude: FloatArray | None,
+    guide: GuideDatabase,
+    anchors: int,
+    excess: FloatArray,
 ) -> tuple[float, IntArray]:
-    """ln Λ of a camera and attitude (the best of `WIDTHS_PX`, the choice paid for), and the pairs it explains."""
+    """ln Λ of a camera and attitude (the best of `WIDTHS_PX`, the choice paid for), and the pairs it explains.
+
+    `excess` is that of `clustering_null`: crowded points agree by chance more easily.
+    """
     index, _, places = guide.in_field(matrix, 2.0, camera)
     keep = slice(0, 2 * len(xy) + 10)
     index, places = index[keep], places[keep]
@@ -169,6 +179,7 @@ def weigh(
             ratio = magnitude_ratio(magnitude, v, guide.v_mag[index])
         area = float(camera.width) * camera.height
         value = log_evidence(distance, sigma, area, len(index), ratio, anchors) - math.log(len(WIDTHS_PX))
+        value -= clustering_price(excess, near)
         if value > best:
             best, pairs = value, np.stack([matched, index[near[matched]]], axis=1)
     return best, pairs
@@ -266,3 +277,23 @@ def candidates(
 def attitude_of(camera: Camera, xy: FloatArray, directions: FloatArray) -> FloatArray:
     """Rotation (3, 3) of a handful of stars."""
     return np.asarray(fit_rotation(camera.unproject(xy), directions, np.ones(len(xy))))
+
+
+def without_rational(camera: Camera) -> Camera:
+    """The camera without the denominator of its distortion, as the fit has none."""
+    if camera.projection != "pinhole":
+        return replace(camera, projection="fisheye")
+    return replace(camera, distortion=replace(camera.distortion, k4=0.0, k5=0.0, k6=0.0))
+
+
+def field_deg(camera: Camera) -> float:
+    """Angle across the width, edge to edge, distortion included."""
+    left, right = camera.unproject([[-0.5, camera.cy], [camera.width - 0.5, camera.cy]])
+    return math.degrees(math.acos(min(1.0, float(left @ right))))
+
+
+def depth(stars: int, width: int, height: int, fov_deg: float) -> int:
+    """Brightest stars of the sky that reach three times as deep as the image's stars, where they are evenly spread."""
+    side = math.radians(fov_deg)
+    field = side * side * min(height / width, 1.0)
+    return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))

@@ -7,7 +7,7 @@ the more it explains, and the fewer rivals explain anything, the less is left to
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -15,8 +15,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
+from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, focal_slopes, match_nearest, verify_attitude
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
@@ -76,6 +79,23 @@ def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray)
     return index, distance
 
 
+def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
+    """Observed stars as the kernels take them, kept with these."""
+    area, kept = guide.solid_angle_sr, observed.kept
+    if area not in kept:
+        vectors, n = np.ascontiguousarray(observed.vectors, dtype=np.float64), len(observed)
+        kept[area] = Stars(
+            vectors,
+            focal_slopes(vectors),
+            np.ascontiguousarray(observed.sigma_rad, dtype=np.float64),
+            observed.magnitudes_or_nan(),
+            count_table(n, 2 * n + MOST_EXTRA),
+            log_excess_density(vectors, area),
+        )
+    stars: Stars = kept[area]
+    return stars
+
+
 def verify(
     matrix: FloatArray,
     observed: Observed,
@@ -101,19 +121,22 @@ def verify(
     -------
     Hypothesis, or None when fewer than three stars agree.
     """
+    return _verified(matrix, observed, guide, scale, focal)[0]
+
+
+def _verified(
+    matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float, focal: float | None
+) -> tuple[Hypothesis | None, int]:
+    """What `verify` gives, and the operations it took."""
     found = verify_attitude(
         np.ascontiguousarray(matrix, dtype=np.float64),
         0.0 if focal is None else math.log(focal),
-        observed.vectors,
-        focal_slopes(observed.vectors),
-        observed.sigma_rad,
-        observed.magnitudes_or_nan(),
+        kernel_stars(observed, guide),
         guide.view,
         float(scale),
         focal is not None,
-        count_table(len(observed), 2 * len(observed) + MOST_EXTRA),
     )
-    return hypothesis_of(found)
+    return hypothesis_of(found[:6]), found[6]
 
 
 def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) -> Hypothesis | None:
@@ -153,6 +176,10 @@ class Bench:
         Attitudes that can be: the fewer, the less is left to chance.
     stars : int
         Observed stars.
+    operations : int
+        Taken so far (`IdentificationSettings.max_operations`).
+    cut_short : bool
+        Whether something was left out for want of operations.
     """
 
     settings: IdentificationSettings
@@ -160,6 +187,37 @@ class Bench:
     stars: int = 3
     standing: list[Hypothesis] = field(default_factory=list)
     tried: list[str] = field(default_factory=list)
+    operations: int = 0
+    cut_short: bool = False
+
+    @property
+    def left(self) -> int:
+        """Operations that the search may still take."""
+        return self.settings.max_operations - self.operations
+
+    def spend(self, operations: float) -> bool:
+        """Count the operations of a step; False, and the search is `cut_short`, where there are not as many left."""
+        if operations > self.left:
+            self.cut_short = True
+            return False
+        self.operations += int(operations)
+        return True
+
+    def check(
+        self,
+        matrix: FloatArray,
+        observed: Observed,
+        guide: GuideDatabase,
+        scale: float = SCALES[-1],
+        focal: float | None = None,
+    ) -> None:
+        """Take in an attitude as `verify` finds it, unless there are no operations left."""
+        if self.left <= 0:
+            self.cut_short = True
+            return
+        hypothesis, operations = _verified(matrix, observed, guide, scale, focal)
+        self.operations += operations
+        self.add(hypothesis)
 
     def add(self, hypothesis: Hypothesis | None) -> None:
         """Take in a verified hypothesis; one that repeats another replaces it only when it is better."""
@@ -185,9 +243,7 @@ class Bench:
         if not self.standing:
             return 0.0
         best, *others = (h.log_evidence for h in self.standing)
-        largest = max(-self._gain, *others) if others else -self._gain
-        rivals = math.exp(-self._gain - largest) + sum(math.exp(other - largest) for other in others)
-        return self._log_density + largest + math.log(rivals) - best
+        return log_chance(best, others, log_gain=self._gain, log_density=self._log_density)
 
     @property
     def surely(self) -> bool:
@@ -202,7 +258,7 @@ class Bench:
     @property
     def limit(self) -> float:
         """Logarithm of the chance that is still accepted."""
-        return math.log(self.settings.false_alarm_rate)
+        return log_limit(self.settings)
 
     @property
     def _log_density(self) -> float:
@@ -222,11 +278,15 @@ class Bench:
         turn = hypothesis.matrix @ self.prior.attitude.as_matrix().T
         return bool((np.trace(turn) - 1.0) / 2.0 >= math.cos(min(self.prior.radius_rad * 1.05, math.pi)))
 
-    def judge(self, observed: Observed, prior: Prior | None = None) -> Identification:
-        """Solved, ambiguous or no match, with the reason in words."""
-        if prior is not None:
-            self.prior = prior
-            self.standing = [h for h in self.standing if self._allowed(h)]
+    def judge(self, observed: Observed) -> Identification:
+        """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""
+        found = self._judge(observed)
+        if found.status is not Status.SOLVED and self.cut_short:
+            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {found.reason}"
+            found = replace(found, status=Status.SEARCH_LIMIT, reason=reason)
+        return replace(found, operations=self.operations)
+
+    def _judge(self, observed: Observed) -> Identification:
         seen = f"{len(observed)} stars seen"
         if self.prior is not None:
             seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"
@@ -235,17 +295,18 @@ class Bench:
         best, chance, limit = self.standing[0], self.log_chance, self.settings.false_alarm_rate
         says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
         steps = Steps(tuple(self.tried), partial(_described, tuple(self.standing[:3])))
-        if len(best.pairs) < self.settings.min_stars or chance > self._log_density:
+        enough = len(best.pairs) >= self.settings.min_stars
+        if enough and accepts(chance, self.settings):
+            reason = f"{says}; by chance with probability {power_of_ten(chance)}"
+            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps)
+        if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
-        if chance <= self.limit:
-            reason = f"{says}; by chance with probability {_power(chance)}"
-            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps)
         if len(self.standing) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
             other = self.standing[1]
             reason = f"{says}, but another part of the sky fits {len(other.pairs)} stars nearly as well"
         else:
-            reason = f"{says}: by chance with probability {_power(chance)}, above the limit of {limit:.0e}"
+            reason = f"{says}: by chance with probability {power_of_ten(chance)}, above the limit of {limit:.0e}"
         return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance, steps=steps)
 
 
@@ -261,9 +322,3 @@ def _describe(hypothesis: Hypothesis) -> str:
         f"{hypothesis.scale:g} stated errors, {hypothesis.in_field} guide stars expected; "
         f"e^{hypothesis.log_evidence:.1f} times likelier than chance"
     )
-
-
-def _power(log_value: float) -> str:
-    # e⁻²⁰⁰⁰ is no float
-    exponent = math.floor(min(log_value, 0.0) / math.log(10.0))
-    return f"1e{exponent}" if exponent < 0 else "1"

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Marks", "is_marked", "mark_sky", "no_marks"]
+__all__ = ["Marks", "is_marked", "mark_sky", "no_marks", "share_marked"]
 
 FloatArray = NDArray[np.float64]
 
@@ -68,6 +68,18 @@ def mark_sky(directions: FloatArray, reach: float) -> Marks:
                     bit = _bit(i, j, k)
                     words[bit >> np.uint64(5)] |= np.uint32(1) << np.uint32(bit & np.uint64(31))
     return Marks(words, per_unit, reach * reach)
+
+
+@njit(cache=True, error_model="numpy")
+def share_marked(marks: Marks) -> float:
+    """Share of the bits that are set, which is that of random directions that cannot be excluded at once."""
+    count = 0
+    for word in marks.words:
+        left = word
+        while left != np.uint32(0):
+            left &= left - np.uint32(1)
+            count += 1
+    return count / (32.0 * max(len(marks.words), 1))
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification import match_kernels as kernels
-from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings
@@ -35,6 +35,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _MOST_STARS = 64  # bits of a word
+_MARK_WORK, _COLLECT_WORK, _COUPLE_WORK = 16.0, 64.0, 10.0
+"""Operations of a guide pair in a window, to mark and to collect it, and of two members of a group compared."""
 
 
 def match_groups(
@@ -77,20 +79,22 @@ def match_groups(
             observed.vectors[part], None if observed.flux is None else observed.flux[part], observed.sigma_rad[part]
         )
         for scale in scales:
-            search = _Search.prepare(chosen, guide, settings, prior, scale)
+            search = _Search.prepare(chosen, guide, bench, scale)
+            if search is None:
+                return bench.judge(observed)
             bench.note(f"match groups within {scale:g} stated errors: largest {search.largest} stars")
             decisive = 0
             for threshold in search.thresholds():
                 for size, matrix in search.attitudes(threshold):
                     if size < decisive - 1:  # what comes now cannot compete
                         break
-                    bench.add(verify(matrix, observed, guide, scale))
+                    bench.check(matrix, observed, guide, scale)
                     if decisive == 0 and bench.surely:
                         decisive = size
-                if decisive:
+                if decisive or bench.cut_short:
                     break
             verdict = bench.judge(observed)
-            if verdict.status is Status.SOLVED:
+            if verdict.status is Status.SOLVED or bench.cut_short:
                 return verdict
     return verdict
 
@@ -101,7 +105,7 @@ class _Search:
 
     observed: Observed
     guide: GuideDatabase
-    settings: IdentificationSettings
+    bench: Bench
     pair_args: tuple[NDArray[Any], ...]
     magnitude: FloatArray
     tolerance_mag: float
@@ -116,10 +120,11 @@ class _Search:
         cls,
         observed: Observed,
         guide: GuideDatabase,
-        settings: IdentificationSettings,
-        prior: Prior | None,
+        bench: Bench,
         scale: float,
-    ) -> _Search:
+    ) -> _Search | None:
+        """None where there are not enough operations left."""
+        settings, prior = bench.settings, bench.prior
         vectors, sigma = observed.vectors, observed.sigma_rad * scale
         i, j, separations = observed_pairs(vectors)
         fixed = settings.separation_tolerance_deg
@@ -131,6 +136,8 @@ class _Search:
             slack = prior.radius_rad + float(tolerance.max())
             allowed = expected @ guide.directions.T >= math.cos(min(slack, math.pi))
         low, high = windows(pairs, separations, tolerance)
+        if not bench.spend(_MARK_WORK * float(np.sum(high - low)) + len(observed) * len(guide)):
+            return None
         magnitude, tolerance_mag = observed.magnitudes(), settings.magnitude_tolerance
         if magnitude is None:
             magnitude, tolerance_mag = np.zeros(len(observed)), math.inf
@@ -138,9 +145,7 @@ class _Search:
         pair_args = (i, j, low, high, pairs.first, pairs.second)
         kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners)
         sizes = kernels.group_sizes(partners)
-        return cls(
-            observed, guide, settings, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes
-        )
+        return cls(observed, guide, bench, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes)
 
     @property
     def largest(self) -> int:
@@ -149,8 +154,9 @@ class _Search:
 
     def thresholds(self) -> range:
         """Limits on the group size, from two below the largest group (or the setting, if lower) downwards."""
-        least = max(self.settings.min_stars, 3)
-        return range(max(least, min(self.settings.group_threshold, self.largest - 2)), least - 1, -1)
+        settings = self.bench.settings
+        least = max(settings.min_stars, 3)
+        return range(max(least, min(settings.group_threshold, self.largest - 2)), least - 1, -1)
 
     def attitudes(self, threshold: int) -> Iterator[tuple[int, FloatArray]]:
         """Size and attitude of the validated groups, largest first; what was given out before is left out."""
@@ -166,14 +172,20 @@ class _Search:
 
     def _validated(self, threshold: int) -> IntArray:
         """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
+        n, settings = len(self.observed), self.bench.settings
+        none = np.empty((0, n), dtype=np.int64)
+        if not self.bench.spend(_COLLECT_WORK * float(np.sum(self.pair_args[3] - self.pair_args[2]))):
+            return none
         kernel_obs, kernel_guide = np.nonzero(self.sizes >= threshold)
         group = np.full(self.sizes.shape, -1, dtype=np.int64)
         group[kernel_obs, kernel_guide] = np.arange(len(kernel_obs))
         start, members = kernels.collect(
             *self.pair_args, self.magnitude, self.guide.v_mag, self.tolerance_mag, self.allowed, group, len(kernel_obs)
         )
+        members_each = np.minimum(np.diff(start), kernels.MAX_MEMBERS).astype(float)
+        if not self.bench.spend(_COUPLE_WORK * float(np.sum(members_each**2)) + n * len(kernel_obs)):
+            return none
         i, j = self.pair_args[0], self.pair_args[1]
-        n = len(self.observed)
         low, high = np.ones((2, n, n))
         mirror = np.zeros((n, n))
         low[i, j] = low[j, i] = np.cos(np.minimum(self.separations + self.tolerance, math.pi))
@@ -182,14 +194,14 @@ class _Search:
         mirror[i, j] = mirror[j, i] = np.sin(self.separations) * self.tolerance
         size, rss, found = kernels.validate(
             kernel_obs, kernel_guide, start, members,
-            self.observed.vectors, self.guide.directions, low, high, mirror, max(self.settings.min_stars, 3),
+            self.observed.vectors, self.guide.directions, low, high, mirror, max(settings.min_stars, 3),
         )  # fmt: skip
         order = np.lexsort((rss, -size))
         order = order[size[order] >= threshold]
         kept: list[int] = []
         per_star = np.zeros(n, dtype=int)
         for k in order:
-            if per_star[kernel_obs[k]] < self.settings.max_groups_per_star:
+            if per_star[kernel_obs[k]] < settings.max_groups_per_star:
                 per_star[kernel_obs[k]] += 1
                 kept.append(int(k))
         return np.asarray(found[kept])

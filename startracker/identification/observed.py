@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -37,6 +39,11 @@ class Observed:
 
     def __len__(self) -> int:
         return len(self.vectors)
+
+    @cached_property
+    def kept(self) -> dict[float, Any]:
+        """Room for what is derived from these stars once and used often."""
+        return {}
 
     def magnitudes(self) -> FloatArray | None:
         """Instrumental magnitudes −2.5 log₁₀ flux (N,), or None without a usable flux."""
@@ -74,7 +81,7 @@ class Identification:
     Parameters
     ----------
     status, reason : Status, str
-        ``solved``, ``too_few_stars``, ``no_match`` or ``ambiguous``, and why, in words.
+        ``solved``, ``too_few_stars``, ``no_match``, ``ambiguous`` or ``search_limit``, and why, in words.
     pairs : int array, shape (M, 2)
         Observed index and guide index of each identified star; empty unless solved.
     log_false_alarm : float
@@ -83,6 +90,8 @@ class Identification:
         Factor of the focal length against the camera's, where that is a little off; else 1.
     steps : sequence of str
         What was tried and how far it got, for people.
+    operations : int
+        Steps of the search, as `IdentificationSettings.max_operations` counts them: the same on every machine.
     """
 
     status: Status
@@ -91,3 +100,4 @@ class Identification:
     log_false_alarm: float = 0.0
     focal: float = 1.0
     steps: Sequence[str] = ()
+    operations: int = 0

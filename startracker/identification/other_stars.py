@@ -123,7 +123,7 @@ def enough_hits(
 
 @njit(cache=True, error_model="numpy")
 def least_hits(mean: float, chance: float) -> int:
-    """Fewest hits that come by chance with a probability below `chance` where `mean` come on average (Poisson)."""
+    """Fewest hits that come by chance with a probability of at most `chance` where `mean` come on average (Poisson)."""
     if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead
         return int(mean + 5.0 * math.sqrt(mean)) + 1
     term, tail, hits = math.exp(-mean), 1.0, 0
@@ -131,4 +131,4 @@ def least_hits(mean: float, chance: float) -> int:
         tail -= term
         hits += 1
         term *= mean / hits
-    return max(hits, 1)
+    return hits

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
 from startracker.identification.pattern_table import pattern_table
@@ -29,7 +29,7 @@ __all__ = ["pattern_hash"]
 
 FOCAL_RANGE = 0.025
 MOST_STARS = 40
-_WORK_NS = {1.0: 3e6, 3.0: 3e6, 10.0: 5e6}
+_WORK = {1.0: 3e6, 3.0: 3e6, 10.0: 5e6}
 _ROOM = 8
 _MOST_VERIFIED = 24
 _PASSING, _STRONG = -1.0, -8.0
@@ -71,14 +71,17 @@ def pattern_hash(
     finds = PatternFinds(np.empty(_ROOM), np.empty((_ROOM, 3, 3)), np.empty(_ROOM))
     known = np.empty((0, 3, 3))
     for scale in SCALES:
-        stars, work, looked = np.arange(4), _WORK_NS[scale], 0
+        stars, work, looked = np.arange(4), min(_WORK[scale], float(bench.left)), 0
+        bench.cut_short = bench.cut_short or work <= 0.0
         while work > 0.0 and stars[3] < min(len(observed), MOST_STARS) and len(known) < _MOST_VERIFIED:
             plan = _plan(scale, work, observed, prior)
-            count, patterns, work = search_patterns(vectors, sigma, table, sky, plan, stars, known, finds)
+            count, patterns, left = search_patterns(vectors, sigma, table, sky, plan, stars, known, finds)
+            bench.operations += int(work - left)
+            work = left
             looked += patterns
             for k in np.argsort(finds.score[:count]):
                 focal = float(finds.focal[k])
-                bench.add(verify(finds.matrix[k], observed, guide, SCALES[-1], None if focal == 1.0 else focal))
+                bench.check(finds.matrix[k], observed, guide, SCALES[-1], None if focal == 1.0 else focal)
                 known = np.concatenate([known, finds.matrix[k : k + 1]])
             if bench.surely:
                 break

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.kvector import KVector, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
@@ -31,6 +31,10 @@ _MOST_STARS = 30
 """Brightest observed stars that make triangles, unless the settings ask for more."""
 _ROUNDS = ((60, 3, 500_000), (400, 2, 500_000), (100_000, 1, 500_000))
 """Triangles up to which each round goes, stars that must confirm one, and steps it may take, for each scale."""
+_MOST_TRIPLED = 64
+"""Stars that make triangles at most, whatever the settings: 42,000 triangles."""
+_STEP_WORK = 10
+"""Operations of a step."""
 _MOST_CHECKED = 12  # confirmed triangles checked in a round at one scale
 _WIDEST = 0.01
 """Errors are not assumed larger than this share of the field's half diagonal (3.6 px of 512), unless stated so."""
@@ -71,7 +75,7 @@ def pyramid(
     index = _INDEXES.get(pairs)
     if index is None:
         index = _INDEXES[pairs] = k_vector(pairs.separation_rad.astype(np.float64))
-    n = min(len(observed), max(_MOST_STARS, settings.max_stars))
+    n = min(len(observed), max(_MOST_STARS, settings.max_stars), _MOST_TRIPLED)
     triples = smart_triples(n)
     head = np.full(len(guide), -1, dtype=np.int64)
     view = guide.view
@@ -82,18 +86,22 @@ def pyramid(
     for most, confirming, budget in _ROUNDS:
         stop, needed = min(most, len(triples)), max(1, min(confirming, len(observed) - 3))
         for scale in scales:
-            reached, left, checked, best = 0, budget, 0, 0
+            reached, checked, best = 0, 0, 0
+            left = min(budget, bench.left // _STEP_WORK)
+            bench.cut_short = bench.cut_short or left <= 0
             while reached < stop and left > 0 and checked < _MOST_CHECKED:
                 found = search_pyramids(
                     seen[scale], triples, reached, stop, pairs.first, pairs.second, index, view, needed, left, head
                 )
-                reached, _, finds, matrices, confirmed, left = found
+                reached, _, finds, matrices, confirmed, after = found
+                bench.operations += _STEP_WORK * (left - after)
+                left = after
                 for f in range(finds):
                     if confirmed[f] < best - 1:  # what is confirmed by fewer cannot compete
                         break
                     best = max(best, int(confirmed[f]))
                     checked += 1
-                    bench.add(verify(matrices[f], observed, guide, scale))
+                    bench.check(matrices[f], observed, guide, scale)
                 if finds and bench.surely:
                     return bench.judge(observed)
             bench.note(
@@ -101,7 +109,7 @@ def pyramid(
                 + (f"the best confirmed by {best} further stars" if best else "none confirmed by a fourth star")
             )
         verdict = bench.judge(observed)
-        if verdict.status is Status.SOLVED:
+        if verdict.status is Status.SOLVED or bench.cut_short:
             break
     return verdict
 

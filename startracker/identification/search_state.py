@@ -14,14 +14,15 @@ IntArray = NDArray[np.int64]
 
 
 class Stars(NamedTuple):
-    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), and
-    what their number says."""
+    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), what
+    their number says, and how much denser they lie than evenly (`clustering_null`)."""
 
     vectors: FloatArray
     slopes: FloatArray
     sigma: FloatArray
     magnitude: FloatArray
     counts: CountTable
+    excess: FloatArray
 
 
 class Pairs(NamedTuple):
@@ -48,7 +49,7 @@ class Limits(NamedTuple):
     sure : float
         ln B above which the search ends.
     work : float
-        Nanoseconds, roughly, after which it ends.
+        Operations after which it ends.
     prior : (3, 3)
         Attitude known beforehand.
     prior_cosine : float

@@ -7,6 +7,7 @@ in the sub-catalogue of their first star, then their second, then their third.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -17,6 +18,9 @@ from numpy.typing import NDArray
 
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
+
+_PAIR_WORK, _TRIAD_WORK = 20.0, 2000.0
+"""Operations of a catalogue pair within a window, and of a triad."""
 
 __all__ = ["TriadLimits", "Triads", "find_triads", "group_rotations", "image_pairs"]
 
@@ -39,21 +43,40 @@ class TriadLimits:
         Largest difference of an inner angle; None leaves the test out, as her program on the MC68360 did.
     grouping_tolerance_deg : float
         Largest difference of a triad's mean rotation from the running mean of its group.
-    vote_number : int
-        Fewest triads of a group that must name a catalogue star.
+    vote_number : int or None
+        Fewest triads of a group that must name a catalogue star; None: by the number of image stars
+        (`votes_needed`), as her section 5.2 recommends.
     combine_px : float
         Catalogue stars that lie as close as this in the image are one: her τ.
     three_stars : bool
         Where only three stars are seen and one group is found, one vote is enough (her section 5.2).
+    reprocess_multiples : bool
+        Stars that are one in the image are made one in the triads before votes are counted, so that a triad which
+        names one of them and one which names another are not two votes (her section 5.2). False: frequencies are
+        summed, as in her program.
+    most_operations : int, optional
+        Pairs compared and triads found (some 2,000 each) after which the search ends.
     """
 
     separation_tolerance_deg: float | tuple[float, ...] = 0.15
     rotation_tolerance_deg: float = 5.0
     enclosed_tolerance_deg: float | None = 1.0
     grouping_tolerance_deg: float = 5.0
-    vote_number: int = 2
+    vote_number: int | None = 2
     combine_px: float = 8.0
     three_stars: bool = False
+    reprocess_multiples: bool = False
+    most_operations: int | None = None
+
+    def votes_needed(self, stars: int) -> int:
+        """Fewest votes for a match among so many image stars.
+
+        A star stands in (n − 1)(n − 2)/2 of the triangles of n; by the number of stars a tenth of these must name it,
+        at least two: 2 for up to 7 stars, 3 for 8 or 9, 6 for 12.
+        """
+        if self.vote_number is not None:
+            return self.vote_number
+        return max(2, math.ceil((stars - 1) * (stars - 2) / 20.0))
 
     def pair_tolerances(self, arithmetic: Arithmetic, count: int) -> Numbers:
         """Tolerance of each of `count` pairs in the arithmetic's format (count,)."""
@@ -78,6 +101,10 @@ class Triads:
         Group of each, from 0 in the order of their first members.
     group_rotations : (K,)
         Mean rotation of each group.
+    operations : int
+        Taken by the search.
+    complete : bool
+        False where `TriadLimits.most_operations` ended it.
     """
 
     stars: IntArray
@@ -85,6 +112,8 @@ class Triads:
     rotations: Numbers
     group: IntArray
     group_rotations: Numbers
+    operations: int = 0
+    complete: bool = True
 
     def __len__(self) -> int:
         return len(self.group)
@@ -116,11 +145,11 @@ def _side(tables: TriadTables, low: int, high: int) -> _Side:
 
 
 @njit(cache=True, error_model="numpy")
-def join_sides(one: _Side, two: _Side, three: _Side) -> IntArray:
+def join_sides(one: _Side, two: _Side, three: _Side, work: float = math.inf) -> tuple[IntArray, float]:
     """Catalogue triads (K, 3), ascending, whose sides are all among the pairs of the image's sides 1-2, 1-3 and 2-3.
 
     For each pair (a, b) of side 1-2 the partners of a in 1-3 and those of b in 2-3 are two rising lists; what stands
-    in both completes the triad.
+    in both completes the triad. Ends where `work` operations are used up; what is left of them is below zero then.
     """
     out = np.empty((64, 3), np.int64)
     count = 0
@@ -128,6 +157,9 @@ def join_sides(one: _Side, two: _Side, three: _Side) -> IntArray:
         for k in range(one.begin[a], one.begin[a + 1]):
             b = one.partner[k]
             p, q = two.begin[a], three.begin[b]
+            work -= _PAIR_WORK + two.begin[a + 1] - p + three.begin[b + 1] - q
+            if work < 0.0:
+                return out[:count].copy(), work
             while p < two.begin[a + 1] and q < three.begin[b + 1]:
                 if two.partner[p] < three.partner[q]:
                     p += 1
@@ -140,7 +172,8 @@ def join_sides(one: _Side, two: _Side, three: _Side) -> IntArray:
                     count += 1
                     p += 1
                     q += 1
-    return out[:count].copy()
+                    work -= _TRIAD_WORK
+    return out[:count].copy(), work
 
 
 def find_triads(
@@ -170,11 +203,17 @@ def find_triads(
     arithmetic = tables.arithmetic
     low, high = tables.windows(separations, limits.pair_tolerances(arithmetic, len(separations)))
     i, j = image_pairs(stars)
+    most = math.inf if limits.most_operations is None else float(limits.most_operations)
+    work = most - _PAIR_WORK * float(np.sum(high - low))
+    if work < 0.0:
+        i, j, low, high = i[:0], j[:0], low[:0], high[:0]
     sides = {(int(p), int(q)): _side(tables, int(a), int(b)) for p, q, a, b in zip(i, j, low, high, strict=True)}
     rotation_tolerance = arithmetic.angle_of(limits.rotation_tolerance_deg)
     found = []
     for p, q, r in combinations(range(stars), 3):
-        catalog = join_sides(sides[p, q], sides[p, r], sides[q, r])
+        if work < 0.0:
+            break
+        catalog, work = join_sides(sides[p, q], sides[p, r], sides[q, r], work)
         if not len(catalog):
             continue
         seen = np.broadcast_to(np.array([p, q, r]), catalog.shape)
@@ -195,7 +234,8 @@ def find_triads(
     found.append((none, none, np.empty((0, 2), dtype=np.asarray(arithmetic.angle_of(0.0)).dtype)))
     seen, catalog, rotations = (np.concatenate(parts) for parts in zip(*found, strict=True))
     group, means = _grouped(arithmetic, rotations, limits)
-    return Triads(seen, catalog, rotations, group, means), high - low
+    operations = 0 if limits.most_operations is None else int(min(most - work, most))
+    return Triads(seen, catalog, rotations, group, means, operations, work >= 0.0), high - low
 
 
 def _rotations(arithmetic: Arithmetic, image: Any, sky: Any, seen: IntArray, catalog: IntArray, to: int) -> Numbers:

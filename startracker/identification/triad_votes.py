@@ -133,8 +133,10 @@ class TriadMatch:
         seen, catalog = self.triads.stars[members], self.triads.catalog[members]
         close = combine_separation(arithmetic, self.scale_deg, limits.combine_px)
         unique = limits.three_stars and self.stars == 3 and len(self.triads.group_rotations) == 1
-        needed = 1 if unique else limits.vote_number
-        votes = tuple(_votes(tables, catalog[seen == star], close) for star in range(self.stars))
+        needed = 1 if unique else limits.votes_needed(self.stars)
+        votes = tuple(
+            _votes(tables, seen, catalog, star, close, limits.reprocess_multiples) for star in range(self.stars)
+        )
         winners = tuple(_winner(possible, needed) for possible in votes)
         return GroupMatch(group, votes, winners, self._checked(winners))
 
@@ -206,16 +208,29 @@ def match_triads(
     return TriadMatch(tables, scale_deg, limits, stars, separations, counts, triads)
 
 
-def _votes(tables: TriadTables, catalog: IntArray, close: Any) -> tuple[Vote, ...]:
-    """Stars that are named and how often, brightest first; then those of them that are one in the image."""
-    place, frequency = np.unique(catalog, return_counts=True)
+def _votes(
+    tables: TriadTables, seen: IntArray, catalog: IntArray, star: int, close: Any, reprocess: bool
+) -> tuple[Vote, ...]:
+    """Stars that triads (T, 3) name for an image star and how often, brightest first; then those that are one image.
+
+    Several stars in one image have the sum of their frequencies, or the number of triads that stay different once
+    each of them is called by the brightest.
+    """
+    place, frequency = np.unique(catalog[seen == star], return_counts=True)
     order = np.lexsort((place, tables.v_mag[place]))
     place, frequency = place[order], frequency[order]
     single = [Vote(int(p), (int(p),), int(f)) for p, f in zip(place, frequency, strict=True)]
     combined = []
     for members in _chains(tables, place, close):
         stars = tuple(int(p) for p in place[members])
-        combined.append(Vote(stars[0], stars, int(frequency[members].sum())))
+        count = int(frequency[members].sum())
+        if reprocess:
+            naming = (np.isin(catalog, stars) & (seen == star)).any(axis=1)
+            renamed = np.where(np.isin(catalog, stars), stars[0], catalog)
+            count = len(np.unique(np.hstack([seen, renamed])[naming], axis=0))
+        combined.append(Vote(stars[0], stars, count))
+    if reprocess:  # what is one in the image is no longer named alone
+        single = [vote for vote in single if not any(vote.catalog in several.members for several in combined)]
     return tuple(single + combined)
 
 

@@ -25,7 +25,7 @@ from startracker.estimation.wahba import fit_rotation
 from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
-from startracker.identification.hypothesis import SCALES, Bench, too_few, verify
+from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
@@ -40,6 +40,8 @@ FloatArray = NDArray[np.float64]
 
 _MOST_STARS = 12
 """Brightest observed stars that make triads (thesis section 2.3.4), unless the settings ask for more."""
+_MOST_TRIPLED = 64
+"""Stars that make triads at most, whatever the settings."""
 _MOST_GROUPS = 12
 """Groups checked at one scale."""
 _WIDEST = 0.01
@@ -106,7 +108,8 @@ def _identify(
     if len(observed) < least:
         return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
-    before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[: max(_MOST_STARS, settings.max_stars)]
+    most = min(max(_MOST_STARS, settings.max_stars), _MOST_TRIPLED)
+    before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[:most]
     vectors = observed.vectors[before]
     pixel_deg = math.degrees(guide.camera.pixel_rad)
     # x as the columns run, y up; one pixel is its angle at the boresight
@@ -130,16 +133,19 @@ def _identify(
             vote_number=settings.vote_number,
             combine_px=_COMBINE_PX,
             three_stars=settings.three_stars,
+            most_operations=max(bench.left, 0),
         )
         match = match_triads(tables, xy, (pixel_deg, pixel_deg), limits)
+        bench.operations += match.triads.operations
+        bench.cut_short = bench.cut_short or not match.triads.complete
         checked = 0
         for found in match.candidates():
             seen, stars = before[found.pairs[:, 0]], found.pairs[:, 1]
             weight = 1.0 / observed.sigma_rad[seen] ** 2
             matrix = fit_rotation(observed.vectors[seen], guide.directions[stars], weight)
-            bench.add(verify(matrix, observed, guide, scale))
+            bench.check(matrix, observed, guide, scale)
             checked += 1
-            if bench.surely or checked == _MOST_GROUPS:
+            if bench.surely or bench.cut_short or checked == _MOST_GROUPS:
                 break
         sizes = match.triads.group_sizes
         bench.note(
@@ -147,7 +153,7 @@ def _identify(
             f"{sizes.max(initial=0)}; {checked} groups name three stars"
         )
         verdict = bench.judge(observed)
-        if verdict.status is Status.SOLVED:
+        if verdict.status is Status.SOLVED or bench.cut_short:
             break
     return verdict
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.estimation.kernels import triple_product
-from startracker.identification.marked_sky import mark_sky, no_marks
+from startracker.identification.marked_sky import mark_sky, no_marks, share_marked
 from startracker.identification.other_stars import enough_hits, least_hits, look_beyond, no_others, pair_frame
 from startracker.identification.search_state import Finds, Limits, Pairs, Stars
 from startracker.identification.verification import (
@@ -42,8 +42,9 @@ _ABERRATION = 1.02e-4
 _VERIFY_FROM = 7.0
 _POOR_FIT = 2.0
 _WORTH_A_SECOND_LOOK = -5.0
-_CANDIDATE_WORK, _VERIFY_WORK = 300, 30000
-"""Nanoseconds or so."""
+_PAIR_WORK, _CANDIDATE_WORK, _LOOK_WORK = 4.0, 300.0, 50.0
+"""Operations, each of about a nanosecond: of a guide pair looked at, of a triangle found in the sky, and of a further
+star that is looked for there."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -114,7 +115,7 @@ def _known(matrix: FloatArray, finds: Finds, count: int, slack: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float, int, IntArray]) -> int:
+def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float, int, IntArray, int]) -> int:
     """Write a hypothesis down, in the place of the worst where all are taken; the new number of hypotheses."""
     row = count
     if count == len(finds.log_b):
@@ -130,7 +131,7 @@ def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float
 def _weigh_triangle(
     obs: IntArray, gid: IntArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
 ) -> tuple[int, int]:
-    """Verify what a triangle means against all stars. New number of finds, and the work."""
+    """Verify what a triangle means against all stars. New number of finds, and the operations."""
     b, r = np.empty((3, 3)), np.empty((3, 3))
     s = np.empty(3)
     for k in range(3):
@@ -140,21 +141,19 @@ def _weigh_triangle(
         r[k], s[k] = sky.directions[gid[k]], stars.sigma[obs[k]]
     matrix = _attitude_of_three(b, r, s)
     if _known(matrix, finds, count, 3.0 * limits.scale * stars.sigma[0]):
-        return count, _CANDIDATE_WORK
+        return count, 0
     scale = max(limits.scale, _VERIFY_FROM)
     free = limits.focal_range > 0.0
-    found = verify_attitude(
-        matrix, focal, stars.vectors, stars.slopes, stars.sigma, stars.magnitude, sky, scale, free, stars.counts
-    )
+    found = verify_attitude(matrix, focal, stars, sky, scale, free)
+    work = found[6]
     if not free and found[0] > _WORTH_A_SECOND_LOOK and found[3] > _POOR_FIT:
-        other = verify_attitude(
-            found[1], 0.0, stars.vectors, stars.slopes, stars.sigma, stars.magnitude, sky, scale, True, stars.counts
-        )
+        other = verify_attitude(found[1], 0.0, stars, sky, scale, True)
+        work += other[6]
         if other[0] > found[0] + 3.0:
             found = other
     if found[0] > _WORTH_A_SECOND_LOOK:
         count = _keep(finds, count, found)
-    return count, _VERIFY_WORK
+    return count, work
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -178,7 +177,7 @@ def triangle_costs(triples: IntArray, vectors: FloatArray, least_rad: float) -> 
 @njit(cache=True, error_model="numpy")
 def search_triangles(
     triples: IntArray, stars: Stars, sky: SkyView, pairs: Pairs, limits: Limits, finds: Finds, count: int
-) -> tuple[int, int, int]:
+) -> tuple[int, int, int, float]:
     """Look up triangles of observed stars one after the other.
 
     Parameters
@@ -192,23 +191,25 @@ def search_triangles(
 
     Returns
     -------
-    number of hypotheses, triangles looked up, triangles found in the sky.
+    number of hypotheses, triangles looked up, triangles found in the sky, operations.
     """
     head = np.full(len(sky.directions), -1, np.int32)
     following = np.empty(0, np.int32)
     partner = np.empty(0, np.int32)
     at_i, at_j = np.empty(0, np.int32), np.empty(0, np.int32)
     obs, gid = np.empty(3, np.int64), np.empty(3, np.int64)
-    others, marks = no_others(), no_marks()
+    others, marks, marked = no_others(), no_marks(), 0.0
     gate = GATE_SIGMAS * _LEVER * limits.scale
     density = len(sky.directions) / (4.0 * math.pi)
-    work, done, found = 0.0, 0, 0
+    work, done, found, sure = 0.0, 0, 0, False
     wide = limits.focal_range
     for t in range(len(triples)):
-        if work > limits.work:
+        if sure or work > limits.work:
             break
         if found > _MANY_FOUND and marks.reach2 < 0.0:
             marks = mark_sky(sky.directions, _USUAL_SIGMA * gate * np.median(stars.sigma))
+            marked = share_marked(marks)
+            work += _PAIR_WORK * len(sky.directions)
         done += 1
         i, j, k = triples[t]
         # i opposite the longest side
@@ -256,7 +257,7 @@ def search_triangles(
             following[filled], partner[filled] = known, a
             head[c] = filled if fits else known
             filled += fits
-        work += 4.0 * size + 4.0 * (high_ij - low_ij)
+        work += _PAIR_WORK * (size + high_ij - low_ij)
         at_i, at_j, joined = _room(at_i, 2 * (high_ij - low_ij)), _room(at_j, 2 * (high_ij - low_ij)), 0
         for p in range(low_ij, high_ij):
             a, b = pairs.first[p], pairs.second[p]
@@ -271,7 +272,7 @@ def search_triangles(
             x, y, z = sky.directions[b, 0], sky.directions[b, 1], sky.directions[b, 2]
             while at >= 0:
                 c, at = partner[at], following[at]
-                work += 4.0
+                work += _PAIR_WORK
                 cosine = x * sky.directions[c, 0] + y * sky.directions[c, 1] + z * sky.directions[c, 2]
                 if not cos_low <= cosine <= cos_high or b == c:
                     continue
@@ -297,7 +298,7 @@ def search_triangles(
                 ):
                     continue
                 found += 1
-                work += _CANDIDATE_WORK
+                work += _CANDIDATE_WORK + _LOOK_WORK * marked * looked
                 if not enough_hits(u, w, 1.0 - focal, others, looked, need, sky, marks):
                     continue
                 obs[0], obs[1], obs[2] = i, j, k
@@ -306,11 +307,11 @@ def search_triangles(
                 count, cost = _weigh_triangle(obs, gid, focal, stars, sky, limits, finds, count)
                 work += cost
                 if count > before and finds.log_b[:count].max() > limits.sure:
-                    work = math.inf
+                    sure = True
                     at = -1
-            if work > limits.work:
+            if sure or work > limits.work:
                 break
         for p in range(low_ik, high_ik):
             head[pairs.first[p]] = -1
             head[pairs.second[p]] = -1
-    return count, done, found
+    return count, done, found, work

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.identification.bayes_factor import CountTable, log_bayes_factor, log_magnitude_ratios
+from startracker.identification.bayes_factor import WEIGHINGS, log_bayes_factor, log_magnitude_ratios
+from startracker.identification.clustering_null import clustering_price
+from startracker.identification.search_state import Stars
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,6 +27,8 @@ GATE_SIGMAS = 4.5
 FOCAL_SIGMA = 0.01
 """Standard deviation of ln f beforehand, where the focal length is fitted: 2 % is two of these."""
 MOST_EXTRA = 10
+OVERHEAD = 10_000
+"""Operations of a verification besides those that grow with the numbers of stars."""
 _NARROWING = 3.0
 _NARROWEST = 0.8
 _ROUNDS = 5
@@ -185,45 +189,36 @@ def fit_step(
 
 @njit(cache=True, error_model="numpy")
 def verify_attitude(
-    matrix: FloatArray,
-    focal: float,
-    vectors: FloatArray,
-    slopes: FloatArray,
-    sigma: FloatArray,
-    magnitude: FloatArray,
-    sky: SkyView,
-    scale: float,
-    free_focal: bool,
-    counts: CountTable,
-) -> tuple[float, FloatArray, float, float, int, IntArray]:
+    matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
+) -> tuple[float, FloatArray, float, float, int, IntArray, int]:
     """Match, refit until it stands still, weigh; at `scale` times the stated errors, then at narrower gates.
 
     Parameters
     ----------
     matrix, focal : (3, 3), float
         ICRS to camera and ln of the focal length's factor, to start from.
-    vectors, slopes, sigma, magnitude : (N, 3), (N, 3), (N,), (N,)
-        Observed stars; magnitudes NaN where they are not to count.
+    stars : Stars
+        Observed; magnitudes NaN where they are not to count.
     sky : SkyView
     scale : float
         Of the first gate, which is 4.5 times this times the stated errors.
     free_focal : bool
         Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` beforehand.
-    counts : CountTable
-        For N stars and 2N + `MOST_EXTRA` guide stars.
 
     Returns
     -------
     ln B (−inf: fewer than three stars agree), attitude (3, 3), ln of the focal length's factor, multiple of the stated
-    errors that fits best, guide stars in the field, guide star of each observed star or −1 (N,).
+    errors that fits best, guide stars in the field, guide star of each observed star or −1 (N,), operations (stars
+    compared with guide stars, and terms of the Bayes factor).
     """
-    n = len(vectors)
+    vectors, slopes, sigma = stars.vectors, stars.slopes, stars.sigma
+    n, operations = len(vectors), OVERHEAD
     unknowns = 4 if free_focal else 3
     field = guides_in_field(matrix, sky, 2 * n + MOST_EXTRA)
     best, best_matrix, best_focal, best_scale = -math.inf, matrix, 0.0, scale
     best_index = np.full(n, -1, np.int64)
     if len(field) < 3:
-        return best, best_matrix, best_focal, best_scale, len(field), best_index
+        return best, best_matrix, best_focal, best_scale, len(field), best_index, operations
     reference = np.empty((len(field), 3))
     v_mag = np.empty(len(field))
     for k in range(len(field)):
@@ -255,6 +250,7 @@ def verify_attitude(
             for i in range(n):
                 gate[i] = GATE_SIGMAS * step * sigma[i] * widen
             count = match_nearest(observed, predicted, gate, index, distance, owner)
+            operations += n * len(field)
             if count < 3:
                 break
             if np.array_equal(index, last):
@@ -301,10 +297,12 @@ def verify_attitude(
                     + (observed[i, 2] - predicted[k, 2]) ** 2
                 )
         information, _ = fit_step(observed, slopes, predicted, index, sigma, unknowns)
-        ratios = log_magnitude_ratios(magnitude, index, v_mag)
+        ratios = log_magnitude_ratios(stars.magnitude, index, v_mag)
         value, fitting = log_bayes_factor(
-            distance, index, sigma, information, ratios, len(field), sky.area, FOCAL_SIGMA, counts
+            distance, index, sigma, information, ratios, len(field), sky.area, FOCAL_SIGMA, stars.counts
         )
+        value -= clustering_price(stars.excess, index)
+        operations += WEIGHINGS * count * len(field)
         if value > best:
             best, best_matrix, best_focal, best_scale = value, current, focal, fitting
             for i in range(n):
@@ -312,4 +310,4 @@ def verify_attitude(
         if step <= _NARROWEST:
             break
         step = max(step / _NARROWING, _NARROWEST)
-    return best, best_matrix, best_focal, best_scale, len(field), best_index
+    return best, best_matrix, best_focal, best_scale, len(field), best_index, operations

@@ -369,10 +369,11 @@ class TrackingSession:
             mode = "prior"
         covariance = found.covariance
         if stated_px is not None:
-            self._scatter.begin(found.stars.residual_px, np.full(found.matched, stated_px))
-            if found.matched < _FEW_STARS:  # residuals so few can be small by luck
-                sigma = np.full(found.matched, stated_px * self.tracker.camera.pixel_rad)
-                stated = attitude_covariance(self.tracker.camera.unproject(found.stars.xy), sigma)
+            stars = found.stars.fitted
+            self._scatter.begin(stars.residual_px, np.full(len(stars), stated_px))
+            if len(stars) < _FEW_STARS:  # residuals so few can be small by luck
+                sigma = np.full(len(stars), stated_px * self.tracker.camera.pixel_rad)
+                stated = attitude_covariance(self.tracker.camera.unproject(stars.xy), sigma)
                 covariance = covariance * max(1.0, float(np.trace(stated) / np.trace(covariance)))
         innovation, restarted = self._watched.take_attitude(self._used(found.stars.xy), found.attitude, covariance)
         self.state = TrackingState(

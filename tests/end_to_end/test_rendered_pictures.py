@@ -17,7 +17,7 @@ def test_vega_from_pixels_to_the_centre():
     assert (scenario.detector.width, scenario.detector.height, scenario.detector.adc_bits) == (427, 319, 8)
     frames = rendered_vega.vega_frames(3)
     for frame in frames:
-        assert frame.shown.frame.camera.fov_deg == pytest.approx(9.0130, abs=2e-4)
+        assert frame.shown.frame.camera.undistorted_fov_deg == pytest.approx(9.0130, abs=2e-4)
         named = {(number or 0) % 10_000 for number in frame.analysis.matches}
         assert 7001 in named
         assert len(named & {7139, 7131, 7056, 7057, 7051, 7053, 7054, 6872}) >= 2  # of her other four, as she has them

@@ -23,7 +23,10 @@ def test_shipped_scenario(path, tmp_path):
     # the issue asks for 99 % of 500 and more; of 60 frames one may be missed (binomial, 12 % for two or more at 99 %)
     assert summary["solved"] >= trials - 1
     if path.stem != "tc211":  # a prototype: nobody asked it for the mission's accuracy
-        assert all(entry["met"] for entry in summary["specification"].values())
+        # 60 trials cannot show that 99.7 % of the errors are within it, but they would show that fewer are
+        for entry in summary["specification"].values():
+            assert entry["verdict"] == "undecided"
+            assert entry["p997_deg"] < entry["specified_deg"]
 
 
 def test_sunsat_looks_where_the_thesis_says():

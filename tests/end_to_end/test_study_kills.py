@@ -1,10 +1,14 @@
 """Nothing finished is lost, and nothing broken is left, whenever a run is killed, loses a worker or fills the disk."""
 
 import errno
+import json
 import os
+import platform
+import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -16,10 +20,14 @@ import pytest
 from simulator import paths
 from simulator.scenario import Scenario
 from simulator.study import run as run_module
+from simulator.study.folder_lock import LOCK_FILE
+from simulator.study.results_folder import scenario_sha256
 from simulator.study.run import RESULT_FILES, run
 from simulator.study.trials import dask_pool, engine, parts, process_pool
 from simulator.study.trials.blocks import run_block
-from startracker.errors import InputError
+from simulator.study.trials.checked_files import DAMAGED_FOLDER
+from startracker._version import __version__
+from startracker.errors import BoresightError, InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = Path(__file__).with_name("fake_study.py")
@@ -186,7 +194,7 @@ def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed
         assert_same(folder / "trials.parquet", undisturbed)
         assert again.summary["errors_deg"] == wanted["errors_deg"]
     assert last == TRIALS
-    assert {"trials.parquet", "report.html", "scenario.sha256"} <= places
+    assert {"trials.parquet", "report.html", "identity.json"} <= places
     assert any(name.count("-") for name in places)  # a part
 
 
@@ -220,3 +228,165 @@ def test_resuming_a_finished_run_starts_nothing(tmp_path, runner, monkeypatch):
     monkeypatch.setattr(engine, "TrialRunner", started)
     again = engine.run_trials(scenario, 3, folder=tmp_path, resume=True)
     assert (again.finished, again.taken_over) == (3, 3)
+
+
+def test_a_part_damaged_under_way_is_named_set_aside_and_computed_again(tmp_path, undisturbed, runner, monkeypatch):
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    monkeypatch.setattr("simulator.study.trials.blocks.MOST_TRIALS", 100)
+    monkeypatch.setattr(parts, "MERGE_EVERY", 4)
+    rng = np.random.default_rng(1)
+    harmed = []
+
+    def harm(done, _):
+        """Flip a bit of a part, or delete it: early ones before they are merged, late ones after."""
+        found = sorted((tmp_path / parts.PARTS_FOLDER).glob("*.parquet"))
+        if len(harmed) < 4 and found and done >= (len(harmed) + 1) * TRIALS // 4:
+            part = found[rng.integers(len(found))]
+            harmed.append(part.name)
+            if len(harmed) % 2:
+                part.unlink()
+            else:
+                data = bytearray(part.read_bytes())
+                data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+                part.write_bytes(data)
+
+    study = run(Scenario.load("cubesat"), TRIALS, out=tmp_path, progress=harm)
+    assert len(harmed) == 4
+    assert [Path(note.split(": ")[0]).name for note in study.notes] == harmed
+    assert all(note.endswith("its trials are computed again") for note in study.notes)
+    assert_same(tmp_path / "trials.parquet", undisturbed)
+    aside = [path.name for path in (tmp_path / DAMAGED_FOLDER).iterdir()]
+    assert sorted(aside) == sorted(harmed[1::2])
+
+
+def test_a_disk_that_damages_everything_ends_in_one_line(tmp_path, runner, monkeypatch):
+    def harm(done, _):
+        for part in (tmp_path / parts.PARTS_FOLDER).glob("*.parquet"):
+            part.write_bytes(b"")
+
+    with pytest.raises(BoresightError, match=r"damaged.*is the disk failing\?") as told:
+        run(Scenario.load("cubesat"), 20, out=tmp_path, progress=harm)
+    assert "\n" not in str(told.value)
+
+
+def snapshot(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_results_of_another_or_longer_run_are_not_replaced(tmp_path, runner, monkeypatch, resume):
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    scenario = Scenario.load("cubesat")
+    run(scenario, 40, out=tmp_path)
+    before = snapshot(tmp_path)
+    stands = re.escape("(scenario 'cubesat', seed 1, 40 trials, boresight ")
+    others = {
+        f"{tmp_path}: holds the results of another run {stands}": (scenario.with_values(seed=9), 40),
+        f"a run with other values, options or input files {stands}": (
+            Scenario.load("cubesat", ["optics.aperture_mm=31"]),
+            40,
+        ),
+        f"holds the results of a longer run {stands}.*20 trials were asked for": (scenario, 20),
+    }
+    for message, (other, trials) in others.items():
+        with pytest.raises(InputError, match=message) as told:
+            run(other, trials, out=tmp_path, resume=resume)
+        assert re.search("another --out, or replace them with --force$", str(told.value))
+        assert snapshot(tmp_path) == before
+    monkeypatch.setattr("simulator.study.results_folder.__version__", "9.9")
+    with pytest.raises(InputError, match=f"another run {stands}"):
+        run(scenario, 40, out=tmp_path, resume=resume)
+    assert snapshot(tmp_path) == before
+    monkeypatch.undo()
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    for module in (engine, process_pool, dask_pool):
+        monkeypatch.setattr(module, "TrialRunner", runner)
+    assert run(scenario, 40, out=tmp_path).summary["trials"] == 40  # the very same may
+    assert run(scenario, 60, out=tmp_path, resume=resume).summary["trials"] == 60  # and more of it
+    assert run(scenario.with_values(seed=9), 20, out=tmp_path, force=True).summary["seed"] == 9
+    with pytest.raises(InputError, match="--resume and --force"):
+        run(scenario, 40, out=tmp_path, resume=True, force=True)
+
+
+def test_an_interrupted_rerun_leaves_longer_results_in_place(tmp_path, runner, monkeypatch):
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    monkeypatch.setattr("simulator.study.trials.blocks.MOST_TRIALS", 10)
+    scenario = Scenario.load("cubesat")
+    run(scenario, 200, out=tmp_path)
+    before = snapshot(tmp_path)
+
+    def interrupt(done, _):
+        if done >= 100:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+
+    study = run(scenario, 200, out=tmp_path, progress=interrupt)
+    assert study.folder is None
+    assert study.summary["interrupted"]
+    assert 100 <= study.summary["trials"] < 200
+    assert snapshot(tmp_path) == before
+    finished = []
+    run(scenario, 200, out=tmp_path, progress=lambda done, _: finished.append(done))
+    assert finished[0] == study.summary["trials"]  # without --resume too
+
+
+def test_a_changed_file_of_the_scenario_is_another_run(tmp_path, runner, monkeypatch):
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    for key, first, second in [
+        ("detector.quantum_efficiency", "wavelength_nm,qe\n400,0.5\n900,0.5\n", "wavelength_nm,qe\n400,0.5\n900,0.4\n"),
+        ("optics.transmission", "wavelength_nm,t\n400,0.5\n900,0.5\n", "wavelength_nm,t\n400,0.5\n900,0.4\n"),
+        ("optics.baffle.pst", "angle_deg,pst\n0,1\n90,1e-9\n", "angle_deg,pst\n0,1\n90,1e-8\n"),
+        ("pointing.jitter.table", "frequency_hz,psd\n0,1\n9,1\n", "frequency_hz,psd\n0,1\n9,2\n"),
+    ]:
+        file = tmp_path / f"{key}.csv"
+        file.write_text(first)
+        folder = tmp_path / key.replace(".", "-")
+        scenario = Scenario.load("cubesat", [f"{key}={file}"])
+        run(scenario, 5, out=folder)
+        run(scenario, 6, out=folder, resume=True)
+        file.write_text(second)
+        with pytest.raises(InputError, match="results of a run with other values, options or input files"):
+            run(scenario, 10, out=folder, resume=True)
+        engine.run_trials(scenario, 4, folder=tmp_path / f"unfinished-{key}")
+        file.write_text(first)
+        with pytest.raises(InputError, match="unfinished trials of a run with other values"):
+            engine.run_trials(scenario, 10, folder=tmp_path / f"unfinished-{key}", resume=True)
+
+
+def test_a_folder_in_use_is_refused_and_a_dead_owner_is_not(tmp_path, runner, monkeypatch):
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    scenario = Scenario.load("cubesat")
+
+    def second(done, _):
+        with pytest.raises(InputError, match=f"{tmp_path}: in use by process {os.getpid()} of this machine"):
+            run(scenario, 10, out=tmp_path, force=True)
+
+    run(scenario, 10, out=tmp_path, progress=second)
+    assert not (tmp_path / LOCK_FILE).exists()
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    lock = {"pid": process.pid, "host": platform.node(), "started": "1"}
+    (tmp_path / LOCK_FILE).write_text(json.dumps(lock))
+    run(scenario, 10, out=tmp_path)
+    (tmp_path / LOCK_FILE).write_text(json.dumps(lock | {"pid": os.getpid(), "started": "1"}))  # its number again
+    run(scenario, 10, out=tmp_path)
+    (tmp_path / LOCK_FILE).write_text('{"pid": 12')  # a kill while it was written
+    run(scenario, 10, out=tmp_path)
+    (tmp_path / LOCK_FILE).write_text(json.dumps(lock | {"host": "elsewhere"}))
+    with pytest.raises(InputError, match=rf"process {process.pid} on host 'elsewhere'.*remove {tmp_path / LOCK_FILE}$"):
+        run(scenario, 10, out=tmp_path)
+
+
+@pytest.mark.parametrize("module", [process_pool, dask_pool])
+def test_a_worker_with_another_file_runs_nothing(tmp_path, runner, monkeypatch, module):
+    file = tmp_path / "qe.csv"
+    file.write_text("wavelength_nm,qe\n400,0.5\n900,0.5\n")
+    scenario = Scenario.load("cubesat", [f"detector.quantum_efficiency={file}"])
+    key = scenario_sha256(scenario)
+    monkeypatch.setattr(module, "_local", threading.local())
+    version = [__version__] if module is dask_pool else []
+    assert module._run_block(scenario, key, *version, range(2)).block == range(2)
+    file.write_text("wavelength_nm,qe\n400,0.5\n900,0.4\n")
+    monkeypatch.setattr(module, "_local", threading.local())
+    with pytest.raises(InputError, match=rf"\({file}\) were changed during the run, or differ on"):
+        module._run_block(scenario, key, *version, range(2))

@@ -77,7 +77,7 @@ def test_whole_disk_from_afar_is_a_lambert_sphere(phase_deg):
     distance = 5e7
     sun = np.array([math.cos(alpha), math.sin(alpha), 0.0])
     bodies = sun_alone(sun)
-    _, _, v_mag, _ = stray_sources(bodies, np.array([distance, 0.0, 0.0]), SkySection(), rings=400, sectors=400)
+    _, _, v_mag = stray_sources(bodies, np.array([distance, 0.0, 0.0]), SkySection(), rings=400, sectors=400)
     law = 2 / 3 * (math.sin(alpha) + (math.pi - alpha) * math.cos(alpha)) / math.pi
     expected = 10 ** (0.4 * 26.74) * 0.3 * law * (EARTH_RADIUS_KM / distance) ** 2
     total = (10 ** (-0.4 * v_mag[1:])).sum()  # the first is the Sun itself

@@ -5,6 +5,7 @@ Two circles: by counting points of a fine lattice, 2,000 across: 1e-3. Solid ang
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import pytest
 from simulator.optics.ghosts import ghost_sources
 from simulator.optics.illumination import illumination_map, is_off, relative_illumination, star_illumination
 from simulator.optics.thermal import true_camera
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
 from simulator.scenario.schema import GhostSection, ThermalSection, VignettingSection
 from startracker.camera import Camera
 from startracker.distortion import Distortion
@@ -34,10 +37,12 @@ def test_cos4_for_the_sky_and_cos_for_stars():
     np.testing.assert_allclose(star_illumination(CAMERA, section, 3.0 * v), v[:, 2], rtol=1e-12)
 
 
-def test_off_is_one_everywhere():
+def test_without_vignetting_the_sky_falls_with_the_solid_angle_of_a_pixel():
+    """A pixel sees less of the sky towards the edge, whatever the lens transmits: cos³ θ; stars lose nothing."""
     section = VignettingSection()
     assert is_off(section)
-    assert (illumination_map(CAMERA, section) == 1.0).all()
+    np.testing.assert_allclose(illumination_map(CAMERA, section), np.cos(off_axis(CAMERA)) ** 3, rtol=1e-5)
+    assert relative_illumination(CAMERA, section, 0.5) == 1.0
     for other in ({"natural": True}, {"mechanical_end_deg": 20.0}, {"polynomial": (0.0, 0.0, 0.1)}):
         assert not is_off(VignettingSection(**other))
 
@@ -64,6 +69,50 @@ def test_solid_angles_add_up_to_that_of_the_field(camera):
     turn = np.diff(np.unwrap(np.arctan2(v[:, 1], v[:, 0])))
     height = 1.0 - v[:, 2]
     assert solid.sum() == pytest.approx(float(np.sum(turn * (height[1:] + height[:-1]) / 2.0)), rel=2e-5)
+
+
+WIDE = {"optics.focal_length_mm": 6.9, "optics.aperture_mm": 5.0}
+
+
+@pytest.mark.parametrize("lens", [{}, {"optics.distortion.k1": -0.3}, WIDE | {"optics.distortion.k1": 0.0}])
+def test_even_sky_of_a_frame(lens):
+    """Electrons of a constant sky in the pixels of a frame: photons a steradian times the solid angle of the pixel, by
+    L'Huilier's theorem for the two triangles between the directions of its corners (1e-7 of rounding in them)."""
+    options = {"sky.earth": "false", "sky.planets": "false", "sky.magnitude_limit": -1.4, "study.sampling": "sky"}
+    scenario = Scenario.load("cubesat", [f"{key}={value}" for key, value in (options | lens).items()])
+    renderer = Renderer(scenario)
+    truth = renderer.frame(0)[1]
+    assert len(truth.sources) == 0
+    camera, s10 = renderer.camera, scenario.sky.background_s10
+    at_axis = renderer.focal_plane.photometer.background_e_s_pixel(s10, 1.0) * scenario.detector.exposure_s
+    assert truth.mean_electrons.shape == (1024, 1024)
+    for x, y in ((0, 0), (1023, 0), (700, 512), (3, 901)):
+        corners = camera.unproject(
+            [[x + dx, y + dy] for dx, dy in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+        )
+        solid = triangle_sr(*corners[:3]) + triangle_sr(corners[0], *corners[2:])
+        assert truth.mean_electrons[y, x] == pytest.approx(at_axis * solid, rel=1e-5)
+    if camera.distortion.is_zero:  # cos³ θ at the corner: 0.65 of the middle
+        tangent = math.hypot(511.5, 511.5) / camera.fx
+        relative = truth.mean_electrons[0, 0] / truth.mean_electrons[511, 511]
+        assert relative == pytest.approx((1.0 + tangent**2) ** -1.5, rel=1e-4)
+
+
+def triangle_sr(a, b, c):
+    """Spherical excess by L'Huilier's theorem."""
+    sides = [2.0 * math.asin(np.linalg.norm(p - q) / 2.0) for p, q in ((b, c), (c, a), (a, b))]
+    half = sum(sides) / 2.0
+    product = math.tan(half / 2.0) * math.prod(math.tan((half - side) / 2.0) for side in sides)
+    return 4.0 * math.atan(math.sqrt(product))
+
+
+def test_pixels_without_direction_see_no_sky():
+    """A camera whose model ends inside the image is computed pixel by pixel: the same where there is a direction."""
+    ended = Camera(100.0, 100.0, 199.5, 199.5, 400, 400, Distortion(k1=-1 / 6), projection="fisheye")
+    whole = replace(ended, width=200, height=200, cx=99.5, cy=99.5)
+    share = illumination_map(ended, VignettingSection())
+    assert share[0, 0] == 0.0
+    np.testing.assert_allclose(share[100:300, 100:300], illumination_map(whole, VignettingSection()), rtol=1e-6)
 
 
 def test_equal_area_projection_has_equal_pixels():

@@ -76,10 +76,13 @@ def test_table_without_aberrations_is_that_of_the_airy_pattern(hole, aspect):
         assert np.abs(one - other).max() < 2e-4 * one.max()
 
 
-def test_coma_is_centred_and_points_outwards():
+def test_coma_has_its_geometric_centroid_where_it_says_and_points_outwards():
+    """The star's position is the measured centroid (tests/statistical/test_coma_positions.py)."""
     section = PsfSection(model="diffraction", field={"coma_waves": 0.15})
     stars = build_psf_set(section, 8.0, (5.0, 5.0), (200, 200))
-    image = render_stars((61, 61), np.array([[30.0, 30.0]]), np.ones(1), [1e7], stars.psf(xy=(199.0, 99.5)))
+    psf = stars.psf(xy=(199.0, 99.5))
+    assert psf.geometric_px[0] > 0.3
+    image = render_stars((61, 61), 30.0 - np.array([psf.geometric_px]), np.ones(1), [1e7], psf)
     rows, columns = np.mgrid[-30:31, -30:31]
     # 0.85 px without centring; what lies beyond the stamp, whose wings are round, holds the rest as 1/R
     assert abs((image * columns).sum() / image.sum()) < 0.1

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from startracker import Attitude, Camera
+from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
 from startracker.catalog import load_catalog
 from startracker.distortion import Distortion
@@ -174,3 +174,39 @@ def test_refraction_is_told_from_the_lens():
     without = calibrate(made, fov_deg=20.0)
     assert "aspect" in without.names
     assert without.rms_px > result.rms_px
+
+
+@pytest.mark.parametrize("images", [3, 5])
+@pytest.mark.parametrize("factor", [0.97, 0.985, 1.005, 1.03])
+def test_a_photograph_at_another_zoom_is_found_and_left_out(factor, images):
+    rng = np.random.default_rng([7, images, round(1000 * factor)])
+    camera = camera_of(rng, rng.uniform(12.0, 40.0))
+    odd = int(rng.integers(images))
+    zoomed = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    fields = [field_of(zoomed if k == odd else camera, rng, 60, name=f"{k}.png")[0] for k in range(images)]
+    found = calibrate(fields, fov_deg=camera.undistorted_fov_deg)
+    assert list(found.unsolved) == [f"{odd}.png"]
+    assert f"{factor:.3f}"[:4] in found.unsolved[f"{odd}.png"]
+    alone = calibrate([f for k, f in enumerate(fields) if k != odd], fov_deg=camera.undistorted_fov_deg)
+    # the same stars but for those near the gate: far within a standard error
+    assert found.camera.fx == pytest.approx(alone.camera.fx, abs=0.3 * alone.values()["fx"][1])
+
+
+def test_images_of_two_zooms_without_a_majority_are_refused():
+    rng = np.random.default_rng(5)
+    camera = camera_of(rng, 20.0)
+    other = replace(camera, fx=1.02 * camera.fx, fy=1.02 * camera.fy)
+    fields = [field_of(one, rng, 60, name=f"{k}.png")[0] for k, one in enumerate((camera, other, camera, other))]
+    with pytest.raises(InputError, match=r"not taken at one focal length .*1\.png 1\.0"):
+        calibrate(fields, fov_deg=20.0)
+
+
+def test_an_image_given_many_times_counts_once():
+    rng = np.random.default_rng(6)
+    camera = camera_of(rng, 20.0)
+    fields = [field_of(camera, rng, 60, name=f"{k}.png")[0] for k in range(3)]
+    copies = [replace(fields[1], name=f"copy-{k}.png") for k in range(9)]
+    once, many = calibrate(fields, fov_deg=20.0), calibrate([*fields, *copies], fov_deg=20.0)
+    assert list(many.unsolved.values()) == ["the same image as 1.png"] * 9
+    np.testing.assert_array_equal(many.covariance, once.covariance)
+    assert many.camera == once.camera

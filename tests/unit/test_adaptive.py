@@ -79,13 +79,17 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     vectors = corners / np.linalg.norm(corners, axis=1, keepdims=True)
     near = sky.pairs_within(10.0)  # of any length
     sigma = np.full(3, 0.005)
-    stars = Stars(vectors, focal_slopes(vectors), sigma, np.full(3, np.nan), count_table(3, 20))
+    unknown, even = np.full(3, np.nan), np.zeros((1, 3))
+    stars = Stars(vectors, focal_slopes(vectors), sigma, unknown, count_table(3, 20), even)
     limits = Limits(1.0, focal_range, 99.0, 0.5, 1e9, 1e12, np.eye(3), -2.0)
     pairs = Pairs(near.first, near.second, near.separation_rad)
-    _, looked, found = search_triangles(np.array([[0, 1, 2]]), stars, sky.view, pairs, limits, _no_finds(3), 0)
+    _, looked, found, operations = search_triangles(
+        np.array([[0, 1, 2]]), stars, sky.view, pairs, limits, _no_finds(3), 0
+    )
     tolerance = PAIR_SIGMAS * math.hypot(0.005, 0.005)
     expected = brute_force(vectors, sky.directions[sky.pattern], tolerance, focal_range)
     assert looked == 1
+    assert operations > 0.0
     assert expected > 0
     # the windows of a free focal length are those of the range itself: a few at its rim may be either way
     assert found == expected if focal_range == 0.0 else abs(found - expected) <= 0.15 * expected + 2

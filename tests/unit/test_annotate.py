@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from startracker import Attitude, Camera, Solution, Status, load_catalog
-from startracker.annotate import annotate, annotated_png, stretch
+from startracker.annotate import annotate, annotated_picture, stretch
 from startracker.annotate_sky import compass_arrows, dec_text, grid_lines, nice_step, ra_text
 from startracker.solution import MatchedStars
 
@@ -65,7 +65,7 @@ def test_any_size_gives_a_readable_picture(size):
     )
     unsolved = Solution(Status.NO_MATCH, "nothing")
     for one in (solution, unsolved) if solution.matched else (unsolved,):
-        with Image.open(io.BytesIO(annotated_png(image, one, grid=True, constellations=True))) as picture:
+        with Image.open(io.BytesIO(annotated_picture(image, one, grid=True, constellations=True))) as picture:
             assert 1000 < max(picture.size) < 3000
 
 
@@ -84,7 +84,7 @@ def test_what_is_not_matched_is_marked_differently():
 
 
 def test_the_same_picture_is_the_same_file():
-    assert annotated_png(SKY, ORION, grid=True) == annotated_png(SKY, ORION, grid=True)
+    assert annotated_picture(SKY, ORION, grid=True) == annotated_picture(SKY, ORION, grid=True)
 
 
 def test_the_grid_lies_where_its_values_say():

@@ -12,7 +12,7 @@ from startracker import Attitude, Camera, InputError
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, rounded, summary
-from startracker.calibration.plot import residual_figure, residual_png
+from startracker.calibration.plot import residual_figure, residual_picture
 from startracker.catalog import load_catalog
 from startracker.distortion import Distortion
 from startracker.lens import PARAMETERS, change_lens, is_one_to_one, sensitivity
@@ -173,9 +173,9 @@ def test_figure_has_three_panels_with_units(calibration):
     labels = [ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes]
     assert "(px)" in labels[0]
     assert "(arcsec)" in labels[1]
-    png = residual_png(calibration)
+    png = residual_picture(calibration)
     assert png.startswith(b"\x89PNG")
-    assert png == residual_png(calibration)
+    assert png == residual_picture(calibration)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_errors_have_two_digits(value, sigma, text):
         (["x.png", "--fov", "0"], "--fov"),
         (["x.png", "--epoch", "nan"], "--epoch"),
         (["x.png", "--out", "nowhere/camera.yaml"], "does not exist"),
-        (["x.png", "--out", "a.yaml", "--plot", "a.yaml"], "same file"),
+        (["x.png", "--out", "a.png", "--plot", "a.png"], "same file"),
         (["x.png", "--fov", "10", "--camera", "c.yaml"], "one of the two"),
     ],
 )

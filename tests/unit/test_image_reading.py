@@ -55,13 +55,13 @@ def test_other_modes_become_numbers(tmp_path, mode):
     assert np.isfinite(loaded.image).all()
 
 
-def test_jpeg_with_an_orientation_is_not_turned_and_says_so(tmp_path):
+def test_jpeg_with_an_orientation_is_turned_and_says_so(tmp_path):
     exif = Image.Exif()
     exif[274] = 6
     path = save(tmp_path / "a.jpg", COLOUR, exif=exif)
     loaded = read_image(path)
-    assert loaded.image.shape == (7, 11)
-    assert any("orientation 6" in note for note in loaded.notes)
+    assert loaded.image.shape == (11, 7)
+    assert any("orientation 6 applied" in note for note in loaded.notes)
 
 
 def test_fits_of_several_kinds(tmp_path):

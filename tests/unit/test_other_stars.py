@@ -53,7 +53,8 @@ def test_marks_change_no_answer(sky, sigma_max):
     camera = Camera.from_fov(10.0, 512, 512)
     vectors = camera.unproject(rng.uniform(0.0, 511.0, (30, 2)))
     sigma = 5e-5 * rng.uniform(0.5, sigma_max, 30)
-    stars = Stars(vectors, focal_slopes(vectors), sigma, np.full(30, np.nan), count_table(30, 70))
+    unknown, even = np.full(30, np.nan), np.zeros((1, 30))
+    stars = Stars(vectors, focal_slopes(vectors), sigma, unknown, count_table(30, 70), even)
     others, gate = no_others(), 20.0
     looked = look_beyond(0, 1, 2, stars, gate, others)
     marks = mark_sky(sky.directions, 1.5 * gate * float(np.median(sigma)))

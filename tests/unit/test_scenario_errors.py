@@ -223,7 +223,7 @@ def test_all_mistakes_at_once_in_the_order_of_the_file():
 
 def test_names_are_checked_by_the_functions_given():
     with pytest.raises(ScenarioError) as caught:
-        Scenario.parse(GOOD, name="x.yaml", names={"tracker.detector": lambda v: f"{v}?", "name": lambda v: "no"})
+        Scenario.parse(GOOD, name="x.yaml", names={"tracker.detector": lambda v, _: f"{v}?", "name": lambda v, _: "no"})
     assert str(caught.value).splitlines() == ["x.yaml: tracker.detector: components?", "x.yaml:1:1: name: no"]
 
 

@@ -181,7 +181,7 @@ def test_made_directly_it_is_checked_too():
     assert Scenario(**parts) == Scenario.parse(GOOD)
     with pytest.raises(ValueError, match="no lens in air is faster"):
         Scenario(**(parts | {"optics": parts["optics"] | {"aperture_mm": 120.0}}))
-    with pytest.raises(ValueError, match=r"tracker\.centroid\.window_px: must be a whole number from 3 to 101, not 1"):
+    with pytest.raises(ValueError, match=r"window_px is 1; it must be a number from 3 to 101"):
         Scenario(**(parts | {"tracker": {"centroid": {"window_px": 1}}}))
 
 

@@ -1,6 +1,7 @@
 """Finished trials are kept in few files, whole at any moment, and come back as they were."""
 
 import itertools
+import json
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from simulator.scenario import Scenario
 from simulator.study.trials import parts
+from simulator.study.trials.checked_files import DAMAGED_FOLDER
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.parts import PartStore, discard_parts
 from startracker.errors import BoresightError, InputError
@@ -30,6 +32,13 @@ def cut(trials, rng, longest):
     while edges[-1] < trials:
         edges.append(min(trials, edges[-1] + int(rng.integers(1, longest + 1))))
     return [range(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def finish(store, folder, trials):
+    """What a run leaves, as far as the store reads it."""
+    checksum = store.write(folder / "trials.parquet", trials)
+    (folder / "summary.json").write_text(json.dumps({"trials_sha256": checksum}))
+    discard_parts(folder)
 
 
 def files(folder):
@@ -83,7 +92,47 @@ def test_broken_parts_and_litter_are_run_again(scenario, tmp_path):
     again = PartStore(scenario, tmp_path, resume=True)
     assert again.missing(60) == [range(50)]
     assert files(tmp_path) == [fourth]
-    assert len(list((tmp_path / parts.PARTS_FOLDER).iterdir())) == 2  # with the key
+    assert len(list((tmp_path / parts.PARTS_FOLDER).iterdir())) == 2  # with the identity
+    aside = tmp_path / DAMAGED_FOLDER
+    assert sorted(path.name for path in aside.iterdir()) == [first.name, second.name, third.name]
+    assert [note.split(": ")[0] for note in again.notes] == [str(first), str(second), str(third)]
+    assert all(f"damaged: its contents do not match its checksum; set aside in {aside}" in note for note in again.notes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_flipped_bit_anywhere_in_a_part_is_found(scenario, tmp_path, seed):
+    """Arrow itself reads many of these without complaint, as other numbers."""
+    store = PartStore(scenario, tmp_path, resume=False)
+    store.put(range(40), rows(range(40)))
+    (part,) = files(tmp_path)
+    whole = part.read_bytes()
+    rng = np.random.default_rng(seed)
+    for _ in range(40):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        part.write_bytes(data)
+        assert PartStore(scenario, tmp_path, resume=True).missing(40) == [range(40)]
+
+
+def test_parts_that_are_damaged_or_deleted_while_a_run_goes_on_are_missing_again(scenario, tmp_path, monkeypatch):
+    monkeypatch.setattr(parts, "MERGE_EVERY", 4)
+    store = PartStore(scenario, tmp_path, resume=False)
+    store.put(range(10), rows(range(10)))
+    store.put(range(10, 20), rows(range(10, 20)))
+    first, second = files(tmp_path)
+    first.unlink()
+    data = bytearray(second.read_bytes())
+    data[len(data) // 2] ^= 4
+    second.write_bytes(data)
+    for start in (20, 30):  # the second one merges
+        store.put(range(start, start + 10), rows(range(start, start + 10)))
+    assert store.missing(40) == [range(20)]
+    assert store.check()
+    assert "is gone" in store.notes[0]
+    assert "damaged" in store.notes[1]
+    files(tmp_path)[0].write_bytes(b"")
+    assert not store.check()
+    assert store.missing(40) == [range(30)]
 
 
 def test_a_kill_between_a_merge_and_its_clearing_up_doubles_nothing(scenario, tmp_path):
@@ -91,32 +140,57 @@ def test_a_kill_between_a_merge_and_its_clearing_up_doubles_nothing(scenario, tm
     for block in (range(10), range(10, 30), range(30), range(30, 40)):
         store.put(block, rows(block))
     again = PartStore(scenario, tmp_path, resume=True)
-    assert [path.stem for path in files(tmp_path)] == ["000000000-000000030", "000000030-000000040"]
+    assert [path.stem[:19] for path in files(tmp_path)] == ["000000000-000000030", "000000030-000000040"]
     assert again.table(40).equals(rows(range(40)))
 
 
 def test_parts_of_another_scenario_are_refused_and_more_trials_are_not(scenario, tmp_path):
     PartStore(scenario, tmp_path, resume=False).put(range(5), rows(range(5)))
     assert PartStore(scenario.with_values(trials=7), tmp_path, resume=True).missing(7) == [range(5, 7)]
-    with pytest.raises(InputError, match="another scenario, seed or version"):
-        PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume=True)
+    for resume in (True, False):
+        with pytest.raises(InputError, match=r"holds unfinished trials of another run \(scenario 'cubesat', seed 1, 7"):
+            PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume)
+    assert len(files(tmp_path)) == 1
 
 
 def test_results_that_stand_are_taken_over(scenario, tmp_path):
     store = PartStore(scenario, tmp_path, resume=False)
     store.put(range(5), rows(range(5)))
-    store.write(tmp_path / "trials.parquet", 5)
-    discard_parts(tmp_path)
+    finish(store, tmp_path, 5)
     again = PartStore(scenario, tmp_path, resume=True)
     assert again.missing(8) == [range(5, 8)]
     again.put(range(5, 8), rows(range(5, 8)))
-    again.write(tmp_path / "trials.parquet", 8)
+    finish(again, tmp_path, 8)
     assert pq.read_table(tmp_path / "trials.parquet").equals(rows(range(8)))
     assert PartStore(scenario, tmp_path, resume=False).missing(8) == [range(8)]
     discard_parts(tmp_path)
     other = scenario.with_values(seed=scenario.seed + 1)
     assert PartStore(other, tmp_path, resume=True).missing(8) == [range(8)]
     assert pq.read_table(tmp_path / "trials.parquet").num_rows == 8  # nobody's to delete
+
+
+def test_damaged_results_are_set_aside_and_not_taken_over(scenario, tmp_path):
+    store = PartStore(scenario, tmp_path, resume=False)
+    store.put(range(50), rows(range(50)))
+    finish(store, tmp_path, 50)
+    file = tmp_path / "trials.parquet"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 16
+    file.write_bytes(data)
+    again = PartStore(scenario, tmp_path, resume=True)
+    assert again.missing(50) == [range(50)]
+    assert again.notes[0].startswith(f"{file}: is damaged")
+    assert (tmp_path / DAMAGED_FOLDER / "trials.parquet").read_bytes() == data
+
+
+def test_unfinished_trials_are_taken_over_without_being_asked(scenario, tmp_path):
+    PartStore(scenario, tmp_path, resume=False).put(range(5), rows(range(5)))
+    again = PartStore(scenario, tmp_path, resume=False)
+    assert again.missing(8) == [range(5, 8)]
+    again.refuse_fewer(5)
+    with pytest.raises(InputError, match=r"unfinished trials of a longer run \(scenario 'cubesat', seed 1, 5 trials"):
+        again.refuse_fewer(4)
+    assert PartStore(scenario, tmp_path, resume=False, force=True).missing(8) == [range(8)]
 
 
 def test_integers_meet_real_numbers(scenario, tmp_path):

@@ -8,10 +8,12 @@ from scipy import stats
 
 from simulator.study.statistics import (
     AXES,
+    Verdict,
     axis_statistics,
     consistency,
     error_against,
     outliers,
+    percentile_interval,
     summarise,
     wilson_interval,
 )
@@ -84,7 +86,46 @@ def test_a_wrong_attitude_is_no_identification():
     }
     summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 1e-4})
     assert (summary["wrong"], summary["identification_rate"]) == (1, 0.9)
-    assert [summary["specification"][axis]["met"] for axis in ("roll", "pitch", "yaw")] == [True, True, False]
+    verdicts = [summary["specification"][axis]["verdict"] for axis in ("roll", "pitch", "yaw")]
+    assert verdicts == ["undecided", "undecided", "not met"]  # ten trials show no 99.7 %
+    assert not any(entry["met"] for entry in summary["specification"].values())
+
+
+@pytest.mark.parametrize(
+    ("n", "beyond", "expected"),
+    [
+        # P(no error beyond | 0.3 % are) = 0.997^n: 2.51 % at 1227, 2.499 % at 1228
+        (1227, 0, "undecided"),
+        (1228, 0, "met"),
+        # P(Bin(2000, 0.003) <= 1) = 1.7 %, P(<= 2) = 6.2 %; P(>= 12) = 2.0 %, P(>= 11) = 4.2 %
+        (2000, 1, "met"),
+        (2000, 2, "undecided"),
+        (2000, 11, "undecided"),
+        (2000, 12, "not met"),
+        # P(Bin(5, 0.003) >= 1) = 1.5 %
+        (5, 0, "undecided"),
+        (5, 1, "not met"),
+    ],
+)
+def test_verdict_by_the_binomial_interval_of_the_percentile(n, beyond, expected):
+    errors = np.linspace(0.0, 0.9, n)
+    errors[n - beyond :] = 1.1
+    columns = trials(n, **{f"error_{axis}_deg": errors for axis in ("roll", "pitch", "yaw")})
+    found = summarise(columns, {"roll": 1.0, "pitch": 1.0, "yaw": 1.0})["specification"]["yaw"]
+    assert found["verdict"] == expected
+    assert found["met"] == (expected == "met")
+    assert found["p997_interval95_deg"] == list(percentile_interval(np.sort(errors), 99.7))
+
+
+def test_verdicts_are_wrong_as_seldom_as_they_promise():
+    """Of 2,000 runs of 3,000 trials with exactly 0.3 % of the errors beyond, at most 2.5 % each may be "met" or "not
+    met": 50, and 4 sigma of the count, sqrt(2000 × 0.025 × 0.975) = 7, more."""
+    beyond = np.random.default_rng(1).binomial(3000, 0.003, 2000)
+    found = [Verdict("roll", 0.5, percentile_interval(np.repeat([0.5, 2.0], [3000 - k, k]), 99.7), 1.0) for k in beyond]
+    counts = {verdict: sum(v.verdict == verdict for v in found) for verdict in ("met", "not met", "undecided")}
+    assert counts["met"] <= 78
+    assert counts["not met"] <= 78
+    assert counts["undecided"] >= 1850
 
 
 def trials(n, **changes):

@@ -1,19 +1,24 @@
 """Columns of a trial that say where and how it was: against astropy, the orbit's own elements, and closed formulas."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from astropy import units as u
 from astropy.coordinates import SkyCoord
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
 
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
+from simulator.study.statistics import WRONG_NEES, is_wrong
 from simulator.study.trials.trial import (
     TrialRunner,
     argument_of_latitude_deg,
     galactic_latitude_deg,
     normalised_error_squared,
+    solve_frame,
 )
 from startracker.attitude import Attitude
 
@@ -65,3 +70,47 @@ def test_no_stars_no_bound():
     assert math.isnan(row["bound_cross_x_deg"])
     assert math.isnan(row["nees"])
     assert math.isnan(row["limit_mag"])
+
+
+def shifted_row(shift_arcsec, sigma_scale=1.0, renamed=False):
+    """Row of a trial whose solution is turned about the camera's x axis, its covariance scaled, or a star renamed."""
+    runner = TrialRunner(Scenario.load("cubesat", overrides=SMALL))
+    frame, truth = runner.renderer.frame(0)
+    solution = solve_frame(runner.tracker, frame)
+    turn = Attitude.from_matrix(Rotation.from_rotvec([math.radians(shift_arcsec / 3600.0), 0.0, 0.0]).as_matrix())
+    turned = Attitude.from_matrix(turn.as_matrix() @ truth.attitude.as_matrix())
+    stars = solution.stars
+    if renamed:
+        stars = replace(stars, catalog_id=np.concatenate([[1], stars.catalog_id[1:]]))
+    solution = replace(solution, attitude=turned, covariance=solution.covariance * sigma_scale**2, stars=stars)
+    return runner._row(0, frame, truth, solution)
+
+
+def test_a_far_off_attitude_with_a_small_covariance_is_wrong():
+    row = shifted_row(89.97)  # a tenth of the specification, but a hundred of its own standard deviations
+    assert row["nees"] > 1000
+    assert row["wrong"]
+    assert not row["beyond_specification"]
+    assert row["stars_misidentified"] == 0
+
+
+def test_a_far_off_attitude_that_says_so_is_beyond_specification_and_not_wrong():
+    row = shifted_row(3600.0, sigma_scale=1e4)
+    assert row["beyond_specification"]
+    assert not row["wrong"]
+
+
+def test_a_misidentified_star_makes_a_trial_wrong():
+    assert not shifted_row(0.0)["wrong"]
+    row = shifted_row(0.0, renamed=True)
+    assert row["stars_misidentified"] == 1
+    assert row["wrong"]
+
+
+def test_what_noise_explains_is_not_wrong():
+    error, bound = np.array([4e-4, 0.0, 0.0]), np.full(3, 1e-4)
+    assert not is_wrong(0, 1e3, error, bound)  # the covariance is too small, but the attitude as good as it can be
+    assert is_wrong(0, 1e3, 2.0 * error, bound)
+    assert not is_wrong(0, 20.0, 2.0 * error, bound)
+    assert is_wrong(0, 1e3, error, np.full(3, np.nan))  # no noise at all
+    assert chi2.sf(WRONG_NEES, 3) == pytest.approx(2.0 * norm.sf(5.0), rel=1e-3)

@@ -10,7 +10,7 @@ import pytest
 from simulator.checks import load_scenario
 from simulator.cli.sweep_command import time_left_s
 from simulator.scenario import ScenarioError
-from simulator.study.sweep.files import point_file
+from simulator.study.sweep.files import point_files
 from simulator.study.sweep.run import plan_sweep, run_sweep
 from simulator.study.trials.engine import run_trials
 from startracker.errors import InputError
@@ -92,8 +92,7 @@ def test_a_kill_costs_the_point_under_way_and_resume_ends_with_the_same_dataset(
 
     with pytest.raises(Killed):
         run_sweep(plan, tmp_path, progress=kill)
-    assert point_file(tmp_path / "points", 0).exists()
-    assert not point_file(tmp_path / "points", 1).exists()
+    assert list(point_files(tmp_path / "points")) == [0]
     assert not (tmp_path / "sweep.parquet").exists()
     told = []
     resumed = run_sweep(plan, tmp_path, resume=True, progress=lambda *step: told.append(step))
@@ -108,10 +107,44 @@ def test_a_kill_costs_the_point_under_way_and_resume_ends_with_the_same_dataset(
     assert again.table["points"] == resumed.table["points"]
 
 
-def test_resume_of_another_sweep_is_refused(plan, sweep, tmp_path):
-    other = plan_sweep("tc211", OVER, trials=TRIALS, seed=SEED + 1)
-    with pytest.raises(InputError, match="another scenario, seed, version or --over"):
-        run_sweep(other, sweep[0].folder, resume=True)
+@pytest.mark.parametrize("resume", [True, False])
+def test_another_sweep_is_not_replaced(plan, sweep, tmp_path, resume):
+    stands = rf"\(scenario 'tc211', seed {SEED}, {len(plan.points)} points, {TRIALS} trials each, boresight"
+    for over, trials, seed, words in [
+        (OVER, TRIALS, SEED + 1, "another sweep"),
+        (OVER, TRIALS - 1, SEED, "a sweep with other values"),
+        (OVER[:-1], TRIALS, SEED, "a sweep with other values"),
+    ]:
+        other = plan_sweep("tc211", over, trials=trials, seed=seed)
+        with pytest.raises(InputError, match=f"holds the results of {words}.*{stands}"):
+            run_sweep(other, sweep[0].folder, resume=resume)
+
+
+def test_a_damaged_point_is_computed_again(plan, sweep, tmp_path):
+    class Killed(BaseException):
+        pass
+
+    def kill(done, total, point):
+        if point.index == 1 and done > TRIALS:
+            raise Killed
+
+    def harm(done, total, point):
+        """Before the last point is finished, the first one is damaged."""
+        if done > total - TRIALS:
+            path = point_files(tmp_path / "points").get(0)
+            if path and len(harmed) < 2:
+                harmed.append(path.name)
+                path.write_bytes(path.read_bytes()[:-9])
+
+    with pytest.raises(Killed):
+        run_sweep(plan, tmp_path, progress=kill)
+    (path,) = point_files(tmp_path / "points").values()
+    harmed = [path.name]
+    path.write_bytes(path.read_bytes()[9:])
+    again = run_sweep(plan, tmp_path, progress=harm)
+    assert [note.split(": ")[0] for note in again.notes] == [str(tmp_path / "points" / name) for name in harmed]
+    assert len(harmed) == 2
+    assert without_times(tmp_path / "sweep.parquet").equals(without_times(sweep[0].folder / "sweep.parquet"))
 
 
 def test_a_folder_of_somebody_else_is_left_alone(plan, tmp_path):

@@ -16,7 +16,7 @@ def test_names_of_stars_and_bodies():
     assert bright.id[sirius] == 32349  # Sirius' number in the Hipparcos catalogue
     assert find_target("alpCMA", bright) == find_target("HIP 32349", bright) == find_target("32349", bright) == sirius
     assert find_target(" moon", bright) == "Moon"
-    with pytest.raises(InputError, match="no body"):
+    with pytest.raises(InputError, match="neither a body"):
         find_target("Nibiru", bright)
 
 

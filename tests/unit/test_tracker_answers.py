@@ -156,7 +156,10 @@ def test_a_blended_star_does_not_spoil_a_frame_without_noise(tracker):
     pulled[[1, 4]] += [[0.4, -0.3], [-0.2, 0.5]]
     solution = tracker.solve_centroids(pulled, flux)
     assert math.degrees(attitude.angle_to(solution.attitude)) * 3600 < 1e-3
-    assert solution.matched == len(xy) - 2
+    assert solution.matched == len(xy)  # the blends are named too
+    assert np.count_nonzero(~solution.stars.used) == 2
+    assert np.hypot(*solution.stars.residual_px[~solution.stars.used].T).min() > 0.4
+    assert solution.rmse_arcsec < 1e-3
 
 
 def test_a_wrong_prior_is_overruled_by_the_sky_and_said(tracker):

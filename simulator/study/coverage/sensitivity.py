@@ -246,7 +246,7 @@ def _pixel(scenario: Scenario, plane: FocalPlane) -> Pixel:
 def _mean_illumination(scenario: Scenario, plane: FocalPlane) -> float:
     """Mean light of a star over the field against one in the middle: vignetting."""
     camera = plane.camera
-    if plane.illumination is None:
+    if not plane.vignettes:
         return 1.0
     x, y = np.meshgrid((np.arange(16) + 0.5) / 16 * camera.width, (np.arange(16) + 0.5) / 16 * camera.height)
     seen = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1) - 0.5)

@@ -7,7 +7,7 @@ the availability, the share of the sky or of the time with at least k stars.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,8 @@ class Coverage:
         Stars in the field down to each of them.
     sky_stars : int
         Stars down to `magnitude_limit` over the whole sky.
+    exclusion : Exclusion
+        Exclusion angles that were in force.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Coverage:
     limits: FloatArray
     curve: IntArray
     sky_stars: int
+    exclusion: Exclusion = field(default_factory=Exclusion)
 
     @property
     def allowed_counts(self) -> IntArray:
@@ -113,6 +116,7 @@ class Coverage:
             "magnitude_limit_from": self.limit_reason,
             "stars_over_sky": self.sky_stars,
             "stars_if_spread_evenly": self.sky_stars * area / (4.0 * math.pi),
+            "exclusion_deg": {body: getattr(self.exclusion, f"{body}_deg") for body in ("sun", "moon", "earth")},
             "excluded_share": {body: float(np.mean(broken)) for body, broken in looks.excluded.items()},
             "excluded_share_any": float(np.mean(~looks.allowed)),
             "stars": {
@@ -255,6 +259,7 @@ def coverage(
         limits=limits,
         curve=counts,
         sky_stars=len(stars.brighter_than(limit)),
+        exclusion=angles,
     )
 
 

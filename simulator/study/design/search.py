@@ -8,13 +8,14 @@ answer. A Monte Carlo run of the value found can stand beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from scipy.special import gammaincinv
 
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import mounting_of
@@ -25,7 +26,7 @@ from simulator.study.coverage.boresights import Boresights, along_path, whole_sk
 from simulator.study.coverage.field_counts import accumulate_information, outline
 from simulator.study.coverage.sensitivity import build_sensitivity
 from simulator.study.run import run
-from simulator.study.statistics import BODY_AXES
+from simulator.study.statistics import BODY_AXES, NOT_MET, deg_text
 from startracker._version import __version__
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
@@ -102,13 +103,31 @@ class Point:
 
 @dataclass(frozen=True)
 class Verification:
-    """A Monte Carlo run of the value found beside its prediction, 3σ in degrees."""
+    """A Monte Carlo run of the value found beside its prediction, angles in degrees.
+
+    Parameters
+    ----------
+    trials, solved, wrong : int
+        Frames, those with an attitude, and those whose attitude is wrong.
+    three_sigma_deg, predicted_deg : dict
+        Three times the rms error about each body axis, measured and predicted.
+    p997_deg : dict
+        Magnitude that 99.7 % of the measured errors stay below.
+    contradictions : tuple of str
+        In what the run contradicts the finding that the value meets everything; empty where it does not.
+    """
 
     trials: int
     solved: int
     wrong: int
     three_sigma_deg: dict[str, float | None]
     predicted_deg: dict[str, float | None]
+    p997_deg: dict[str, float | None] = field(default_factory=dict)
+    contradictions: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As ``design.json`` holds it."""
+        return asdict(self) | {"contradicted": bool(self.contradictions)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +331,34 @@ def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) ->
         wrong=summary["wrong"],
         three_sigma_deg={axis: summary["errors_deg"][axis]["three_sigma"] for axis in BODY_AXES},
         predicted_deg=dict(result.best.three_sigma_deg),
+        p997_deg={axis: summary["errors_deg"][axis]["p997"] for axis in BODY_AXES},
+        contradictions=tuple(_contradictions(summary, result)),
     )
+
+
+def _contradictions(summary: Mapping[str, Any], result: Design) -> Iterator[str]:
+    """What a run of the value says against its meeting everything, beyond what chance explains.
+
+    An axis contradicts where its verdict is "not met", or where three times its rms exceeds the specification by more
+    than 99.9 % of such runs would if it just met it: n (rms / σ)² is χ² of n degrees of freedom for normal errors of
+    one σ; a third of that is taken, as fields differ and the poorest weigh most (a kurtosis of 7; Box 1953).
+    """
+    n = summary["solved"]
+    if summary["wrong"]:
+        yield f"{summary['wrong']} of {n} attitudes are wrong"
+    low, high = summary["availability_interval95"]
+    if high < result.least_availability:
+        yield (
+            f"{100 * summary['availability']:.2f} % of the frames were solved (95 % interval {100 * low:.2f} to "
+            f"{100 * high:.2f} %), and {100 * result.least_availability:g} % are asked for"
+        )
+    freedom = max(n / 3.0, 1.0)
+    excess = math.sqrt(2.0 * gammaincinv(freedom / 2.0, 0.999) / freedom)
+    for axis, limit in result.specification_deg.items():
+        three_sigma = summary["errors_deg"][axis]["three_sigma"]
+        not_met = summary["specification"][axis]["verdict"] == NOT_MET
+        if not_met or (three_sigma is not None and three_sigma > excess * limit):
+            yield f"3σ {axis} is {deg_text(three_sigma)} where {deg_text(limit)} is specified"
 
 
 def _point(

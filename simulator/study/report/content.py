@@ -15,7 +15,18 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.intervals import wilson_interval
-from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
+from simulator.study.statistics import (
+    AXES,
+    BODY_AXES,
+    CAMERA_AXES,
+    FEWEST_TO_MEET,
+    MET,
+    NOT_MET,
+    UNDECIDED,
+    Verdict,
+    advice,
+    overall_verdict,
+)
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
@@ -40,7 +51,8 @@ class Table:
 class Answer:
     """First lines of the report: is the specification met, with what margin, how often, and what limits it."""
 
-    met: bool
+    state: str
+    """`MET`, `NOT_MET` or `UNDECIDED`."""
     verdict: str
     margin: str
     axes: Table
@@ -119,55 +131,67 @@ def percent_text(share: float | None) -> str:
 
 def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None) -> Answer:
     n, solved, wrong = summary["trials"], summary["solved"], summary["wrong"]
-    rows, factors, doubtful = [], {}, []
+    rows, factors, verdicts = [], {}, {}
     for axis in BODY_AXES:
-        entry = summary["specification"][axis]
-        three_sigma, limit = entry["three_sigma_deg"], entry["specified_deg"]
-        interval = interval_of(summary, axis, "three_sigma")
-        factor = limit / three_sigma if three_sigma else None
-        factors[axis] = factor
-        if interval and None not in interval and interval[0] <= limit < interval[1]:
-            doubtful.append(axis)
+        found = verdict_on(summary, axis)
+        verdicts[axis] = found.verdict
+        factors[axis] = found.specified_deg / found.p997_deg if found.p997_deg else None
         rows.append((
             axis,
-            angle_text(three_sigma),
-            interval_text(interval) or "–",
-            angle_text(limit),
-            f"{factor:.3g} ×" if factor else "–",
-            "met" if entry["met"] else "not met",
+            angle_text(found.p997_deg),
+            interval_text(found.interval95_deg) or "–",
+            angle_text(found.specified_deg),
+            f"{factors[axis]:.3g} ×" if factors[axis] else "–",
+            found.verdict,
         ))  # fmt: skip
-    missed = [axis for axis in BODY_AXES if not summary["specification"][axis]["met"]]
-    met = not missed and wrong == 0
-    if met:
-        verdict = "Yes: the specification is met about all three axes."
-    elif missed:
+    missed, open_axes = ([a for a in BODY_AXES if verdicts[a] == state] for state in (NOT_MET, UNDECIDED))
+    state = overall_verdict(verdicts.values(), wrong)
+    if missed:
         verdict = f"No: the specification is not met about {_listed(missed)}."
+    elif wrong:
+        within = "within their specification" if state == MET or not open_axes else "not beyond their specification"
+        verdict = f"No: the axes are {within}, but {wrong} of the accepted attitudes are wrong."
+    elif state == UNDECIDED:
+        verdict = f"Not decided: the specification may or may not be met about {_listed(open_axes)}; {advice(solved)}."
     else:
-        verdict = f"No: the axes are within their specification, but {wrong} of the accepted attitudes are wrong."
+        verdict = "Yes: the specification is met about all three axes."
     known = {axis: factor for axis, factor in factors.items() if factor}
     margin = "No frame was solved."
     if known:
         tight = min(known, key=lambda axis: known[axis])
         margin = (
-            f"At the tightest axis, {tight}, the error could be {known[tight]:.3g} times as large."
+            f"At the tightest axis, {tight}, the error that 99.7 % stay below could be {known[tight]:.3g} times as "
+            "large."
             if known[tight] >= 1
-            else f"At the worst axis, {tight}, the error is {1 / known[tight]:.3g} times what is allowed."
+            else f"At the worst axis, {tight}, the error that 99.7 % stay below is {1 / known[tight]:.3g} times what "
+            "is allowed."
         )
-    if doubtful:
-        margin += f" The specification lies inside the 95 % interval of {_listed(doubtful)}: more trials would tell."
     right = solved - wrong
     rates = []
-    for name, count in (("available (an attitude given)", solved), ("identified rightly", right), ("wrong", wrong)):
+    for name, count in (("available (an attitude given)", solved), ("correctly identified", right), ("wrong", wrong)):
         between = interval_text(wilson_interval(count, n), percent_text)
         rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
     return Answer(
-        met=met,
+        state=state,
         verdict=verdict,
         margin=margin,
-        axes=Table(("axis", "3σ", "95 % interval", "specified", "factor", "verdict"), tuple(rows)),
+        axes=Table(
+            ("axis", "99.7 % below", "95 % interval", "specified", "factor", "verdict"),
+            tuple(rows),
+            note="The specification is met where the whole interval of the 99.7th percentile is within it, and not met "
+            "where all of it is beyond; in between, more trials are needed. An end shown as – is beyond the largest "
+            f"error: the upper one needs {FEWEST_TO_MEET} trials.",
+        ),
         rates=Table(("rate", "frames", "share", "95 % interval"), tuple(rates)),
         limits=_limits(summary, columns, budget),
     )
+
+
+def verdict_on(summary: Mapping[str, Any], axis: str) -> Verdict:
+    """Verdict on an axis, from what ``summary.json`` says of its errors."""
+    interval = interval_of(summary, axis, "p997") or [None, None]
+    specified_deg = summary["specification"][axis]["specified_deg"]
+    return Verdict(axis, summary["errors_deg"][axis]["p997"], interval, specified_deg)
 
 
 def interval_of(summary: Mapping[str, Any], axis: str, key: str) -> list[float | None] | None:
@@ -226,14 +250,21 @@ def _accuracy(summary: Mapping[str, Any]) -> Table:
         rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
     note = (
         "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
-        "included; 3σ is three times its root mean square. An attitude is called wrong when it is off by more than ten "
-        "times the specification about any body axis."
+        "included. An attitude is called wrong when a star is misidentified, "
+        "or when its error is beyond 5σ of the covariance that the tracker stated and larger than five Cramér–Rao "
+        "bounds, so that noise does not explain it; " + _beyond(summary)
     )
     if any(interval_of(summary, axis, "rms") for axis in AXES):
         note += " In brackets: 95 % intervals by bootstrap."
     return Table(
         ("axis", "mean", "std", "rms", "50 % below", "95 % below", "99.7 % below", "largest"), tuple(rows), note=note
     )
+
+
+def _beyond(summary: Mapping[str, Any]) -> str:
+    count = summary.get("beyond_specification", 0)
+    verb = "is" if count == 1 else "are"
+    return f"{count or 'none'} of the attitudes {verb} off by more than ten times the specification."
 
 
 def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tuple[int, str]]:

@@ -14,7 +14,7 @@ from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
-from simulator.study.statistics import BODY_AXES
+from simulator.study.statistics import BODY_AXES, MET, NOT_MET, UNDECIDED
 from simulator.study.style import Panel, inline_svg, style_variables
 from startracker.catalog import load_catalog
 
@@ -91,6 +91,7 @@ def html_of(report: Report) -> str:
         scenario=report.scenario,
         summary=report.summary,
         content=report.content,
+        tone={MET: "good", NOT_MET: "bad", UNDECIDED: "open"}[report.content.answer.state],
         errors=[drawn(panel, f"e{i}") for i, panel in enumerate(report.panels.errors)],
         trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
         wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],

@@ -46,6 +46,7 @@ def pdf_of(report: Report) -> bytes:
         paper.text(scenario.description, 9, colour=SOFT)
         paper.text(f"{content.answer.verdict} {content.answer.margin}", 11, weight="bold")
         paper.table(content.answer.axes)
+        paper.text(content.answer.axes.note, 8, colour=SOFT)
         paper.table(content.answer.rates)
         paper.text("What limits it. " + " ".join(content.answer.limits), 9)
         for note in content.notes:

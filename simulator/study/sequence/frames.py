@@ -22,8 +22,14 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.operation import OperatedCamera
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_FACTOR
-from simulator.study.trials.trial import attitude_errors_deg, build_tracker, misidentified
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.trial import (
+    attitude_errors_deg,
+    build_tracker,
+    misidentified,
+    normalised_error_squared,
+)
 from startracker.attitude import Attitude
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
@@ -85,6 +91,7 @@ class SequenceRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
+        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
         section = scenario.sequence
         self.start = self._start()
         self.states = motion(scenario.pointing, section, self.renderer.scenes.orbit, self.start, section.frames)
@@ -203,6 +210,7 @@ class SequenceRunner:
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude, session, solution, *times)
             row |= self._counts(frame, truth, solution)
+            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
@@ -268,6 +276,7 @@ class SequenceRunner:
             "status": str(solution.status),
             "reason": solution.reason,
             "wrong": False,
+            "beyond_specification": False,
         }
         row |= _attitude_columns("true_", true) | _attitude_columns("", estimate)
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
@@ -275,7 +284,7 @@ class SequenceRunner:
         nees = math.nan
         if estimate is not None and covariance is not None:
             errors = attitude_errors_deg(true, estimate, mounting)
-            row["wrong"] = solution.solved and self._is_wrong(errors)
+            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification_deg)
             camera = covariance[:3, :3]
             to_body = mounting.inverse.as_matrix()
             sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))
@@ -351,14 +360,30 @@ class SequenceRunner:
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
-            row["single_wrong"] = self._is_wrong(errors)
+            error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
+            nees = normalised_error_squared(error_deg, solution.covariance)
+            strangers = misidentified(truth, solution) if self.same_catalog else 0
+            row["single_wrong"] = self._is_wrong(truth, solution, strangers, nees, error_deg)
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row
 
-    def _is_wrong(self, errors: dict[str, float]) -> bool:
-        limits = self.scenario.specification
-        return any(abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in BODY_AXES)
+    def _is_wrong(
+        self, truth: FrameTruth, solution: Solution, misidentified: int, nees: float, error_deg: FloatArray
+    ) -> bool:
+        """Whether the attitude given with a solved frame is wrong (`simulator.study.statistics.is_wrong`), the noise
+        being that of this frame alone: its bound is computed only for the few attitudes that it can decide about."""
+        if not solution.solved:
+            return False
+        bound_deg = np.full(3, math.nan)
+        if nees > WRONG_NEES:
+            bound_deg = attitude_bound_deg(self.renderer, truth, matched_sources(truth, solution.stars.fitted.xy))
+        return is_wrong(misidentified, nees, error_deg, bound_deg)
+
+
+def _camera_error(row: dict[str, Any]) -> FloatArray:
+    """Error about the camera's axes (3,), degrees, of a row."""
+    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
 
 
 def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:

@@ -14,14 +14,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from simulator.paths import make_folder, write_atomically
+from simulator.paths import write_atomically
 from simulator.scenario import Scenario
+from simulator.scenario.fields import flatten
+from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
+from startracker.errors import BoresightError
 
 __all__ = ["Sequence", "run_sequence"]
 
@@ -68,6 +71,7 @@ def run_sequence(
     out: str | Path | None = None,
     single: bool = False,
     animate: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Sequence:
     """Run a scenario's sequence: an orbit or a slew, frame after frame, in tracking mode.
@@ -83,20 +87,46 @@ def run_sequence(
         Solve every frame alone too, to compare.
     animate : bool
         Make the animation.
+    force : bool
+        Replace what stands in `out`, whatever it is.
     progress : callable, optional
         Called with (finished, all).
 
     Raises
     ------
     InputError
-        For an unwritable folder, or names or files in the scenario that cannot be used.
+        For an unwritable folder, or names or files in the scenario that cannot be used; where `out` holds results of
+        another scenario, seed, version or longer sequence; or where another process is at work there.
+    BoresightError
+        For a sequence that is interrupted before it has as many frames as the one whose results stand in `out`.
 
     Notes
     -----
     Ctrl-C ends the sequence after the frame under way; results and files are then those of the frames so far, and the
     summary says ``interrupted``.
     """
-    folder = make_folder(Path(out)) if out is not None else None
+    if out is None:
+        return _run(scenario, None, single, animate, progress)
+    with results_folder(Path(out), _identity(scenario, single, scenario.sequence.frames), force=force) as folder:
+        old = None if force else standing(folder, "sequence")
+        return _run(scenario, folder, single, animate, progress, old.amounts["frames"] if old else 0)
+
+
+def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
+    """Identity of so many frames of a sequence."""
+    begun = scenario.changed(flatten(scenario) | {"sequence.frames": 1})
+    sha256 = scenario_sha256(begun, sequence=True, single=single)
+    return Identity("sequence", scenario.name, scenario.seed, sha256, {"frames": frames})
+
+
+def _run(
+    scenario: Scenario,
+    folder: Path | None,
+    single: bool,
+    animate: bool,
+    progress: Progress | None,
+    frames_standing: int = 0,
+) -> Sequence:
     requested = scenario.sequence.frames
     runner = SequenceRunner(scenario, single=single)
     started = time.perf_counter()
@@ -119,6 +149,10 @@ def run_sequence(
                 progress(done, requested)
             if stop.is_set():
                 break
+    if done < frames_standing:
+        raise BoresightError(
+            f"interrupted after {done} frames; {folder} keeps the results of an earlier run of {frames_standing}"
+        )
     if rows:
         pieces.append(pa.Table.from_pylist(rows))
     elapsed_s = time.perf_counter() - started
@@ -129,6 +163,7 @@ def run_sequence(
         name=scenario.name,
         seed=scenario.seed,
         version=__version__,
+        identity=_identity(scenario, single, done).to_dict(),
         requested=requested,
         interrupted=done < requested,
         **summarise_sequence(columns, scenario.sequence.step_s),

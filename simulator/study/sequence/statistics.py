@@ -41,6 +41,9 @@ def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
         "first_solution_s": None if first is None else first * step_s,
         "longest_outage_s": longest_run(~solved) * step_s,
         "wrong": int(np.sum(columns["wrong"])),
+        "beyond_specification": int(np.sum(columns["beyond_specification"]))
+        if "beyond_specification" in columns
+        else 0,
         "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
         "restarts": int(np.sum(columns["restarted"])),
         "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,

@@ -22,9 +22,10 @@ Row = tuple[int, tuple[Any, ...], str | None]
 """Number of a point, its values, and why it is refused where it is."""
 
 
-def point_file(folder: Path, index: int) -> Path:
-    """Where the trials of a point are kept until all are done."""
-    return folder / f"{index:06d}.parquet"
+def point_files(folder: Path) -> dict[int, Path]:
+    """Files of finished points, ``POINT-CHECKSUM.parquet``, by the point's number."""
+    found = {int(path.stem.split("-")[0]): path for path in folder.glob("[0-9]*-*.parquet")}
+    return dict(sorted(found.items()))
 
 
 def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept: Path, folder: Path) -> None:
@@ -46,7 +47,7 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
     from simulator.study.sweep.page import sweep_page
     from simulator.study.sweep.plots import sweep_figures
 
-    files = {index: point_file(kept, index) for index, _, _ in rows if point_file(kept, index).exists()}
+    files = point_files(kept)
     join(list(files.values()), folder / "sweep.parquet")
     table["points"] = []
     for index, values, refused in rows:

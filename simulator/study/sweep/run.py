@@ -9,6 +9,7 @@ are done; a kill costs the point under way at most.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import shutil
 import time
@@ -26,8 +27,19 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
-from simulator.study.sweep.files import cell, point_file, write_results
-from simulator.study.trials.engine import Trials, run_trials
+from simulator.study.results_folder import (
+    FILES,
+    IDENTITY_FILE,
+    Identity,
+    refuse_other,
+    results_folder,
+    scenario_sha256,
+    standing,
+    unfinished_identity,
+)
+from simulator.study.sweep.files import cell, point_files, write_results
+from simulator.study.trials.checked_files import fault_of, set_aside, write_checked
+from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
 from simulator.study.trials.trial import TrialRunner
 from startracker._version import __version__
@@ -93,10 +105,19 @@ class Plan:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the version and of every point's scenario: what has to be the same to go on."""
-        lines = [point.scenario.fingerprint() if point.scenario else point.refused for point in self.points]
+        """SHA-256 of what every point's trials depend on: what has to be the same to go on."""
+        lines = [
+            scenario_sha256(point.scenario, trials=point.scenario.study.trials) if point.scenario else point.refused
+            for point in self.points
+        ]
         keys = [axis.path for axis in self.swept]
         return hashlib.sha256("\n".join([__version__, self.kind, *keys, *lines]).encode()).hexdigest()
+
+    def identity(self, points: int) -> Identity:
+        """Identity of so many points of it."""
+        trials = self.scenario.study.trials
+        amounts = {"points": points, "trials each": trials}
+        return Identity("sweep", self.scenario.name, self.scenario.seed, self.fingerprint, amounts)
 
 
 def plan_sweep(
@@ -158,10 +179,13 @@ class Sweep:
         What ``sweep.json`` holds: the points with their values, states and statistics, and how they were made.
     folder : Path
         Where the files are.
+    notes : tuple of str
+        Sentences on files of finished points that were found damaged and computed again.
     """
 
     table: dict[str, Any]
     folder: Path
+    notes: tuple[str, ...] = ()
 
     @property
     def trials(self) -> pa.Table:
@@ -176,6 +200,7 @@ def run_sweep(
     workers: int = 1,
     dask: str | None = None,
     resume: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Sweep:
     """Run every point of a plan and write ``sweep.parquet``, ``points.csv``, ``sweep.json``, plots and ``sweep.html``.
@@ -191,55 +216,85 @@ def run_sweep(
     dask : str, optional
         Address of a dask.distributed scheduler, to run on its workers instead.
     resume : bool
-        Take over the points that an interrupted sweep of the *same* plan finished in `out`.
+        Where a sweep of the *same* plan stands whole in `out`, return it. Finished points of one that was interrupted
+        are taken over in any case.
+    force : bool
+        Compute everything again, and replace what stands in `out`, whatever it is.
     progress : callable, optional
         Told of every block of trials.
 
     Raises
     ------
     InputError
-        For no workers, an unwritable folder, or a resume that does not fit.
+        For no workers, an unwritable folder; where `out` holds another sweep; or where another process is at work
+        there.
     """
     if workers < 1:
         raise InputError(f"workers: must be at least 1, not {workers}")
-    folder = make_folder(Path(out))
-    if resume and (whole := _finished_before(plan, folder)):
-        return whole
-    kept = _open_points(plan, folder, resume)
+    with results_folder(Path(out), plan.identity(len(plan.points)), resume=resume, force=force) as folder:
+        old = None if force else standing(folder, "sweep")
+        if resume and old and not (folder / POINTS_FOLDER).exists():
+            return Sweep(json.loads((folder / FILES["sweep"]).read_text(encoding="utf-8")), folder)
+        return _run_sweep(plan, folder, workers, dask, force, progress, old.amounts["points"] if old else 0)
+
+
+def _run_sweep(
+    plan: Plan,
+    folder: Path,
+    workers: int,
+    dask: str | None,
+    force: bool,
+    progress: Progress | None,
+    points_standing: int,
+) -> Sweep:
+    kept = _open_points(plan, folder, force)
+    notes: list[str] = []
     refused = {point.index: point.refused for point in plan.points if point.scenario is None}
     total = sum(point.scenario.study.trials for point in plan.points if point.scenario)
-    have = [point for point in plan.runnable if point_file(kept, point.index).exists()]
-    done = sum(point.scenario.study.trials for point in have if point.scenario)
-    if progress:
-        progress(done, total, next((point for point in plan.runnable if point not in have), plan.runnable[-1]))
     started, run_here, interrupted = time.perf_counter(), 0, False
     with WorkerPool(workers) as pool:
-        for point in plan.runnable:
-            file, scenario = point_file(kept, point.index), point.scenario
-            assert scenario is not None
-            if file.exists():
-                continue
-            asked = scenario.study.trials
-            try:
-                trials = _run_point(scenario, pool, dask, _shifted(progress, done, total, point))
-            except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
-                interrupted = True
+        for attempt in itertools.count():
+            whole = _whole_points(kept, notes)
+            todo = [point for point in plan.runnable if point.index not in whole and point.index not in refused]
+            done = sum(
+                point.scenario.study.trials for point in plan.runnable if point.scenario and point.index in whole
+            )
+            if progress and not interrupted and (todo or attempt == 0):
+                progress(done, total, (todo or plan.runnable)[0 if todo else -1])
+            if interrupted or not todo:
                 break
-            if isinstance(trials, str):
-                refused[point.index] = trials
-                total -= asked
-                continue
-            if trials.interrupted:
-                interrupted = True
-                break
-            _write_point(plan, point, trials.table, file)
-            run_here += asked
-            done += asked
-    if not any(point_file(kept, point.index).exists() for point in plan.points):
+            if attempt == MAX_ROUNDS:
+                raise BoresightError(f"{notes[-1]}: damaged {MAX_ROUNDS} times; is the disk failing?")
+            for point in todo:
+                scenario = point.scenario
+                assert scenario is not None
+                asked = scenario.study.trials
+                try:
+                    trials = _run_point(scenario, pool, dask, _shifted(progress, done, total, point))
+                except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
+                    interrupted = True
+                    break
+                if isinstance(trials, str):
+                    refused[point.index] = trials
+                    total -= asked
+                    continue
+                if trials.interrupted:
+                    interrupted = True
+                    break
+                _write_point(plan, point, trials.table, kept)
+                run_here += asked
+                done += asked
+    if not whole:
         if interrupted:
             raise BoresightError("interrupted before the first point was finished: nothing to report")
         first = min(refused)
         raise InputError(f"--over: none of the {len(plan.points)} points can be; the first: {refused[first]}")
+    reached = len(plan.points) if not interrupted else len(whole)
+    if reached < points_standing:
+        raise BoresightError(
+            f"interrupted: {len(whole)} points are finished and kept for the next run; {folder} keeps the results of "
+            f"the earlier sweep of {points_standing} points"
+        )
     table = {
         "name": plan.scenario.name,
         "scenario_file": plan.scenario.source_name,
@@ -252,7 +307,7 @@ def run_sweep(
         "specification_deg": {
             axis: getattr(plan.scenario.specification, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
         },
-        "fingerprint": plan.fingerprint,
+        "identity": plan.identity(reached).to_dict(),
         "workers": workers,
         "elapsed_s": time.perf_counter() - started,
         "trials_run": run_here,
@@ -262,7 +317,7 @@ def run_sweep(
     write_results(table, [axis.path for axis in plan.swept], rows, kept, folder)
     if not interrupted:
         shutil.rmtree(kept, ignore_errors=True)
-    return Sweep(table, folder)
+    return Sweep(table, folder, tuple(notes))
 
 
 def _run_point(
@@ -295,7 +350,7 @@ def _describe(axis: SweptKey) -> dict[str, Any]:
     }
 
 
-def _write_point(plan: Plan, point: Point, trials: pa.Table, file: Path) -> None:
+def _write_point(plan: Plan, point: Point, trials: pa.Table, kept: Path) -> None:
     """The trials of a point with its number and its values before them."""
     n = trials.num_rows
     columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, point.index, dtype=np.int32))}
@@ -308,41 +363,31 @@ def _write_point(plan: Plan, point: Point, trials: pa.Table, file: Path) -> None
         columns[name] = trials[name]
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(columns), sink, compression="zstd")
-    write_atomically(file, sink.getvalue().to_pybytes())
+    write_checked(kept, f"{point.index:06d}", sink.getvalue().to_pybytes())
 
 
-def _open_points(plan: Plan, folder: Path, resume: bool) -> Path:
-    """Folder of finished points: an earlier sweep's where it is resumed, else an empty one."""
+def _open_points(plan: Plan, folder: Path, force: bool) -> Path:
+    """Folder of finished points: those of an interrupted sweep of the same plan stay."""
     kept = folder / POINTS_FOLDER
-    key_file = kept / "plan.sha256"
-    if resume and key_file.exists():
-        if key_file.read_text(encoding="utf-8") != plan.fingerprint:
-            raise InputError(_other_sweep(folder))
-        return kept
-    if kept.exists() and any(kept.iterdir()) and not key_file.exists():
+    identity_file = kept / IDENTITY_FILE
+    if kept.exists() and any(kept.iterdir()) and not identity_file.exists():
         raise InputError(f"{kept}: holds files that are no sweep's; choose another --out")
-    shutil.rmtree(kept, ignore_errors=True)
+    if force:
+        shutil.rmtree(kept, ignore_errors=True)
+    new = plan.identity(0)
+    if (old := unfinished_identity(kept, "sweep")) is not None and old.sha256 != new.sha256:
+        refuse_other(folder, old, new, "finished points")
     make_folder(kept)
-    write_atomically(key_file, plan.fingerprint)
+    write_atomically(identity_file, json.dumps({"identity": plan.identity(len(plan.points)).to_dict()}))
     return kept
 
 
-def _finished_before(plan: Plan, folder: Path) -> Sweep | None:
-    """The sweep that stands whole in a folder, so that resuming it is nothing to do."""
-    file = folder / "sweep.json"
-    if (folder / POINTS_FOLDER).exists() or not file.exists():
-        return None
-    try:
-        table = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{file}: cannot be read ({error}); choose another --out") from error
-    if table.get("fingerprint") != plan.fingerprint:
-        raise InputError(_other_sweep(folder))
-    return Sweep(table, folder)
-
-
-def _other_sweep(folder: Path) -> str:
-    return (
-        f"{folder}: its points are of another scenario, seed, version or --over; "
-        "run without --resume, or choose another --out"
-    )
+def _whole_points(kept: Path, notes: list[str]) -> set[int]:
+    """Numbers of the points whose trials are kept; damaged files are set aside, with a sentence each."""
+    whole = set()
+    for index, path in point_files(kept).items():
+        if fault := fault_of(path):
+            notes.append(set_aside(path, fault, kept.parent))
+        else:
+            whole.add(index)
+    return whole

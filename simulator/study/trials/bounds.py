@@ -91,7 +91,9 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
     out."""
     sources = truth.sources
-    return np.asarray(_brightest_near(np.asarray(xy, dtype=float), sources.xy, sources.electrons, sources.is_star))
+    return np.asarray(
+        _brightest_near(np.asarray(xy, dtype=float), sources.image_xy, sources.electrons, sources.is_star)
+    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,6 +10,7 @@ from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING
 
 from simulator.scenario import Scenario
+from simulator.study.results_folder import refuse_other_files, scenario_sha256
 from simulator.study.trials.blocks import Blocks, Result, run_block
 from simulator.study.trials.trial import TrialRunner
 from startracker._version import __version__
@@ -59,7 +60,7 @@ def run_on_cluster(
         from distributed.client import FutureCancelledError
         from distributed.comm import CommClosedError
 
-        key, names = scenario.fingerprint(), itertools.count()
+        key, names = scenario_sha256(scenario), itertools.count()
         pending: dict[Future, range] = {}
         looked = -LOOK_S
         try:
@@ -124,6 +125,7 @@ def _run_block(scenario: Scenario, key: str, version: str, block: range) -> Resu
     if version != __version__:
         raise InputError(f"--dask: a worker has boresight {__version__}, this is {version}; install the same on all")
     if getattr(_local, "key", None) != key:
-        _local.runner = TrialRunner(scenario)
-        _local.key = key
+        runner = TrialRunner(scenario)
+        refuse_other_files(scenario, key)
+        _local.runner, _local.key = runner, key
     return run_block(_local.runner.run, block)

@@ -1,8 +1,8 @@
 """The Monte Carlo engine: trials here, on processes of this machine or on a cluster, kept as they come.
 
 Every block of finished trials is written at once to a folder of its own beside the results, so that an interrupt, a
-kill or a full disk costs no finished block; `resume` goes on from there. The rows depend on (scenario, seed, index)
-alone.
+kill or a full disk costs no finished block: the next run of the scenario goes on from there. The rows depend on
+(scenario, seed, index) alone.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ from simulator.study.trials.parts import PartStore, discard_parts
 from simulator.study.trials.process_pool import WorkerPool, run_in_pool
 from simulator.study.trials.stopping import stop_on_signal
 from simulator.study.trials.trial import TrialRunner
-from startracker.errors import InputError
+from startracker.errors import BoresightError, InputError
 
 __all__ = ["Progress", "Trials", "discard_parts", "run_trials"]
 
 Progress = Callable[[int, int], None]
 """Called with (trials finished, trials in all)."""
+
+MAX_ROUNDS = 3
+"""Times that trials are run whose finished parts are found damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,7 @@ def run_trials(
     pool: WorkerPool | None = None,
     folder: Path | None = None,
     resume: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Trials:
     """Run trials 0 … `trials` − 1 of a scenario.
@@ -92,40 +96,56 @@ def run_trials(
     pool : WorkerPool, optional
         Processes that are there already, in place of new ones.
     folder : Path, optional
-        Where finished blocks are kept until the results are written; none: in memory.
+        Where finished blocks are kept until the results are written; none: in memory. Those that an unfinished run of
+        the same scenario left there are taken over.
     resume : bool
-        Take over the finished trials that an earlier run of the *same* scenario left in `folder`.
+        Take over the trials of a finished run too.
+    force : bool
+        Discard what an unfinished run left in `folder`.
     progress : callable, optional
         Told after every block.
 
     Raises
     ------
     InputError
-        For no trials, no workers, no cluster, a full disk, or a resume from another scenario's trials.
+        For no trials, no workers, no cluster, a full disk, or unfinished trials of another scenario in `folder`.
     BoresightError
-        When workers die again and again, or the cluster is gone.
+        When workers die again and again, finished trials are damaged again and again, or the cluster is gone.
     """
     if trials < 1:
         raise InputError(f"trials: must be at least 1, not {trials}")
     if workers < 1:
         raise InputError(f"workers: must be at least 1, not {workers}")
-    store = PartStore(scenario, folder, resume)
-    blocks = Blocks(store.missing(trials), pool.workers if pool else workers)
-    done = taken_over = trials - blocks.left
-    if progress:
-        progress(done, trials)
+    store = PartStore(scenario, folder, resume, force)
+    store.refuse_fewer(trials)
+    taken_over = trials - sum(map(len, store.missing(trials)))
+    runner = None
     with stop_on_signal() as stop:
-        here = dask is None and blocks.workers == 1
-        runner = TrialRunner(scenario) if here and blocks else None
-        found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, pool, stop)
-        with contextlib.closing(found) as results:
-            for result in results:
-                store.put(result.block, result.table)
-                done += len(result.block)
-                if progress:
-                    progress(done, trials)
-        interrupted = stop.is_set() and done < trials
-    return Trials(store, done, taken_over, trials, interrupted, blocks.workers, runner)
+        for _ in range(MAX_ROUNDS):
+            blocks = Blocks(store.missing(trials), pool.workers if pool else workers)
+            done = trials - blocks.left
+            if progress:
+                progress(done, trials)
+            here = dask is None and blocks.workers == 1
+            if here and blocks and runner is None:
+                runner = TrialRunner(scenario)
+            found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, pool, stop)
+            with contextlib.closing(found) as results:
+                for result in results:
+                    store.put(result.block, result.table)
+                    done += len(result.block)
+                    if progress:
+                        progress(done, trials)
+            if store.check() or stop.is_set():
+                break
+        else:
+            raise BoresightError(
+                f"{store.notes[-1]}: finished trials were damaged {MAX_ROUNDS} times; is the disk failing? choose "
+                "another --out"
+            )
+        finished = trials - sum(map(len, store.missing(trials)))
+        interrupted = stop.is_set() and finished < trials
+    return Trials(store, finished, min(taken_over, finished), trials, interrupted, blocks.workers, runner)
 
 
 def _run_elsewhere(

@@ -1,26 +1,35 @@
 """The store of finished trials: Parquet parts named by the indices they hold, few and whole at any moment.
 
-Each finished block is written at once as ``START-STOP.parquet``, beside and moved into place. Small parts that touch
-are merged into larger ones as the run goes on: the merged part is in place before its members go, and a part whose
-trials another one holds too is dropped, so that a kill between the two loses and doubles nothing.
+Each finished block is written at once as ``START-STOP-CHECKSUM.parquet``, beside and moved into place. Small parts that
+touch are merged into larger ones as the run goes on: the merged part is in place before its members go, and a part
+whose trials another one holds too is dropped, so that a kill between the two loses and doubles nothing. A part whose
+contents no longer match its checksum is set aside, and its trials are missing again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import itertools
+import json
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simulator.paths import make_folder, open_atomically, write_atomically
 from simulator.scenario import Scenario
-from startracker._version import __version__
+from simulator.study.results_folder import (
+    IDENTITY_FILE,
+    Identity,
+    refuse_other,
+    scenario_sha256,
+    unfinished_identity,
+)
+from simulator.study.trials.checked_files import fault_of, file_sha256, set_aside, write_checked
 from startracker.errors import InputError
 
 PARTS_FOLDER = ".trials-parts"
@@ -34,8 +43,15 @@ ROW_GROUP_TRIALS = 10_000
 KEY = b"boresight.scenario.sha256"
 """Where ``trials.parquet`` says whose trials it holds."""
 
+_NAME = re.compile(r"(\d+)-(\d+)-([0-9a-f]{16})\.parquet")
+
 Key = tuple[int, int]
 """First index, and last + 1."""
+
+
+def run_identity(scenario: Scenario, trials: int) -> Identity:
+    """Identity of a Monte Carlo run of so many trials."""
+    return Identity("run", scenario.name, scenario.seed, scenario_sha256(scenario), {"trials": trials})
 
 
 class PartStore:
@@ -48,49 +64,59 @@ class PartStore:
     folder : Path, optional
         Folder of the results; none: in memory.
     resume : bool
-        Take over what is in `folder`: parts of an unfinished run, and the trials of a finished one. Parts that cannot
-        be read are deleted, so that their trials are run again.
+        Take over the trials of a finished run in `folder` too, not only the parts of an unfinished one.
+    force : bool
+        Discard what is in `folder`.
+
+    Attributes
+    ----------
+    notes : list of str
+        A sentence for every damaged file that was found.
 
     Raises
     ------
     InputError
-        For a resume from another scenario's parts, or a folder that cannot be written.
+        For another scenario's parts, or a folder that cannot be written.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path | None, resume: bool) -> None:
-        # more trials of the same scenario may join those that are done
-        same = scenario.with_values(trials=1).fingerprint()
-        self.key = hashlib.sha256(f"{__version__}\n{same}".encode()).hexdigest()
+    def __init__(self, scenario: Scenario, folder: Path | None, resume: bool, force: bool = False) -> None:
+        self.identity = run_identity(scenario, scenario.study.trials)
         self.folder = folder / PARTS_FOLDER if folder else None
+        self.notes: list[str] = []
         self._parts: dict[Key, Path | pa.Table] = {}
+        self._finished_checksum = ""
         self._unmerged = 0
         if folder is None or self.folder is None:
             return
-        key_file = self.folder / "scenario.sha256"
-        if not resume or not key_file.exists():
-            shutil.rmtree(self.folder, ignore_errors=True)
-            make_folder(self.folder)
-            with nothing_lost():
-                write_atomically(key_file, self.key)
-        elif key_file.read_text(encoding="utf-8") != self.key:
-            raise InputError(
-                f"{folder}: its unfinished trials are of another scenario, seed or version; "
-                "run without --resume, or choose another --out"
-            )
+        if force:
+            discard_parts(folder)
+        make_folder(self.folder)
+        unfinished = unfinished_identity(self.folder, "run")
+        if unfinished is not None and unfinished.sha256 != self.key:
+            refuse_other(folder, unfinished, self.identity, "unfinished trials")
+        with nothing_lost():
+            write_atomically(self.folder / IDENTITY_FILE, json.dumps({"identity": self.identity.to_dict()}))
+        self._load()
         if resume:
-            self._load(folder / TRIALS_FILE)
+            self._take_over(folder)
+        self._unmerged = len(self._parts)
 
-    def _load(self, finished: Path) -> None:
+    @property
+    def key(self) -> str:
+        """SHA-256 that distinguishes these trials from those of another scenario, seed or version."""
+        return self.identity.sha256
+
+    def _load(self) -> None:
         assert self.folder is not None
         for litter in self.folder.glob(".*"):
             litter.unlink()
         found: dict[Key, Path] = {}
-        for path in self.folder.glob("[0-9]*-[0-9]*.parquet"):
-            start, stop = (int(number) for number in path.stem.split("-"))
-            if _is_whole(path, start, stop):
-                found[start, stop] = path
-            else:
-                path.unlink()
+        for path in sorted(self.folder.glob("[0-9]*.parquet")):
+            name = _NAME.fullmatch(path.name)
+            if fault := fault_of(path) if name else "is no part of this version":
+                self._set_aside(path, fault)
+            elif name:
+                found[int(name[1]), int(name[2])] = path
         end = 0
         for (start, stop), path in sorted(found.items(), key=lambda item: (item[0][0], -item[0][1])):
             if start >= end:
@@ -98,15 +124,67 @@ class PartStore:
                 end = stop
             else:  # a member of a merged part, left by a kill before it went
                 path.unlink()
-        trials = _trials_of(finished, self.key)
+
+    def _take_over(self, folder: Path) -> None:
+        """Take over the trials of a finished run of this scenario."""
+        finished = folder / TRIALS_FILE
+        trials = self._finished_trials(finished)
         within = [key for key in self._parts if key[0] < trials]
         # parts that reach across its end come of a run that began anew
         if self.missing(trials) and all(stop <= trials for _, stop in within):
             for key in within:
-                found[key].unlink()
-                del self._parts[key]
+                part = self._parts.pop(key)
+                assert isinstance(part, Path)
+                part.unlink()
             self._parts[0, trials] = finished
-        self._unmerged = len(self._parts)
+
+    def _finished_trials(self, path: Path) -> int:
+        """Number of trials of an earlier run's results; 0 where they are another scenario's, or damaged."""
+        if not path.exists():
+            return 0
+        try:
+            summary = json.loads((path.parent / "summary.json").read_text(encoding="utf-8"))
+            self._finished_checksum = str(summary["trials_sha256"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return 0
+        if fault := fault_of(path, self._finished_checksum):
+            self._set_aside(path, fault)
+            return 0
+        with pq.ParquetFile(path) as file:
+            return file.metadata.num_rows if (file.schema_arrow.metadata or {}).get(KEY) == self.key.encode() else 0
+
+    def refuse_fewer(self, trials: int) -> None:
+        """Refuse a run that would discard unfinished trials beyond its own.
+
+        Raises
+        ------
+        InputError
+            Where parts hold more than the first `trials` trials.
+        """
+        if self.folder is None:
+            return
+        own = [stop for (_, stop), part in self._parts.items() if isinstance(part, Path) and part.parent == self.folder]
+        if own and max(own) > trials:
+            old, new = (replace(self.identity, amounts={"trials": number}) for number in (max(own), trials))
+            refuse_other(self.folder.parent, old, new, "unfinished trials")
+
+    def check(self, keys: Iterable[Key] | None = None) -> bool:
+        """Whether every part, or those of `keys`, is as it was written; those that are not are set aside."""
+        some = self._parts if keys is None else keys
+        files = {key: part for key in some if isinstance(part := self._parts[key], Path)}
+        faults = {
+            key: fault_of(part, None if part.parent == self.folder else self._finished_checksum)
+            for key, part in files.items()
+        }
+        for key, fault in faults.items():
+            if fault:
+                del self._parts[key]
+                self._set_aside(files[key], fault)
+        return not any(faults.values())
+
+    def _set_aside(self, path: Path, fault: str) -> None:
+        assert self.folder is not None
+        self.notes.append(set_aside(path, fault, self.folder.parent))
 
     def missing(self, trials: int) -> list[range]:
         """Indices below `trials` that no part has, as ranges in ascending order."""
@@ -126,16 +204,21 @@ class PartStore:
         if self.folder is None:
             self._parts[key] = table
             return
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink)
-        path = self._path(key)
-        with nothing_lost():
-            write_atomically(path, sink.getvalue().to_pybytes(), durable=False)
-        self._parts[key] = path
+        self._keep(key, table, durable=False)
         self._unmerged += 1
         if self._unmerged >= MERGE_EVERY:
             self._merge()
             self._unmerged = 0
+
+    def _keep(self, key: Key, table: pa.Table, *, durable: bool) -> None:
+        """Write trials as a part with its checksum in its name."""
+        assert self.folder is not None
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, row_group_size=ROW_GROUP_TRIALS)
+        with nothing_lost():
+            self._parts[key] = write_checked(
+                self.folder, f"{key[0]:09d}-{key[1]:09d}", sink.getvalue().to_pybytes(), durable=durable
+            )
 
     def schema(self) -> pa.Schema:
         """Columns that hold every part: an integer column meets a real one as real numbers."""
@@ -163,8 +246,8 @@ class PartStore:
         if rows:
             yield pa.concat_tables(kept).combine_chunks()
 
-    def write(self, path: Path, trials: int) -> None:
-        """Write the trials below `trials` to one Parquet file, a row group in memory at a time.
+    def write(self, path: Path, trials: int) -> str:
+        """Write the trials below `trials` to one Parquet file, a row group in memory at a time; its SHA-256.
 
         Raises
         ------
@@ -176,6 +259,7 @@ class PartStore:
             for table in self.row_groups(trials):
                 writer.write_table(table.cast(schema), row_group_size=ROW_GROUP_TRIALS)
         pa.default_memory_pool().release_unused()
+        return file_sha256(path)
 
     def table(self, trials: int) -> pa.Table:
         """The trials below `trials`, in memory."""
@@ -191,10 +275,6 @@ class PartStore:
                 if left > 0:
                     yield pa.Table.from_batches([batch]).slice(0, left)
                 left -= batch.num_rows
-
-    def _path(self, key: Key) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{key[0]:09d}-{key[1]:09d}.parquet"
 
     def _merge(self) -> None:
         """Merge parts that touch, a part with the smaller ones after it, so that each trial is rewritten few times."""
@@ -214,15 +294,11 @@ class PartStore:
                 self._merge_group(sorted(group))
 
     def _merge_group(self, keys: list[Key]) -> None:
-        merged = (keys[0][0], keys[-1][1])
-        tables = [table for key in keys for table in self._read(key, merged[1])]
-        path = self._path(merged)
-        with nothing_lost(), open_atomically(path) as stream:
-            pq.write_table(
-                pa.concat_tables(tables, promote_options="permissive"), stream, row_group_size=ROW_GROUP_TRIALS
-            )
+        if not self.check(keys):
+            return
+        tables = [table for key in keys for table in self._read(key, keys[-1][1])]
         members = [self._parts.pop(key) for key in keys]
-        self._parts[merged] = path
+        self._keep((keys[0][0], keys[-1][1]), pa.concat_tables(tables, promote_options="permissive"), durable=True)
         for member in members:
             assert isinstance(member, Path)
             member.unlink(missing_ok=True)
@@ -243,27 +319,6 @@ def nothing_lost() -> Iterator[None]:
 def discard_parts(folder: Path) -> None:
     """Remove the blocks of a finished run, once its results stand in their place."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
-
-
-def _is_whole(path: Path, start: int, stop: int) -> bool:
-    """Whether a part can be read and holds the trials that its name says."""
-    try:
-        index = pq.read_table(path, columns=["index"])["index"].to_numpy()
-    except (OSError, pa.ArrowException, KeyError):
-        return False
-    return np.array_equal(index, np.arange(start, stop))
-
-
-def _trials_of(path: Path, key: str) -> int:
-    """Number of trials, from the first on, of an earlier run's results; 0 where they are another scenario's."""
-    try:
-        metadata = pq.read_schema(path).metadata or {}
-        if metadata.get(KEY) != key.encode():
-            return 0
-        index = pq.read_table(path, columns=["index"])["index"].to_numpy()
-    except (OSError, pa.ArrowException, KeyError):
-        return 0
-    return len(index) if np.array_equal(index, np.arange(len(index))) else 0
 
 
 def _cast(table: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -13,6 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 from simulator.scenario import Scenario
+from simulator.study.results_folder import refuse_other_files, scenario_sha256
 from simulator.study.trials.blocks import MAX_ATTEMPTS, Blocks, Result, run_block
 from simulator.study.trials.trial import TrialRunner
 from startracker.errors import BoresightError
@@ -70,7 +71,7 @@ def run_in_pool(
     BoresightError
         When the workers die with the same block again and again.
     """
-    key = scenario.fingerprint()
+    key = scenario_sha256(scenario)
     while blocks and not stop.is_set():
         pending: dict[Future[Result], range] = {}
         try:
@@ -113,7 +114,9 @@ def _start_worker() -> None:
 def _run_block(scenario: Scenario, key: str, block: range) -> Result:
     """In a worker: what the trials of a scenario share is built once, and only the last one is kept."""
     if getattr(_local, "key", None) != key:
-        _local.runner, _local.key = TrialRunner(scenario), key
+        runner = TrialRunner(scenario)
+        refuse_other_files(scenario, key)
+        _local.runner, _local.key = runner, key
     return run_block(_local.runner.run, block)
 
 

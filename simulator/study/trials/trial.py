@@ -16,7 +16,7 @@ from simulator.mission.orbit import Orbit
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
-from simulator.study.statistics import CAMERA_AXES, WRONG_FACTOR
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -31,7 +31,7 @@ STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
 between two runs of the same scenario and seed."""
 
-_ERRORS = (*CAMERA_AXES, "roll", "pitch", "yaw")
+_ERRORS = (*CAMERA_AXES, *BODY_AXES)
 _ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
 _TRUE_QUATERNION = tuple(f"true_q{axis}" for axis in "xyzw")
 _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
@@ -80,7 +80,7 @@ def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3
     A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
-    return int(_strangers(stars.xy, stars.catalog_id, sources.xy, sources.id, sources.is_star, tolerance_px))
+    return int(_strangers(stars.xy, stars.catalog_id, sources.image_xy, sources.id, sources.is_star, tolerance_px))
 
 
 @njit(cache=True, error_model="numpy")
@@ -172,6 +172,7 @@ class TrialRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
+        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
 
     def run(self, index: int) -> dict[str, Any]:
         """Row of trial `index`."""
@@ -196,6 +197,7 @@ class TrialRunner:
             "status": str(solution.status),
             "reason": solution.reason,
             "wrong": False,
+            "beyond_specification": False,
             "true_ra_deg": truth.attitude.ra_deg,
             "true_dec_deg": truth.attitude.dec_deg,
             "true_roll_deg": truth.attitude.roll_deg,
@@ -211,10 +213,7 @@ class TrialRunner:
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
-            limits = scenario.specification
-            row["wrong"] = any(
-                abs(errors[axis]) > WRONG_FACTOR * getattr(limits, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
-            )
+            row["beyond_specification"] = beyond_specification(errors, self.specification_deg)
             estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:
@@ -223,20 +222,25 @@ class TrialRunner:
         row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
         row |= zip(_ERROR_COLUMNS, errors.values(), strict=True)
         row |= zip(_SIGMA, sigma, strict=True)
-        matched = matched_sources(truth, solution.stars.xy)
-        row |= zip(_BOUND, attitude_bound_deg(self.renderer, truth, matched).tolist(), strict=True)
+        fitted = solution.stars.fitted
+        matched = matched_sources(truth, fitted.xy)
+        bound_deg = attitude_bound_deg(self.renderer, truth, matched)
+        row |= zip(_BOUND, bound_deg.tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
+        strangers = misidentified(truth, solution) if self.same_catalog else 0
+        row["wrong"] = is_wrong(strangers, row["nees"], error_deg, bound_deg)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
         stars, bodies = _in_field(sources.xy, sources.v_mag, sources.is_star, camera.width, camera.height, limit)
-        residuals = solution.stars.residual_px.ravel()
+        residuals = fitted.residual_px.ravel()
         row |= {
             "stars_in_field": stars,
             "bodies_in_field": bodies,
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
-            "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
+            "stars_used": len(fitted),
+            "stars_misidentified": strangers,
             "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
             "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
         }

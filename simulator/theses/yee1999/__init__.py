@@ -1,4 +1,7 @@
-"""Yee 1999, "Attitude from stellar images" (M.Sc. thesis, University of Saskatchewan): every table computed again."""
+"""Yee 1999, every table computed again.
+
+Tammy K. Yee, *Attitude Determination Using Stellar Images*, M.Sc. thesis, University of Saskatchewan, 1999.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ from collections.abc import Callable
 
 from simulator.theses.printed import PrintedStudy, Section, run_sections
 from simulator.theses.yee1999.cassiopeia import cassiopeia
+from simulator.theses.yee1999.deneb_sadr import deneb_tables, recommendations, sadr_tables
 from simulator.theses.yee1999.integer_build import integer_build
 from simulator.theses.yee1999.integers import integers
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
 from simulator.theses.yee1999.rendered_flight import section as rendered_flight_section
 from simulator.theses.yee1999.rendered_vega import section as rendered_vega_section
+from simulator.theses.yee1999.rotations import rotation_example
 from simulator.theses.yee1999.subsets import three_star_subsets
 from simulator.theses.yee1999.threshold_sweep import section as threshold_sweep_section
 from simulator.theses.yee1999.vega_tables import vega_tables
@@ -18,13 +23,17 @@ from simulator.theses.yee1999.video_field import video_field
 
 __all__ = ["SECTIONS", "Analysis", "Options", "Picture", "analyse", "centred", "run", "step_tables", "vega"]
 
-TITLE = "Yee 1999, attitude from stellar images (University of Saskatchewan)"
+TITLE = "Tammy K. Yee, Attitude Determination Using Stellar Images (M.Sc., University of Saskatchewan, 1999)"
 
 SECTIONS: dict[str, Callable[[], Section]] = {
+    "rotations": rotation_example,
     "databases": cassiopeia,
     "integers": integers,
     "build": integer_build,
     "vega": vega_tables,
+    "deneb": deneb_tables,
+    "sadr": sadr_tables,
+    "votes": recommendations,
     "subsets": three_star_subsets,
     "field": video_field,
     "rendered_vega": rendered_vega_section,

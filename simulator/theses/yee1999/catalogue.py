@@ -112,6 +112,11 @@ def sub_catalog(
     return SubCatalog(catalog.id[keep], ra[keep], dec[keep], catalog.v_mag[keep])
 
 
+def file_of(table: str) -> str:
+    """Name of a table's file: "Table 4.1" is in ``table_4_1``."""
+    return table.lower().replace(" ", "_").replace(".", "_")
+
+
 def printed_rows(name: str) -> list[dict[str, str]]:
     """Rows of a table as the thesis prints it, by column; the file's first line gives its source."""
     text = (files("simulator.theses.yee1999") / "data" / f"{name}.csv").read_text(encoding="utf-8")

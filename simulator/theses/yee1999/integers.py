@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from simulator.study.style import BLUE, ORANGE, SOFT
 from simulator.theses.printed import Row, Section, Verdict, compare, new_figure
-from simulator.theses.yee1999.catalogue import printed_rows
-from simulator.theses.yee1999.picture import Options, analyse, vega
+from simulator.theses.yee1999.catalogue import file_of, printed_rows
+from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, sadr, vega
 from simulator.theses.yee1999.rows import joined
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import SEPARATION
@@ -82,35 +82,42 @@ def integers() -> Section:
         compare("Fig. 3.1", "crossover", "11.65", curve.at_deg, unit="°", why=why),
         compare("Fig. 3.1", "greatest error of the two methods", "0.02", curve.largest_error_deg, unit="°", why=why),
         Row("3.4", "separation of χ = ψ = 22.5°", "about 30°", f"{widest:.2f}°", "differs", "by its own eq. 2.4"),
-        *_table_4_17(),
+        *integer_separations(vega(), "Table 4.17"),
+        *integer_separations(deneb(), "Table 4.18"),
+        *integer_separations(sadr(), "Table 4.19"),
         *_matches(),
     ]
     return Section("Integer arithmetic", rows, {"fig_3_1_crossover": lambda: crossover_figure(curve)})
 
 
-def _table_4_17() -> list[Row]:
-    picture = vega()
+def integer_separations(picture: Picture, where: str) -> list[Row]:
+    """Separations in integers of 6.10 (Tables 4.17, 4.18, 4.19)."""
     arithmetic = FixedArithmetic()
     image = arithmetic.image(picture.xy_px, picture.scale_deg)
     coded = arithmetic.image_separations(image, *image_pairs(len(picture.xy_px)))
     rows = []
-    for row, value in zip(printed_rows("table_4_17"), coded, strict=True):
+    for row, value in zip(printed_rows(file_of(where)), coded, strict=True):
         degrees = float(arithmetic.separation_degrees(value))
         off = round(float(row["fixed_deg"]) * SEPARATION.one) - int(value)
         name = f"separation of stars {row['star']} and {row['other']}"
         why = "" if off == 0 else f"{abs(off)} in the last of 10 bits; her format of the scale is not printed"
-        made = joined("Table 4.17", name, [row["fixed_deg"]], [degrees], unit="°", why=why)
+        made = joined(where, name, [row["fixed_deg"]], [degrees], unit="°", why=why)
         rows.append(made)
     return rows
 
 
 def _matches() -> list[Row]:
+    """The matches in integers against those that section 4.2.1 prints; 4.2.4.3 says that they are the same."""
     ours = analyse(vega(), replace(Options(), arithmetic=FixedArithmetic()))
     real = analyse(vega())
-    printed, computed = (", ".join("–" if hr is None else str(hr) for hr in found.matches) for found in (real, ours))
-    same: Verdict = "exact" if printed == computed else "differs"
-    why = f"{len(ours.triads)} triads in integers, {len(real.triads)} in floating point"
-    return [Row("4.2.4.3", "matches are the same", printed, computed, same, why)]
+    printed = ", ".join(map(str, PRINTED_MATCHES))
+    computed = ", ".join("–" if hr is None else str(hr) for hr in ours.matches)
+    same: Verdict = "exact" if tuple(ours.matches) == PRINTED_MATCHES else "differs"
+    why = (
+        f"{len(ours.triads)} triads in integers, {len(real.triads)} in floating point, whose matches are "
+        f"{'the same' if real.matches == ours.matches else 'others'}"
+    )
+    return [Row("4.2.4.3", "matches of the Vega image in integers", printed, computed, same, why)]
 
 
 def crossover_figure(curve: Crossover) -> Figure:

@@ -17,12 +17,26 @@ from startracker.identification.arithmetic import Arithmetic
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_votes import COMBINED_ID, GroupMatch, TriadMatch, match_triads
 
-__all__ = ["VEGA_FOV_DEG", "VEGA_SIZE_PX", "Analysis", "Picture", "analyse", "centred", "vega"]
+__all__ = [
+    "PRINTED_MATCHES",
+    "VEGA_FOV_DEG",
+    "VEGA_SIZE_PX",
+    "Analysis",
+    "Picture",
+    "analyse",
+    "centred",
+    "deneb",
+    "sadr",
+    "vega",
+]
 
 FloatArray = NDArray[np.float64]
 
 VEGA_SIZE_PX = (427, 319)
 VEGA_FOV_DEG = (9.0130, 6.9049)
+PRINTED_MATCHES = (7001, 17139, 17056, 17051, 6872)
+"""HR numbers of the Vega image's stars, section 4.2.1; 10,000 more where several catalogue stars are one."""
+
 MOST_STARS = 12
 """Brightest stars that are matched (thesis section 2.3.4)."""
 
@@ -96,6 +110,22 @@ def vega() -> Picture:
     """The Vega image: the five centroids of Table 4.14."""
     xy = [(float(row["x"]), float(row["y"])) for row in printed_rows("vega_centroids")]
     return Picture(np.array(xy), VEGA_SIZE_PX, VEGA_FOV_DEG)
+
+
+def deneb() -> Picture:
+    """The Deneb image: the nine centroids of Table 4.15."""
+    return _printed_picture("table_4_15", (424, 320))
+
+
+def sadr() -> Picture:
+    """The Sadr image: the three centroids of Table 4.16."""
+    return _printed_picture("table_4_16", (469, 360))
+
+
+def _printed_picture(table: str, size_px: tuple[int, int]) -> Picture:
+    """Field and lens are those of the Vega image ("all the parameters ... are the same", section 4.2.2)."""
+    xy = [(float(row["x"]), float(row["y"])) for row in printed_rows(table)]
+    return Picture(np.array(xy), size_px, VEGA_FOV_DEG)
 
 
 @dataclass(frozen=True, eq=False)

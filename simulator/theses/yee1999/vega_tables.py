@@ -8,20 +8,27 @@ from itertools import groupby
 import numpy as np
 
 from simulator.theses.printed import Row, Section, Verdict, compare
-from simulator.theses.yee1999.catalogue import printed_rows
+from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import Analysis, analyse, vega
 from simulator.theses.yee1999.rows import joined
 from startracker.identification.triad_votes import COMBINED_ID, combine_separation, match_triads
 
-__all__ = ["vega_tables"]
+__all__ = ["attitude_rows", "separation_rows", "vega_tables", "vote_rows"]
 
+VEGA_CENTRE = ("278.45703", "37.24007")
 _EDITION = "the 4th edition is not to be had; the 5th with its corrections stands in"
 
 
 def vega_tables(analysis: Analysis | None = None) -> Section:
     """Databases, separations, triads, votes, centre and residuals of the Vega image."""
     found = analysis or analyse(vega())
-    rows = [*_databases(found), *_separations(found), *_triads(found), *_votes(found), *_attitude(found)]
+    rows = [
+        *_databases(found),
+        *separation_rows(found, "Table 4.1", "Table 4.14"),
+        *_triads(found),
+        *vote_rows(found, "Table 4.4"),
+        *attitude_rows(found, "Table 4.5", "4.2.1", VEGA_CENTRE),
+    ]
     rows.append(_enclosed_test(found))
     from simulator.theses.yee1999.figures import triad_figure, vega_figure
 
@@ -59,15 +66,16 @@ def _closed_triangles(first: np.ndarray, second: np.ndarray, stars: int) -> int:
     return int((link @ link).multiply(link).sum()) // 6
 
 
-def _separations(found: Analysis) -> list[Row]:
+def separation_rows(found: Analysis, where: str, centroids: str) -> list[Row]:
+    """Separations of the image stars and how many catalogue pairs have each (Tables 4.1, 4.6, 4.11)."""
     rows = []
     for row, degrees, count in zip(
-        printed_rows("table_4_1"), found.separations_deg, found.match.pair_counts, strict=True
+        printed_rows(file_of(where)), found.separations_deg, found.match.pair_counts, strict=True
     ):
         name = f"stars {row['star']} and {row['other']}"
-        why = "cos θ = cos χ cos ψ of the centroids of Table 4.14"
-        rows.append(joined("Table 4.1", f"separation of {name}", [row["separation_deg"]], [degrees], unit="°", why=why))
-        rows.append(compare("Table 4.1", f"catalogue pairs of {name}", row["pairs"], float(count), why=_EDITION))
+        why = f"cos θ = cos χ cos ψ of the centroids of {centroids}"
+        rows.append(joined(where, f"separation of {name}", [row["separation_deg"]], [degrees], unit="°", why=why))
+        rows.append(compare(where, f"catalogue pairs of {name}", row["pairs"], float(count), why=_EDITION))
     return rows
 
 
@@ -106,15 +114,16 @@ def _triads(found: Analysis) -> list[Row]:
     return rows
 
 
-def _votes(found: Analysis) -> list[Row]:
+def vote_rows(found: Analysis, where: str) -> list[Row]:
+    """HR numbers that each image star may be, and how often they are named (Tables 4.4, 4.9)."""
     rows = []
-    for star, members in groupby(printed_rows("table_4_4"), key=lambda row: row["star"]):
+    for star, members in groupby(printed_rows(file_of(where)), key=lambda row: row["star"]):
         theirs = [(int(row["hr"]), int(row["frequency"]), row["v_mag"]) for row in members]
         ours = [(vote["hr"], vote["frequency"], f"{vote['v_mag']:.2f}") for vote in found.votes[int(star) - 1]]
         printed, computed = (", ".join(f"{hr}: {n}" for hr, n, _v in votes) for votes in (theirs, ours))
         verdict: Verdict = "exact" if sorted(theirs) == sorted(ours) else "differs"
         why = f"{COMBINED_ID:,} more than the brightest's number: stars that are one" if len(theirs) > 1 else ""
-        rows.append(Row("Table 4.4", f"votes of star {star}", printed, computed, verdict, why))
+        rows.append(Row(where, f"votes of star {star}", printed, computed, verdict, why))
     return rows
 
 
@@ -137,24 +146,25 @@ def _enclosed_test(found: Analysis) -> Row:
     )
 
 
-def _attitude(found: Analysis) -> list[Row]:
+def attitude_rows(found: Analysis, where: str, section: str, centre: tuple[str, str]) -> list[Row]:
+    """Centre of the image, and the stars' coordinates by its plate constants (Tables 4.5, 4.10)."""
     plate = found.plate
     if plate is None or found.found is None:
         return []
     rows = []
-    off = 3600.0 * np.abs(plate.center_deg - [278.45703, 37.24007])
+    off = 3600.0 * np.abs(plate.center_deg - [float(text) for text in centre])
     rows.append(
         Row(
-            "4.2.1",
+            section,
             "RA, Dec of the centre",
-            "278.45703°, 37.24007°",
+            ", ".join(f"{text}°" for text in centre),
             f"{plate.center_deg[0]:.5f}°, {plate.center_deg[1]:.5f}°",
             "exact" if off.max() <= 0.05 else "close",
             f"in {plate.iterations} iterations to 1″; {off[0]:.3f}″ and {off[1]:.3f}″ from the printed",
         )
     )
     computed = plate.sky_deg(found.picture.xy_px[found.found.pairs[:, 0]])
-    for k, row in enumerate(printed_rows("table_4_5")):
+    for k, row in enumerate(printed_rows(file_of(where))):
         at = found.catalog.sky_deg[found.found.pairs[k, 1]]
         for axis, name in enumerate(("ra", "dec")):
             keys = (f"catalog_{name}_deg", f"{name}_deg", f"{name}_difference_deg")
@@ -162,7 +172,7 @@ def _attitude(found: Analysis) -> list[Row]:
             greatest = max(abs(value - float(row[key])) for key, value in zip(keys, values, strict=True))
             rows.append(
                 Row(
-                    "Table 4.5",
+                    where,
                     f"HR {row['hr']} {name.upper() if name == 'ra' else 'Dec'}: catalogue, computed, difference",
                     ", ".join(row[key] for key in keys) + "°",
                     ", ".join(f"{value:.5f}" for value in values) + "°",

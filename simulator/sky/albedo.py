@@ -1,0 +1,87 @@
+"""Spectra of the bodies of the solar system: sunlight times their albedo, scaled to their V."""
+
+from __future__ import annotations
+
+import csv
+import functools
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.optics.curves import load_curve
+from simulator.sky.spectra import SOLAR_B_V, SPECTRA, V_GRID_NM, colour_sequence, mean_v
+from startracker.registry import lookup
+
+__all__ = ["body_photons", "relative_albedo"]
+
+FloatArray = NDArray[np.float64]
+
+_WIDE = {360.0: "u", 436.0: "b", 549.0: "v", 641.0: "r", 798.0: "i"}
+"""Bands of the table that Bessell's passbands stand for (his R and I are Cousins'), by effective wavelength, nm."""
+
+_STEPS = 20
+
+
+def body_photons(wavelength_nm: FloatArray, name: str, spectrum: str) -> FloatArray:
+    """Photon flux density (W,) of a body of V = 0, photons cm⁻² s⁻¹ nm⁻¹.
+
+    n_λ ∝ n_λ(Sun) p(λ), with p the published albedo (`relative_albedo`); the mean of F_λ over V is that of every
+    star of V = 0.
+
+    Parameters
+    ----------
+    wavelength_nm : (W,) array
+        Wavelengths, nm.
+    name : str
+        Planet, ``Moon``; any other (``Sun``, ``Earth``) shines with sunlight as it is.
+    spectrum : str
+        Family of spectra whose star of B−V = 0.653 is the Sun.
+    """
+    family = lookup("spectra", SPECTRA, spectrum)
+
+    def reflected(nm: FloatArray, albedo: FloatArray) -> FloatArray:
+        return np.asarray(family(nm, np.array([SOLAR_B_V]), np.zeros(1)) * albedo)
+
+    grid, here = relative_albedo(name, V_GRID_NM), relative_albedo(name, wavelength_nm)
+    dimmed = mean_v(V_GRID_NM, reflected(V_GRID_NM, grid)) / mean_v(V_GRID_NM, reflected(V_GRID_NM, np.ones(len(grid))))
+    return np.asarray(reflected(wavelength_nm, here)[0] / dimmed[0])
+
+
+def relative_albedo(name: str, wavelength_nm: FloatArray) -> FloatArray:
+    """Albedo (W,) of a body up to a factor: straight lines between the published bands, the end values beyond; 1 for
+    bodies without one.
+
+    The published albedo of a wide band is a mean over it. The values at the effective wavelengths of U, B, V, Rc and Ic
+    are drawn up or down until the means of sunlight reflected in Bessell's bands are those published (steep albedos, as
+    of Uranus, are otherwise 0.1 mag off in V − Rc).
+    """
+    bands = _table().get(name)
+    return np.ones(len(wavelength_nm)) if bands is None else np.asarray(np.interp(wavelength_nm, *bands))
+
+
+@functools.cache
+def _table() -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Wavelengths and albedos by body."""
+    text = (resources.files("simulator.sky") / "data" / "albedo_bodies.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    table = {}
+    for name in dict.fromkeys(row["body"] for row in rows):
+        nm, albedo = (
+            np.array([float(row[c]) for row in rows if row["body"] == name]) for c in ("wavelength_nm", "albedo")
+        )
+        wide = [k for k, at in enumerate(nm) if at in _WIDE]
+        table[name] = (nm, _through_means(nm, albedo, wide) if len(wide) == len(_WIDE) else albedo)
+    return table
+
+
+def _through_means(nm: FloatArray, means: FloatArray, wide: list[int]) -> FloatArray:
+    """Values at the bands of which the means over the wide ones are those given."""
+    grid = np.arange(290.0, 930.0)
+    sunlight = colour_sequence(grid, np.array([SOLAR_B_V]))[0] / grid
+    weights = np.array([sunlight * load_curve(f"bessell_{_WIDE[nm[k]]}", "passband")(grid) for k in wide])
+    weights /= weights.sum(axis=1, keepdims=True)
+    values = means.copy()
+    for _ in range(_STEPS):
+        values[wide] *= means[wide] / (weights @ np.interp(grid, nm, values))
+    return values

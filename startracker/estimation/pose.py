@@ -1,0 +1,319 @@
+"""Attitude and covariance of a field whose stated errors and camera may be a little wrong: what the residuals say.
+
+Measured minus predicted positions of M identified stars, in pixels, are modelled as
+
+    r_i = J_i θ + B_i u + e_i,   e_i ~ N(0, s² (C_i + τ² I)),   u ~ N(0, Λ)
+
+θ is the rotation vector of the attitude's correction, J_i = ∂(x, y)/∂θ; C_i is the stated covariance of the centroid.
+What may be wrong besides the noise:
+
+s²
+    factor of all variances: scaled inverse χ² with `TRUSTED` degrees of freedom about 1 where errors are stated,
+    Jeffreys' 1/s² where they are not;
+τ
+    systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
+    blends, catalogue), on a grid of multiples of the median stated error;
+u
+    smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
+    affine map of the image: what a turn during a rolling readout makes); and columns that the caller knows of (a rate
+    times the row's time, the years since the catalogue's epoch).
+
+For a given τ and a given set of columns the model is linear, and its posterior is known in closed form (O'Hagan &
+Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V = diag(C_i + τ² I), H = [J B],
+N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ V⁻¹ r, ν = 2M − 3 and n the degrees of freedom of the prior of s²:
+
+    mean        N⁻¹ Hᵀ V⁻¹ r
+    covariance  N⁻¹ (n + χ²)/(n + ν − 2)
+    evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
+
+The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance has the
+mean of theirs and the scatter of their means. Where the frame shows nothing wrong, the plain model has nearly all the
+weight and the result is the weighted least-squares fit with its usual covariance P = [Σ Jᵀ C⁻¹ J]⁻¹; what the frame
+shows is fitted and widens the covariance by as much as it leaves unknown.
+
+A shear by w of the columns against the rows, x += 2 w y, is half a shear (x, y) += w (y, x) and half a rotation by w,
+which no residual shows; so w² is added to the variance about the boresight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import chdtri, fdtri
+
+from startracker.image_map import ImageMap, to_pixels
+
+__all__ = ["TRUSTED", "UNKNOWN_FLOOR_PX", "Pose", "displacements", "few_stars_factor", "fit_pose", "pixel_slopes"]
+
+FloatArray = NDArray[np.float64]
+
+TRUSTED = 20.0
+"""Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
+SYSTEMATIC = np.concatenate((np.zeros(1), 0.4 * 2.0 ** np.arange(9)))
+"""Values of τ in units of the median stated error; the first has as much prior probability as all others."""
+FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
+"""Relative error of a calibrated focal length, and of a shear, where there is one."""
+FREE_FOCAL_SIGMA = 1e-2
+"""Relative error of the focal length where the frame shows more than a small one."""
+UNKNOWN_FLOOR_PX = 0.003
+"""Least error of centroids that come without one: they may agree better by luck, or be rounded."""
+_PRIOR_OF_MODELS = np.log(np.array([0.6, 0.3, 0.1]))
+"""Camera as calibrated; focal length off; focal length and shears."""
+_STEP_RAD = 1e-5
+
+
+class Pose(NamedTuple):
+    """Fit of one field.
+
+    Parameters
+    ----------
+    turn : (3,)
+        Rotation vector θ that corrects the attitude: v → v − θ × v in the camera.
+    covariance : (3, 3)
+        Of the rotation vector, rad².
+    camera_part : (3, 3)
+        Of that, what the camera's unknowns add.
+    sigma_px : (M,)
+        Standard error of each star on one axis, systematic part and factor included.
+    systematic_px2 : float
+        Mean of s² τ².
+    factor : float
+        Mean of s².
+    unknowns : (E + 3,)
+        Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`).
+    """
+
+    turn: FloatArray
+    covariance: FloatArray
+    camera_part: FloatArray
+    sigma_px: FloatArray
+    systematic_px2: float
+    factor: float
+    unknowns: FloatArray
+
+
+def few_stars_factor(freedom: int) -> float:
+    """Factor of a covariance χ²/ν · P, so that it holds 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
+
+    With errors that only the residuals tell, eᵀP⁻¹e/(3 χ²/ν) is distributed as F(3, ν), not as χ²/3: for three stars
+    (ν = 3) its 99 % quantile is 7.8 times as large.
+    """
+    return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
+
+
+@njit(cache=True, error_model="numpy")
+def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
+    """∂(x, y)/∂θ (M, 2, 3), pixels per radian, of stars seen along unit vectors (M, 3) when the camera turns by θ."""
+    moved, out = np.empty((6 * len(vectors), 3)), np.empty((len(vectors), 2, 3))
+    for n in range(len(vectors)):
+        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
+        for k in range(2):
+            a, i = _STEP_RAD * (1 - 2 * k), 6 * n + 3 * k
+            moved[i, 0], moved[i, 1], moved[i, 2] = x, y + a * z, z - a * y
+            moved[i + 1, 0], moved[i + 1, 1], moved[i + 1, 2] = x - a * z, y, z + a * x
+            moved[i + 2, 0], moved[i + 2, 1], moved[i + 2, 2] = x + a * y, y - a * x, z
+    pixels = to_pixels(moved, image)
+    for n in range(len(vectors)):
+        for k in range(3):
+            for axis in range(2):
+                out[n, axis, k] = (pixels[6 * n + k, axis] - pixels[6 * n + 3 + k, axis]) / (2.0 * _STEP_RAD)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
+    """Inverse of the leading block of a positive definite matrix by Cholesky's factors, and ln of its determinant."""
+    lower, log_det = np.zeros((size, size)), 0.0
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return np.full((size, size), np.nan), np.nan
+                lower[i, i] = math.sqrt(total)
+                log_det += math.log(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    inverse = np.zeros((size, size))  # of the factor, then of the matrix
+    for i in range(size):
+        inverse[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total -= lower[i, k] * inverse[k, j]
+            inverse[i, j] = total / lower[i, i]
+    out = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, size):
+                total += inverse[k, i] * inverse[k, j]
+            out[i, j] = out[j, i] = total
+    return out, log_det
+
+
+@njit(cache=True, error_model="numpy")
+def _columns(slopes: FloatArray, extra: FloatArray, offset: FloatArray) -> FloatArray:
+    """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
+    known = extra.shape[2]
+    out = np.empty((len(slopes), 2, 6 + known))
+    for n in range(len(slopes)):
+        x, y = offset[n, 0], offset[n, 1]
+        for axis in range(2):
+            out[n, axis, :3] = slopes[n, axis]
+            out[n, axis, 3 : 3 + known] = extra[n, axis]
+        out[n, 0, 3 + known], out[n, 1, 3 + known] = x, y
+        out[n, 0, 4 + known], out[n, 1, 4 + known] = x, -y
+        out[n, 0, 5 + known], out[n, 1, 5 + known] = y, x
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def displacements(slopes: FloatArray, offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
+    """How far what may be wrong with the camera (`Pose.unknowns`) moves stars (M, 2), pixels; see `fit_pose`."""
+    columns, out = _columns(slopes, extra, offset), np.zeros((len(slopes), 2))
+    for n in range(len(slopes)):
+        for axis in range(2):
+            for k in range(len(unknowns)):
+                out[n, axis] += columns[n, axis, 3 + k] * unknowns[k]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def fit_pose(
+    residual: FloatArray,
+    slopes: FloatArray,
+    offset: FloatArray,
+    covariance: FloatArray,
+    extra: FloatArray,
+    extra_sigma: FloatArray,
+    trusted: float,
+    first: int,
+) -> Pose:
+    """Average of all models of the module's docstring over their evidence.
+
+    Parameters
+    ----------
+    residual : (M, 2)
+        Measured minus predicted, pixels.
+    slopes : (M, 2, 3)
+        `pixel_slopes`.
+    offset : (M, 2)
+        Predicted positions from the principal point: what the focal length scales.
+    covariance : (M, 2, 2)
+        Stated, pixels².
+    extra, extra_sigma : (M, 2, E), (E,)
+        Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
+    trusted : float
+        Degrees of freedom of the stated errors; 0: they are unknown, and those given only their ratios, in which case
+        there is no τ.
+    first : int
+        First model: 0 where the camera may be as calibrated; 1 where the focal length is always fitted.
+    """
+    count, known = len(residual), extra.shape[2]
+    columns = _columns(slopes, extra, offset)
+    widest = columns.shape[2]
+    freedom = 2.0 * count - 3.0
+    trace = np.empty(count)
+    for n in range(count):
+        trace[n] = 0.5 * (covariance[n, 0, 0] + covariance[n, 1, 1])
+    unit = np.median(trace)
+    grid = len(SYSTEMATIC) if trusted > 0.0 else 1
+    weight, scale = np.full((grid, 3), -np.inf), np.zeros((grid, 3))
+    mean = np.zeros((grid, 3, widest))
+    every = np.zeros((grid, 3, widest, widest))
+    plain = np.zeros((grid, 3, 3))
+    for t in range(grid):
+        tau2 = SYSTEMATIC[t] ** 2 * unit
+        normal, right = np.zeros((widest, widest)), np.zeros(widest)
+        total, log_det = 0.0, 0.0
+        for n in range(count):
+            a, b, c = covariance[n, 0, 0] + tau2, covariance[n, 0, 1], covariance[n, 1, 1] + tau2
+            det = a * c - b * b
+            wa, wb, wc = c / det, -b / det, a / det
+            log_det += math.log(det)
+            x, y = residual[n, 0], residual[n, 1]
+            total += x * (wa * x + wb * y) + y * (wb * x + wc * y)
+            for i in range(widest):
+                u = wa * columns[n, 0, i] + wb * columns[n, 1, i]
+                v = wb * columns[n, 0, i] + wc * columns[n, 1, i]
+                right[i] += u * x + v * y
+                for j in range(i + 1):
+                    normal[i, j] += u * columns[n, 0, j] + v * columns[n, 1, j]
+        plain[t] = _inverse(normal, 3)[0]
+        for m in range(first, 3):
+            size = (3 + known, 4 + known, 6 + known)[m]
+            added, log_prior = normal.copy(), 0.0
+            for k in range(3, size):
+                sigma = SHEAR_SIGMA
+                if k < 3 + known:
+                    sigma = extra_sigma[k - 3]
+                elif k == 3 + known:
+                    sigma = FOCAL_SIGMA if m == 1 and first == 0 else FREE_FOCAL_SIGMA
+                added[k, k] += 1.0 / sigma**2
+                log_prior -= 2.0 * math.log(sigma)
+            inverse, log_normal = _inverse(added, size)
+            if not math.isfinite(log_normal):
+                continue
+            chi2 = total
+            for i in range(size):
+                for j in range(size):
+                    mean[t, m, i] += inverse[i, j] * right[j]
+                chi2 -= mean[t, m, i] * right[i]
+            power, chi2 = trusted + freedom, max(chi2, 1e-12)
+            if trusted > 0.0:
+                scale[t, m] = (trusted + chi2) / (power - 2.0)
+            else:
+                scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
+            every[t, m, :size, :size] = inverse
+            log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
+            weight[t, m] = _PRIOR_OF_MODELS[m] - 0.5 * log_data
+            if t > 0:
+                weight[t, m] -= math.log(grid - 1.0)
+    pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, known)
+    return pose
+
+
+@njit(cache=True, error_model="numpy")
+def _averaged(
+    weight: FloatArray,
+    scale: FloatArray,
+    mean: FloatArray,
+    every: FloatArray,
+    plain: FloatArray,
+    trace: FloatArray,
+    unit: float,
+    known: int,
+) -> Pose:
+    """Moments of the mixture, its weights (grid, 3) still logarithms."""
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    centre = np.zeros(mean.shape[2])
+    factor = systematic = 0.0
+    for t in range(weight.shape[0]):
+        for m in range(3):
+            centre += weight[t, m] * mean[t, m]
+            factor += weight[t, m] * scale[t, m]
+            systematic += weight[t, m] * scale[t, m] * SYSTEMATIC[t] ** 2 * unit
+    covariance, without = np.zeros((3, 3)), np.zeros((3, 3))
+    for t in range(weight.shape[0]):
+        for m in range(3):
+            share = weight[t, m]
+            if share == 0.0:
+                continue
+            for i in range(3):
+                for j in range(3):
+                    away = (mean[t, m, i] - centre[i]) * (mean[t, m, j] - centre[j])
+                    covariance[i, j] += share * (scale[t, m] * every[t, m, i, j] + away)
+                    without[i, j] += share * scale[t, m] * plain[t, i, j]
+            last = 5 + known
+            unseen = share * (mean[t, m, last] ** 2 + scale[t, m] * every[t, m, last, last])
+            covariance[2, 2] += unseen
+    sigma = np.sqrt(factor * trace + systematic)
+    return Pose(centre[:3], covariance, covariance - without, sigma, systematic, factor, centre[3:])

@@ -1,0 +1,55 @@
+"""The one rule of acceptance: an answer is believed when chance explains as much less often than the user allows.
+
+With B the Bayes factor of the best answer and Bₖ those of its rivals the chance told is
+
+    p (1 + Σ Bₖ) / B
+
+where p bounds the density of ln B over skies of the hypothesis (`bayes_factor.largest_density`); 1, the bound of
+Markov, where that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. A
+prior attitude multiplies B and Bₖ by what it narrows the search; a search that tried T patterns without averaging over
+attitudes divides them by T.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from startracker.settings import IdentificationSettings
+
+__all__ = ["accepts", "log_chance", "log_limit", "power_of_ten"]
+
+
+def log_chance(
+    log_evidence: float, rivals: Sequence[float] = (), *, log_gain: float = 0.0, log_density: float = 0.0
+) -> float:
+    """ln of the chance that the best answer is none; above 0 where it says nothing.
+
+    Parameters
+    ----------
+    log_evidence, rivals : float, sequence of float
+        ln B of the best answer, and of those that compete with it.
+    log_gain : float
+        ln of the factor on all B: above 0 for a prior, below for patterns tried.
+    log_density : float
+        ln p.
+    """
+    highest = max(-log_gain, *rivals) if rivals else -log_gain
+    total = math.exp(-log_gain - highest) + sum(math.exp(rival - highest) for rival in rivals)
+    return log_density + highest + math.log(total) - log_evidence
+
+
+def log_limit(settings: IdentificationSettings) -> float:
+    """ln of the largest chance that is accepted."""
+    return math.log(settings.false_alarm_rate)
+
+
+def accepts(chance: float, settings: IdentificationSettings) -> bool:
+    """Whether an answer with this `log_chance` is believed; NaN is not."""
+    return chance <= log_limit(settings)
+
+
+def power_of_ten(log_value: float) -> str:
+    """A chance in words, rounded down to a power of ten: e⁻²⁰⁰⁰ is no float."""
+    exponent = math.floor(min(log_value, 0.0) / math.log(10.0))
+    return f"1e{exponent}" if exponent < 0 else "1"
