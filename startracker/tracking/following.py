@@ -40,7 +40,7 @@ class Followed:
     residual_px: FloatArray
     log_chance: float
 
-    def solution(self, tracker: StarTracker, times_ms: dict[str, float]) -> Solution:
+    def solution(self, tracker: StarTracker) -> Solution:
         """The frame's answer: attitude and covariance of the filter, and the stars."""
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
@@ -61,8 +61,7 @@ class Followed:
             seen.xy,
             camera.fov_deg,
             camera.parity,
-            times_ms,
-            camera,
+            camera=camera,
         )
 
 

@@ -36,8 +36,6 @@ __all__ = ["TrackingSession"]
 
 FloatArray = NDArray[np.float64]
 
-_PRIOR_SIGMAS = 5.0
-_LEAST_PRIOR_DEG = 0.1
 _FEW_STARS = 6
 
 
@@ -105,7 +103,7 @@ class TrackingSession:
     @property
     def covariance(self) -> FloatArray | None:
         """Covariance (6, 6) of the filter: attitude in camera axes, and rate or bias."""
-        return self._filter.covariance if self._filter else None
+        return self._watched.covariance
 
     @property
     def rate_rad_s(self) -> FloatArray | None:
@@ -174,7 +172,7 @@ class TrackingSession:
         """
         with self._lock:
             clock, pixels = Clock(), plain(image)
-            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels))
+            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels), observer)
             if refused is not None:
                 return self._refuse(*refused, np.empty((0, 2)), clock)
             self._frame = pixels
@@ -199,7 +197,7 @@ class TrackingSession:
             followed = self._follow(seen, expected)
             if followed is not None and self._sure(followed):
                 return self._tracked(followed, clock)
-        prior, prior_deg = self._prior()
+        prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
         found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **told)
         followed = None
         if not found.solved and expected is not None:
@@ -224,23 +222,25 @@ class TrackingSession:
         with self._lock:
             clock, points = Clock(), np.asarray(xy, dtype=float)
             key = list_key(points)
-            refused = self._begin(t_s, gyro_rad_s, self._memory.list_repeats(key))
+            refused = self._begin(t_s, gyro_rad_s, self._memory.list_repeats(key), observer)
             if refused is not None:
                 return self._refuse(*refused, points if key else np.empty((0, 2)), clock)
             self._frame = key
             followed = self._follow_centroids(points, flux, observer)
             if followed is not None and self._sure(followed):
                 return self._tracked(followed, clock)
-            prior, prior_deg = self._prior()
+            prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
             found = self.tracker.solve_centroids(xy, flux, prior=prior, prior_deg=prior_deg, observer=observer)
             return self._whole_frame(found, followed, prior, prior_deg, clock, STATED_PX)
 
     # ------------------------------------------------------------------ prediction
-    def _begin(self, t_s: float, gyro_rad_s: ArrayLike | None, same_as_s: float | None) -> tuple[Status, str] | None:
+    def _begin(
+        self, t_s: float, gyro_rad_s: ArrayLike | None, same_as_s: float | None, observer: Observer | None
+    ) -> tuple[Status, str] | None:
         """Move on to a frame's time; status and reason of a frame that cannot be used."""
         gyro, self._note = self._watched.sample(gyro_rad_s)
         now_s = self._clock.read(t_s)
-        self._watched.distrusted, self._frame = False, None
+        self._watched.distrusted, self._watched.without_observer, self._frame = False, observer is None, None
         fault = self._clock.fault(now_s)
         if not fault and now_s == self._used_s and same_as_s is None:
             fault = f"another frame had the same time, {now_s} s: how far the camera turned since is not known"
@@ -270,13 +270,6 @@ class TrackingSession:
 
     def _with_note(self, reason: str) -> str:
         return f"{reason}; {self._note}" if self._note else reason
-
-    def _prior(self) -> tuple[Attitude | None, float]:
-        """Prediction as the identification takes it: an attitude and its largest error, degrees."""
-        if self._filter is None:
-            return None, 1.0
-        width = max(math.degrees(_PRIOR_SIGMAS * self._watched.uncertainty_rad), _LEAST_PRIOR_DEG)
-        return (self._filter.attitude, width) if width <= self.settings.prior_limit_deg else (None, 1.0)
 
     def _expect(self, observer: Observer | None) -> Expected | None:
         """Guide stars where the prediction puts them; None without a prediction that helps."""
@@ -339,8 +332,7 @@ class TrackingSession:
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        found = followed.solution(self.tracker, clock.times_ms())
-        return replace(found, reason=self._with_note(found.reason)) if self._note else found
+        return self._as_filtered(followed.solution(self.tracker), clock.times_ms())
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -367,7 +359,7 @@ class TrackingSession:
         mode = "lost_in_space"
         if prior is not None and found.attitude.angle_to(prior) <= math.radians(prior_deg) * math.sqrt(3.0):
             mode = "prior"
-        covariance = found.covariance
+        covariance = self._watched.own_covariance(found.attitude, found.covariance)
         if stated_px is not None:
             stars = found.stars.fitted
             self._scatter.begin(stars.residual_px, np.full(len(stars), stated_px))
@@ -385,12 +377,16 @@ class TrackingSession:
             distrusted=self._watched.distrusted,
             note=self._note,
         )
-        after = self._watched.mekf
-        assert after is not None
+        return self._as_filtered(found, {**found.times_ms, **clock.times_ms()})
+
+    def _as_filtered(self, found: Solution, times_ms: dict[str, float]) -> Solution:
+        """A solved frame's answer with the filter's attitude and covariance."""
+        covariance = self.covariance
+        assert covariance is not None
         return replace(
             found,
             reason=self._with_note(found.reason),
-            attitude=after.attitude,
-            covariance=after.attitude_covariance,
-            times_ms={**found.times_ms, **clock.times_ms()},
+            attitude=self.filter_attitude,
+            covariance=covariance[:3, :3],
+            times_ms=times_ms,
         )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.observer import unknown_aberration
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.following import Followed, follow
 from startracker.tracking.looking import Expected, Seen
@@ -20,6 +21,8 @@ __all__ = ["WatchedFilter"]
 FloatArray = NDArray[np.float64]
 
 _LEAST_STEP_S = 1e-3
+_PRIOR_SIGMAS = 5.0
+_LEAST_PRIOR_DEG = 0.1
 
 
 class WatchedFilter:
@@ -39,6 +42,9 @@ class WatchedFilter:
         """The filter; None before the first attitude, and where nothing is known any more."""
         self.distrusted = False
         """Whether the last innovations contradicted the filter at this frame."""
+        self.without_observer = False
+        """Whether the frame's stars are those of the catalogue, without aberration: it is then in all attitudes alike,
+        no noise to the filter, and comes on top of what the filter says of its error."""
         self._window = InnovationWindow()
         self._solved: tuple[float, Attitude] | None = None
 
@@ -87,6 +93,29 @@ class WatchedFilter:
             return math.inf
         return math.sqrt(sum(self.mekf.attitude_covariance.diagonal().tolist()))
 
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance (6, 6) of the attitude's error, with the aberration where it is not known, and of rate or bias."""
+        if self.mekf is None:
+            return None
+        covariance = self.mekf.covariance
+        if self.without_observer:
+            covariance[:3, :3] += unknown_aberration(self.mekf.matrix)
+        return covariance
+
+    def own_covariance(self, attitude: Attitude, covariance: FloatArray) -> FloatArray:
+        """What of the covariance (3, 3) of the tracker's attitude is noise to the filter."""
+        if not self.without_observer:
+            return covariance
+        return np.asarray(covariance - unknown_aberration(attitude.as_matrix()))
+
+    def prior(self, limit_deg: float) -> tuple[Attitude | None, float]:
+        """Prediction as the identification takes it: an attitude and its largest error, degrees; none above a limit."""
+        if self.mekf is None:
+            return None, 1.0
+        width = max(math.degrees(_PRIOR_SIGMAS * self.uncertainty_rad), _LEAST_PRIOR_DEG)
+        return (self.mekf.attitude, width) if width <= limit_deg else (None, 1.0)
+
     def follow(self, camera: Camera, seen: Seen, expected: Expected, log_limit: float) -> Followed | None:
         """Match a frame with the prediction (`following.follow`).
 
@@ -107,7 +136,7 @@ class WatchedFilter:
         self._learn(followed.innovation)
 
     def take_attitude(self, now_s: float, attitude: Attitude, covariance: FloatArray) -> tuple[Innovation | None, bool]:
-        """Take in an attitude found otherwise; its innovation, and whether the filter began anew from it."""
+        """Take in an attitude that the tracker found; its innovation, and whether the filter began anew from it."""
         innovation = None
         if self.mekf is not None:
             after = self.mekf.copy()

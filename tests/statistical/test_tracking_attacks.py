@@ -17,6 +17,7 @@ from simulator.study.sequence.statistics import effective_number
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.observer import EARTH_KM_S, Observer
 from startracker.solution import Status
 from startracker.tracker import StarTracker
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
@@ -25,6 +26,16 @@ DT = 0.5
 WALK = 3e-5  # of the gyro, rad/√s
 GYRO = GyroNoise(WALK, 1e-7, 1e-4)
 LARGE = 35.0  # χ²(3) is above with a probability of 1e-7
+
+
+class Session(TrackingSession):
+    """A session whose observer is at rest: the frames made here have no aberration."""
+
+    def update(self, image, t_s, **given):
+        return super().update(image, t_s, observer=Observer(self.tracker.guide.epoch_jyear), **given)
+
+    def update_centroids(self, xy, flux, t_s, **given):
+        return super().update_centroids(xy, flux, t_s, observer=Observer(self.tracker.guide.epoch_jyear), **given)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +102,7 @@ def in_bounds(sequences):
 def test_frozen_list_is_stale(tracker, noise):
     """A body that turns by 0.05°/s; after 15 frames the list stays the same for 95 updates, in any order."""
     rng = np.random.default_rng(3)
-    session = TrackingSession(tracker, noise)
+    session = Session(tracker, noise)
     frozen = None
     for k, (truth, mean) in enumerate(motion(rng, 112, 0.05)):
         xy, flux = stars(rng, tracker, truth)
@@ -117,7 +128,7 @@ def test_frozen_list_is_stale(tracker, noise):
 def test_frozen_image_is_stale_whatever_its_corner_says(small):
     """95 times the same image, with a counter that the camera writes into its first row; then new images."""
     rng = np.random.default_rng(4)
-    session = TrackingSession(small, RateNoise(1e-6))
+    session = Session(small, RateNoise(1e-6))
     frozen, buffer = None, np.empty((256, 256), np.uint16)
     for k, (truth, _) in enumerate(motion(rng, 102, 0.05)):
         if not 4 < k < 100:
@@ -134,7 +145,7 @@ def test_frozen_image_is_stale_whatever_its_corner_says(small):
 def test_driver_that_swaps_two_buffers_is_found_out(small):
     """Two images by turns, one of them read anew now and then: what was seen before is stale."""
     rng = np.random.default_rng(5)
-    session = TrackingSession(small, RateNoise(1e-6))
+    session = Session(small, RateNoise(1e-6))
     images = [picture(rng, small, truth) for truth, _ in motion(rng, 2, 0.02)]
     for k in range(10):
         found = session.update(images[k % 2], k * DT)
@@ -148,7 +159,7 @@ def test_driver_that_swaps_two_buffers_is_found_out(small):
 @pytest.mark.parametrize("image", [False, True])
 def test_same_frame_five_times_counts_once(small, step_s, image):
     rng = np.random.default_rng(6)
-    once, five = (TrackingSession(small, RateNoise(1e-6)) for _ in range(2))
+    once, five = (Session(small, RateNoise(1e-6)) for _ in range(2))
     for k, (truth, _) in enumerate(motion(rng, 6, 0.05)):
         xy, flux = stars(rng, small, truth)
         frame = picture(rng, small, truth) if image else None
@@ -169,7 +180,7 @@ def test_same_frame_five_times_counts_once(small, step_s, image):
 def test_frames_alike_but_for_their_noise_are_all_used(tracker):
     """A body that stands still: as many frames, as many answers."""
     rng = np.random.default_rng(7)
-    session, truth = TrackingSession(tracker, RateNoise(1e-6)), Attitude(rng.normal(size=4))
+    session, truth = Session(tracker, RateNoise(1e-6)), Attitude(rng.normal(size=4))
     for k in range(20):
         assert session.update_centroids(*stars(rng, tracker, truth, 0.01), k * DT).solved
 
@@ -178,7 +189,7 @@ def test_frames_alike_but_for_their_noise_are_all_used(tracker):
 def run(tracker, seed, frames, scale=0.0, stamp=float, rate_deg_s=1.0, acceleration=2e-3, noise=GYRO):
     """NEES of the solved frames, and the session, of a sequence with a gyro of a scale factor error."""
     rng = np.random.default_rng(seed)
-    session, nees = TrackingSession(tracker, noise), []
+    session, nees = Session(tracker, noise), []
     for k, (truth, mean) in enumerate(motion(rng, frames, rate_deg_s, acceleration)):
         gyro = (1.0 + scale) * mean + rng.normal(size=3) * WALK / math.sqrt(DT)
         found = session.update_centroids(*stars(rng, tracker, truth), stamp(k * DT), gyro_rad_s=gyro)
@@ -228,7 +239,7 @@ def test_scale_factors_that_are_not_estimated_are_found_out_by_the_innovations(t
 def test_bias_that_jumps_is_learnt_in_two_frames(tracker):
     """0.5°/s on an axis, where 0.006°/s was allowed for: before, every frame restarted."""
     rng = np.random.default_rng(8)
-    session, restarts = TrackingSession(tracker, GYRO), []
+    session, restarts = Session(tracker, GYRO), []
     bias = np.array([math.radians(0.5), 0.0, 0.0])
     for k, (truth, mean) in enumerate(motion(rng, 60, 0.2, 1e-4)):
         gyro = mean + bias * (k >= 20) + rng.normal(size=3) * WALK / math.sqrt(DT)
@@ -245,7 +256,7 @@ def test_bias_that_jumps_is_learnt_in_two_frames(tracker):
 @pytest.mark.parametrize("sample", [[math.nan] * 3, [0.0, math.inf, 0.0], [1e-3, math.nan, 0.0]])
 def test_gyro_sample_that_is_not_finite_costs_no_frame(tracker, sample):
     rng = np.random.default_rng(9)
-    session = TrackingSession(tracker, GYRO)
+    session = Session(tracker, GYRO)
     for k, (truth, mean) in enumerate(motion(rng, 20, 0.2, 1e-4)):
         missing = k in (8, 9, 15)
         gyro = sample if missing else mean + rng.normal(size=3) * WALK / math.sqrt(DT)
@@ -264,7 +275,7 @@ def test_gyro_sample_that_is_not_finite_costs_no_frame(tracker, sample):
 @pytest.mark.parametrize("spike", [[5.0, 0.0, 0.0], [1e30, -1e30, 1e300]])
 def test_one_absurd_gyro_sample_costs_no_frame(tracker, spike):
     rng = np.random.default_rng(10)
-    session = TrackingSession(tracker, GYRO)
+    session = Session(tracker, GYRO)
     for k, (truth, mean) in enumerate(motion(rng, 20, 0.2, 1e-4)):
         found = session.update_centroids(
             *stars(rng, tracker, truth), k * DT, gyro_rad_s=np.array(spike) if k == 10 else mean
@@ -283,7 +294,7 @@ def test_rate_that_wanders_more_than_was_said(tracker, told, true):
     sequences = []
     for seed in range(3):
         rng = np.random.default_rng(20 + seed)
-        session, nees = TrackingSession(tracker, RateNoise(told)), []
+        session, nees = Session(tracker, RateNoise(told)), []
         for k, (truth, _) in enumerate(motion(rng, 100, 0.3, true)):
             found = session.update_centroids(*stars(rng, tracker, truth), k * DT)
             assert found.solved
@@ -314,7 +325,7 @@ def test_gyro_with_a_fault_costs_accuracy_not_consistency(tracker, fault):
     sequences = []
     for seed in range(3):
         rng = np.random.default_rng(30 + seed)
-        session, nees, before = TrackingSession(tracker, GYRO), [], np.zeros(3)
+        session, nees, before = Session(tracker, GYRO), [], np.zeros(3)
         for k, (truth, mean) in enumerate(motion(rng, 80, 1.0, 2e-3)):
             gyro = FAULTY[fault](mean, before) + rng.normal(size=3) * WALK / math.sqrt(DT)
             before = mean
@@ -327,11 +338,34 @@ def test_gyro_with_a_fault_costs_accuracy_not_consistency(tracker, fault):
     assert max(map(max, sequences)) < LARGE
 
 
+def test_without_an_observer_the_covariance_has_the_aberration_in_it(tracker):
+    """Up to 20.5″ that no frame shows and no filter averages, from an observer who moves with the Earth.
+
+    NEES of 40 independent sequences: 3 on average, and no heavier a tail than χ²'s, √(6/40) of standard deviation.
+    """
+    tilt, nees = math.radians(23.4393), []
+    for seed in range(40):
+        rng = np.random.default_rng(50 + seed)
+        phase = rng.uniform(0.0, 2.0 * math.pi)
+        along = np.array([math.cos(phase), math.sin(phase) * math.cos(tilt), math.sin(phase) * math.sin(tilt)])
+        guide = tracker.guide.seen_by(Observer(tracker.guide.epoch_jyear, EARTH_KM_S * along))
+        session = TrackingSession(tracker, RateNoise(1e-6))
+        for k, (truth, _) in enumerate(motion(rng, 6, 0.05)):
+            index, vectors, _ = guide.in_field(truth.as_matrix())
+            xy = tracker.camera.project(vectors) + 0.2 * rng.normal(size=(len(index), 2))
+            found = session.update_centroids(xy, 10.0 ** (-0.4 * guide.v_mag[index]), k * DT)
+            assert found.solved
+        assert session.state.mode == "tracking"
+        assert session.covariance[0, 0] == found.covariance[0, 0]
+        nees.append(nees_of(truth, found))
+    assert np.mean(nees) == pytest.approx(3.0, abs=4.0 * math.sqrt(6.0 / 40))
+
+
 # ---------------------------------------------------------------- clocks
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, -5.0, 4.4])
 def test_time_that_cannot_be_has_a_status_and_changes_nothing(tracker, bad):
     rng = np.random.default_rng(11)
-    session = TrackingSession(tracker, RateNoise(1e-6))
+    session = Session(tracker, RateNoise(1e-6))
     for k, (truth, _) in enumerate(motion(rng, 20, 0.2)):
         if k == 10:
             known = session.covariance, session.filter_attitude
@@ -351,7 +385,7 @@ def test_time_that_cannot_be_has_a_status_and_changes_nothing(tracker, bad):
 
 def test_other_frame_at_the_same_time_is_refused(tracker):
     rng = np.random.default_rng(12)
-    session = TrackingSession(tracker, RateNoise(1e-6))
+    session = Session(tracker, RateNoise(1e-6))
     truths = [truth for truth, _ in motion(rng, 4, 0.2)]
     assert session.update_centroids(*stars(rng, tracker, truths[0]), 0.0).solved
     found = session.update_centroids(*stars(rng, tracker, truths[1]), 0.0)
@@ -367,7 +401,7 @@ def test_other_frame_at_the_same_time_is_refused(tracker):
 
 def test_clock_that_is_set_back_costs_one_frame(tracker):
     rng = np.random.default_rng(13)
-    session, status = TrackingSession(tracker, RateNoise(1e-6)), []
+    session, status = Session(tracker, RateNoise(1e-6)), []
     for k, (truth, _) in enumerate(motion(rng, 20, 0.2)):
         found = session.update_centroids(*stars(rng, tracker, truth), k * DT + (1000.0 if k < 10 else 0.0))
         status.append(found.status)
@@ -382,7 +416,7 @@ def test_clock_that_is_set_back_costs_one_frame(tracker):
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_huge_gap_ends_in_a_search_not_in_a_wrong_attitude(tracker, gap_s, with_gyro):
     rng = np.random.default_rng(14)
-    session = TrackingSession(tracker, GYRO if with_gyro else RateNoise(1e-6))
+    session = Session(tracker, GYRO if with_gyro else RateNoise(1e-6))
     for k, (_, mean) in enumerate(motion(rng, 3, 0.2)):
         truth = Attitude(rng.normal(size=4))
         gyro = mean if with_gyro else None
@@ -394,7 +428,7 @@ def test_huge_gap_ends_in_a_search_not_in_a_wrong_attitude(tracker, gap_s, with_
 # ---------------------------------------------------------------- copies and threads
 def test_session_is_copied_pickled_and_shared_by_threads(tracker):
     rng = np.random.default_rng(15)
-    session = TrackingSession(tracker, RateNoise(1e-6))
+    session = Session(tracker, RateNoise(1e-6))
     frames = [(stars(rng, tracker, truth), truth) for truth, _ in motion(rng, 40, 0.1)]
     for k in range(5):
         assert session.update_centroids(*frames[k][0], k * DT).solved
