@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
+from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
@@ -30,8 +30,6 @@ IntArray = NDArray[np.int64]
 
 SCALES = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
-SURE_BEYOND = 15.0
-"""How far beyond the limit (in ln of the chance) nothing can compete any more."""
 
 
 @dataclass(frozen=True, eq=False)
