@@ -22,6 +22,7 @@ from startracker.detection.components import find_smeared
 from startracker.detection.defects import fill_gaps, has_crowd, mask_extremes, mask_impulses
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
+from startracker.detection.structure import follow_structure, has_structure
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
@@ -159,14 +160,14 @@ def find_stars(
         reason = f"every pixel is {survey.highest:g}"
         return FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
     try:
-        background = estimate(pixels, detection.background_tile_px)
+        background = _background(pixels, detection)
         clock.lap("background")
         whole = fill_gaps(pixels) if survey.gaps else pixels
         spots = detect(whole, background, detection, saturation_dn)
         if has_crowd(spots, pixels.size):
             pixels, hot = mask_impulses(pixels, background)
             if hot:
-                background = estimate(pixels, detection.background_tile_px)
+                background = _background(pixels, detection)
                 spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
                 spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
         steps.append(partial(background_step, background))
@@ -199,6 +200,12 @@ def find_stars(
         streaks=streaks,
         covariance_px2=found.covariance,
     )
+
+
+def _background(pixels: Image, detection: DetectionSettings) -> Background:
+    """Background of a frame; where its tiles are too coarse for what is in them, one that follows it."""
+    background = estimate(pixels, detection.background_tile_px)
+    return follow_structure(pixels, detection.background_tile_px) if has_structure(pixels, background) else background
 
 
 def _left_out_streaks(spots: Spots) -> bool:
