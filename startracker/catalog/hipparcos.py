@@ -80,10 +80,10 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
     Notes
     -----
     Radial velocity, spectral type and name come from ``bsc5`` where it has the star. The V of some stars, which Hp
-    does not tell, and radial velocities of fast nearby ones come from ``data/hipparcos_corrections.csv``, with their
-    references. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a
-    variable's name but varied too little in its time. Parsing takes most of a second, so the table is kept in the user's cache
-    folder; a cache that cannot be written or read is done without.
+    does not tell, and radial velocities of fast nearby ones come from ``data/hipparcos_corrections.csv``, with
+    their references. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a
+    variable's name but varied too little in its time. Parsing takes most of a second, so the table is kept in the
+    user's cache folder; a cache that cannot be written or read is done without.
 
     Raises
     ------
