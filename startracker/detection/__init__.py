@@ -10,6 +10,7 @@ from startracker.detection.bad_pixels import find_bad_pixels, mask_pixels
 from startracker.detection.clustering import find_clusters
 from startracker.detection.components import find_components
 from startracker.detection.region_growing import grow_regions
+from startracker.detection.round_regions import find_first_regions, find_round_regions
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
@@ -24,6 +25,8 @@ __all__ = [
     "find_bad_pixels",
     "find_clusters",
     "find_components",
+    "find_first_regions",
+    "find_round_regions",
     "grow_regions",
     "mask_pixels",
 ]
@@ -36,5 +39,7 @@ METHODS: dict[str, Detector] = {
     "components": find_components,
     "region_growing": grow_regions,
     "clustering": find_clusters,
+    "round_regions": find_round_regions,
+    "first_regions": find_first_regions,
 }
 """Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""
