@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MARKS",
+    "NOTHING",
     "PrintedStudy",
     "Row",
     "Section",
@@ -37,10 +38,20 @@ __all__ = [
     "with_unit",
 ]
 
-Verdict = Literal["exact", "close", "differs"]
+Verdict = Literal["exact", "close", "differs", "not printed", "input missing", "open"]
 
-MARKS: dict[Verdict, str] = {"exact": "green", "close": "yellow", "differs": "red"}
+MARKS: dict[Verdict, str] = {
+    "exact": "green",
+    "close": "yellow",
+    "differs": "red",
+    "not printed": "cyan",
+    "input missing": "magenta",
+    "open": "blue",
+}
 """Verdict to its colour in the printed table."""
+
+NOTHING = "–"
+"""In the column `printed` where the work prints nothing to compare with."""
 
 COLUMNS = ("where", "quantity", "printed", "computed", "verdict", "why")
 """Columns of the table: the fields of a `Row`."""
@@ -57,11 +68,19 @@ class Row:
     quantity : str
         What it is.
     printed, computed : str
-        Both with their unit.
-    verdict : {"exact", "close", "differs"}
-        Every printed digit; within what is explained by rounding, catalogue or an unprinted setting; neither.
+        Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`.
+    verdict : str
+        What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding,
+        catalogue or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result
+        beside which the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a
+        device) is not to be had; ``"open"``, a question that the work leaves open.
     why : str
         How it was computed, and the reason of a difference.
+
+    Raises
+    ------
+    ValueError
+        When a row without a printed value is given a verdict of comparison, or the reverse.
     """
 
     where: str
@@ -70,6 +89,10 @@ class Row:
     computed: str
     verdict: Verdict
     why: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.printed in ("", NOTHING)) != (self.verdict == "not printed"):
+            raise ValueError(f"{self.where}, {self.quantity}: {self.printed!r} is printed, but {self.verdict!r}")
 
 
 @dataclass(frozen=True)
@@ -215,7 +238,7 @@ class PrintedStudy:
     def counts(self) -> dict[str, int]:
         """How many rows have each verdict."""
         found = Counter(row.verdict for section in self.sections.values() for row in section.rows)
-        return {verdict: found[verdict] for verdict in MARKS}
+        return {verdict: found[verdict] for verdict in MARKS}  # the order of MARKS, those not found too
 
     def to_dict(self) -> dict[str, Any]:
         """All rows as plain values, for JSON."""

@@ -1,5 +1,4 @@
-"""Bias of the 5×5 first moment against Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite",
-Table 4.1 (σ = 1.23, offsets 0 to 0.5 detector lengths).
+"""Bias of the 5×5 first moment against Greyling 1995, Table 4.1 (σ = 1.23, offsets 0 to 0.5 px).
 
 The table is that of a Gaussian sampled at the pixels' centres, not integrated over them, and it cuts its digits off
 instead of rounding them: 0.0102847 is printed 0.010284. So the computed value lies above the printed one by less than

@@ -1,5 +1,4 @@
-"""The noise figures of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", section 3.4.2
-and 3.4.3, found again on simulated frames.
+"""The noise figures of Greyling 1995, sections 3.4.2 and 3.4.3, found again on simulated frames.
 
 Tolerances are those of print: 400 √(C/pF) is given to one or two digits (exact: 400.5), 110 electrons of reset noise at
 0.08 pF to two (400·√0.08 = 113). The frames' own statistical error is derived beside each.

@@ -1,4 +1,4 @@
-"""Chapter 3 of Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", against our study of it.
+"""Chapter 3 of Greyling 1995 against our study of it.
 
 Numbers are those that the thesis prints, or, of its figures and of its script, those that were found by computing them
 again from its text with the Bright Star Catalogue (5th edition). Tolerances are half of the last digit given, unless a
@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.constants import c, h
 
 from simulator.theses.greyling1995 import density, matrix, noise, path, photometry, starlight
 
@@ -23,6 +22,18 @@ def test_the_boresight_stays_at_8_6_degrees():
     year = path.year_path()
     np.testing.assert_allclose(year.dec_date_deg, 8.600, atol=0.0005)
     assert year.ra_date_deg[0] == pytest.approx(245.0, abs=0.05)  # Ω + 90° with Ω = 155°
+
+
+def test_the_sun_angle_is_that_of_the_listing():
+    # bs_path.m: Sun_Angle = 30; the boresight is 90° + 30° behind the Sun, and stays at i − 90°
+    assert path.SUN_ANGLE_DEG == 30.0
+    for omega, spin in ((0.0, 0.0), (0.0, 77.0), (140.0, 10.0)):
+        ra, dec = path.bs_path(omega, spin, exchanged=True)
+        assert (ra, dec) == pytest.approx(((240.0 + omega) % 360.0, 8.6), abs=1e-9)
+    row = rows_of(path.section(), "Fig. 3.3")[0]
+    assert row.printed == "120°"
+    assert row.verdict == "close"  # 115° from Table 3.2's node: 4.2 %
+    assert "no number" not in " ".join(r.why for r in path.section().rows)
 
 
 def test_period_and_inclination():
@@ -130,12 +141,35 @@ def test_output_voltage_as_coded_and_right():
 
 
 def test_output_voltage_by_hand():
-    # five boxes Δλ = 0.1493 λ: U = 1.4 µV t A/25 Σ E λ/(hc) η Δλ; integrate() is exact for boxes
-    area_cm2, seconds, flux = math.pi * 25.0, 0.2, 10 ** (-0.4 * 3.0)
-    um, irradiance, efficiency = starlight.BANDS_UM, starlight.IRRADIANCE_W_CM2_UM, starlight.EFFICIENCY
-    electrons = np.sum(irradiance * um * 1e-6 / (h * c) * efficiency * 0.1493 * um) * area_cm2 * seconds * flux
-    got = starlight.thesis_mv(3.0, aperture_m=0.1, exposure_s=0.2, extra_lambda=False)
-    assert got == pytest.approx(electrons / 25 * 1.4e-3, rel=1e-9)
+    # ccdmag.m line by line: U = A_pixel t (q G / C0) A_lens / (25 A_pixel) Σ E η Δλ λ_µm / (h v), v = c / λ
+    um = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
+    w_m2_um = np.array([6.6e-12, 3.6e-12, 2.25e-12, 1.22e-12, 2.92e-13]) * 1e4 * (100 ** (1 / 5)) ** -3.0
+    width = np.array([0.1, 0.55 - 0.44, 0.64 - 0.55, 0.79 - 0.64, 1.25 - 0.79])
+    eta, v = np.array([0.2, 0.4, 0.5, 0.38, 0.05]), 3e8 / (um * 1e-6)
+    lens, pixel = math.pi * (0.1 / 2) ** 2, 10e-6 * 10e-6
+    for extra in (True, False):
+        rate = lens / (pixel * 25) * np.sum(w_m2_um * eta * width * (um if extra else 1.0) / (6.626e-34 * v))
+        volts = pixel * 0.2 * (1.6e-19 * rate * 0.7) / 0.1e-12
+        got = starlight.thesis_mv(3.0, aperture_m=0.1, exposure_s=0.2, extra_lambda=extra)
+        assert got == pytest.approx(volts * 1e3, rel=1e-12)
+
+
+def test_nothing_of_the_voltage_is_fitted():
+    np.testing.assert_allclose(starlight.WIDTHS_UM, [0.10, 0.11, 0.09, 0.15, 0.46])
+    assert starlight.VOLT_PER_E == pytest.approx(1.12e-6)  # q G / C0
+    rows = {row.quantity: row for row in photometry.section().rows}
+    assert not any("fitted" in row.why or "not printed" in row.why for row in rows.values())
+    assert any("ccdmag.m" in row.why and "1.12 µV" in row.why for row in rows.values())
+
+
+def test_second_script_of_the_listing():
+    # ten pixels, 1.4 µV, other efficiencies, no surplus λ: by hand, in the listing's constants
+    um = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
+    flux, eta = np.array([6.6e-12, 3.6e-12, 2.25e-12, 1.22e-12, 2.92e-13]), np.array([0.1, 0.28, 0.4, 0.38, 0.05])
+    rate = 1e-6 * np.sum(flux * eta * np.array([0.1, 0.11, 0.09, 0.15, 0.46]) * um) / (6.626e-34 * 3e8) * 1e4
+    volts = rate * math.pi * 0.05**2 * 0.5 * 1.4e-6 / 10
+    assert starlight.second_script_mv(0.0, 0.1, 0.5) == pytest.approx(volts * 1e3, rel=1e-12)
+    assert 100 ** (1.6 / 5) == pytest.approx(4.36, abs=0.006)  # the factor of its loop: a star of V = −1.6
 
 
 def test_voltage_grows_with_area_and_time_and_a_magnitude_is_the_fifth_root_of_100():

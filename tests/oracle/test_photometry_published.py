@@ -81,8 +81,8 @@ QE = np.array([0.2, 0.4, 0.5, 0.38, 0.05])
 PHOTONS_NM = IRRADIANCE_W_CM2_UM * 1e-3 * BANDS_UM * 1e-6 / (h * c)
 """Photons cm⁻² s⁻¹ nm⁻¹ of V = 0 in his five bands."""
 
-AREA_CM2, EXPOSURE_S, PIXELS, UV_PER_E = math.pi * 36.0, 0.5, 25, 1.4
-RELATIVE_WIDTH = 0.1493
+AREA_CM2, EXPOSURE_S, PIXELS, UV_PER_E = math.pi * 36.0, 0.5, 25, 1.12
+WIDTHS_UM = np.array([0.1, 0.55 - 0.44, 0.64 - 0.55, 0.79 - 0.64, 1.25 - 0.79])
 
 
 def millivolts(electrons_cm2_s, v_mag=6.5):
@@ -92,19 +92,18 @@ def millivolts(electrons_cm2_s, v_mag=6.5):
 def test_voltage_of_the_thesis_camera():
     """V = 6.5, 0.5 s, 12 cm, 25 pixels: 8.75 mV with the right physics, 5.405 mV with one λ (µm) too many.
 
-    Five irradiances and five efficiencies alone give neither: how wide the bands are, or what runs between them, is not
-    in the text. What is reproducible: bands of equal relative width give both figures with one number, 0.1493, for two
-    (`docs/photometry.md` lists what other readings give). So the sum is checked here through `integrate`, with each
-    band a box in the photons and the efficiency a constant in it.
+    The widths of the five bands and the gain are those of `ccdmag.m` in appendix B. The sum is checked here through
+    `integrate`, with each band a box in the photons and the efficiency a constant in it.
     """
     total = with_extra_lambda = 0.0
-    for um, photons, qe in zip(BANDS_UM, PHOTONS_NM, QE, strict=True):
-        edges = um * 1e3 * np.array([1 - RELATIVE_WIDTH / 2, 1 + RELATIVE_WIDTH / 2])
-        electrons = integrate(Curve(edges, np.full(2, photons)), Curve([300.0, 1500.0], [qe, qe]))
+    for um, width, photons, qe in zip(BANDS_UM, WIDTHS_UM, PHOTONS_NM, QE, strict=True):
+        edges = 1e3 * (um + width * np.array([-0.5, 0.5]))
+        electrons = integrate(Curve(edges, np.full(2, photons)), Curve([300.0, 1700.0], [qe, qe]))
         total += electrons
         with_extra_lambda += electrons * um
-    assert millivolts(total) == pytest.approx(8.75, abs=0.01)
-    assert millivolts(with_extra_lambda) == pytest.approx(5.405, abs=0.01)
+    listing = h * c / (6.626e-34 * 3e8)  # its constants, of four digits, and one
+    assert millivolts(total) * listing == pytest.approx(8.75, abs=0.0005)
+    assert millivolts(with_extra_lambda) * listing == pytest.approx(5.405, abs=0.0005)
 
 
 def test_integral_of_two_straight_lines_is_exact():
@@ -123,23 +122,3 @@ def test_our_spectrum_gives_the_thesis_camera_the_same_order():
     response = Curve.flat(1.0) * load_curve("tc211", "quantum_efficiency")
     got = millivolts(float(Photometer(response, 1.0).electrons_per_s(0.0, 0.0)))
     assert 8.75 / 1.6 < got < 8.75 * 1.6
-
-
-@pytest.mark.parametrize(
-    ("reading", "right", "with_extra"),
-    [("straight lines", 12.51, 8.60), ("boxes of 0.1 um", 9.92, 5.86), ("boxes to the midpoints", 12.55, 8.27)],
-)
-def test_other_readings_of_the_five_bands(reading, right, with_extra):
-    """What `docs/photometry.md` says of them: none gives 8.75 and 5.405 mV."""
-    if reading == "straight lines":
-        um = np.linspace(0.44, 1.25, 4001)
-        electrons = np.interp(um, BANDS_UM, IRRADIANCE_W_CM2_UM) * um * 1e-6 / (h * c) * np.interp(um, BANDS_UM, QE)
-        total, extra = np.trapezoid(electrons, um), np.trapezoid(electrons * um, um)
-    else:
-        middle = (BANDS_UM[1:] + BANDS_UM[:-1]) / 2
-        ends = np.concatenate([BANDS_UM[:1], middle, BANDS_UM[-1:]])
-        widths = np.full(5, 0.1) if reading == "boxes of 0.1 um" else np.diff(ends)
-        electrons = PHOTONS_NM * 1e3 * QE * widths
-        total, extra = electrons.sum(), (electrons * BANDS_UM).sum()
-    assert millivolts(total) == pytest.approx(right, abs=0.01)
-    assert millivolts(extra) == pytest.approx(with_extra, abs=0.01)

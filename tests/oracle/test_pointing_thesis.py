@@ -1,6 +1,7 @@
 """Pointing against Appendix A of the thesis, and the boresight's path over a year.
 
-Source: J. Greyling, "A CCD star sensor system for a low Earth orbit microsatellite", M.Eng. thesis, Stellenbosch, 1995,
+Source: B. C. Greyling, "A Charge Coupled Device Star Sensor System for a Low Earth Orbit Microsatellite",
+M.Eng. thesis, Stellenbosch, 1995,
 section 3.2 and Appendix A. Its elementary rotations (A.1 to A.3) are taken as printed; of its products two things are
 corrected. [θ_E0], the turn by u + π/2 about y, is printed as a turn about z (A.12), and [φ_E0] as one about y (A.13):
 here they are the elementary matrices that the text names. Element (3,1) of (3.3)/(A.19), without which that matrix is

@@ -1,4 +1,4 @@
-"""Yee 1999, "Attitude from stellar images": her tables as printed (package data of `simulator.theses.yee1999`).
+"""Yee 1999: her tables as printed (package data of `simulator.theses.yee1999`).
 
 The printed numbers are held against what the study computes, at the precision at which the text lets them follow:
 every printed digit of Tables 2.1, 2.2 and 3.1; 29 of 30 of Table 3.2 (the thirtieth differs by one); Table 4.1's
@@ -237,7 +237,7 @@ def test_verdicts_and_data(sections):
 @pytest.mark.parametrize("name", ["2_1", "2_2", "3_1", "3_2", "4_1", "4_2", "4_4", "4_5", "4_17", "d_1"])
 def test_printed_tables_name_their_source(name):
     text = (files("simulator.theses.yee1999") / "data" / f"table_{name}.csv").read_text(encoding="utf-8").splitlines()
-    assert text[0].startswith("# S. Yee")
+    assert text[0].startswith("# T. K. Yee")
     assert f"Table {name.replace('_', '.').upper()}" in text[0]
     assert len({len(row) for row in csv.reader(text[1:])}) == 1
 

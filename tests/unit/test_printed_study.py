@@ -6,7 +6,17 @@ import json
 import pytest
 from rich.console import Console
 
-from simulator.theses.printed import PrintedStudy, Row, Section, compare, new_figure, run_sections, verdict_of
+from simulator.theses.printed import (
+    MARKS,
+    NOTHING,
+    PrintedStudy,
+    Row,
+    Section,
+    compare,
+    new_figure,
+    run_sections,
+    verdict_of,
+)
 from startracker.errors import InputError
 
 
@@ -58,6 +68,16 @@ def test_computed_value_has_two_digits_more(printed, value, unit, shown):
     assert row.printed.startswith(printed)
 
 
+@pytest.mark.parametrize("verdict", ["exact", "close", "differs", "input missing", "open"])
+def test_a_row_without_a_printed_value_is_not_printed(verdict):
+    for printed in ("", NOTHING):
+        with pytest.raises(ValueError, match="is printed"):
+            Row("1", "a", printed, "2", verdict)
+    with pytest.raises(ValueError, match="is printed"):
+        Row("1", "a", "2", "2", "not printed")
+    assert Row("1", "a", NOTHING, "2", "not printed").verdict in MARKS
+
+
 def study():
     def draw():
         figure, ax = new_figure()
@@ -83,7 +103,7 @@ def test_table_shows_every_cell_and_counts_the_verdicts():
         "5.50 mV",
         "5.5040 mV",
         "why not",
-        "1 exact, 0 close, 1 differs",
+        "1 exact, 0 close, 1 differs, 0 not printed, 0 input missing, 0 open",
     ):
         assert text in told
 
@@ -91,7 +111,7 @@ def test_table_shows_every_cell_and_counts_the_verdicts():
 def test_files(tmp_path):
     assert study().write(tmp_path / "new") == ["t1995.json", "fig_1.png"]
     told = json.loads((tmp_path / "new" / "t1995.json").read_text())
-    assert told["verdicts"] == {"exact": 1, "close": 0, "differs": 1}
+    assert told["verdicts"] == {"exact": 1, "close": 0, "differs": 1, "not printed": 0, "input missing": 0, "open": 0}
     assert told["sections"]["one"]["rows"][1] == {
         "where": "3.3",
         "quantity": "b",

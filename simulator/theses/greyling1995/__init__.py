@@ -1,7 +1,8 @@
-"""Greyling 1995, "A CCD star sensor system for a low Earth orbit microsatellite", computed again figure by figure.
+"""Greyling 1995 computed again, figure by figure.
 
-J. Greyling, M.Eng. thesis, University of Stellenbosch, 1995. Each module is a part of the thesis with a function
-`section() -> Section`; `SECTIONS` lists them in the order of the thesis.
+B. C. Greyling, *A Charge Coupled Device Star Sensor System for a Low Earth Orbit Microsatellite*, M.Eng. thesis,
+University of Stellenbosch, 1995. Each module is a part of the thesis with a function `section() -> Section`;
+`SECTIONS` lists them in the order of the thesis.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ from simulator.theses.printed import PrintedStudy, Section, run_sections
 
 __all__ = ["SECTIONS", "TITLE", "run"]
 
-TITLE = "Greyling 1995: A CCD star sensor system for a low Earth orbit microsatellite (M.Eng., Stellenbosch)"
+TITLE = (
+    "B. C. Greyling, A Charge Coupled Device Star Sensor System for a Low Earth Orbit Microsatellite "
+    "(M.Eng., University of Stellenbosch, 1995)"
+)
 
 SECTIONS: dict[str, Callable[[], Section]] = {
     "path": path_section,

@@ -15,22 +15,31 @@ from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
 from simulator.theses.printed import Row, Section, compare, new_figure
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
-from startracker.catalog.guide import RESOLVED_PX, PairList
+from startracker.catalog.guide import RESOLVED_PX
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["guide_stars", "lines", "section", "zone", "zone_counts"]
+__all__ = ["guide_stars", "lines", "map_lines", "section", "zone", "zone_counts"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 BORESIGHT_DEC_DEG = 8.6
 FIELD_DEG, SIDE_PX = 10.0, 512
-BAND_DEG = 9.8
-"""Half width in declination of the band about the path: fitted to Table 5.1; the thesis does not give it."""
+SENSORS_DEG = 5.0
+"""Accuracy of the other sensors, the program's default."""
+BAND_DEG = 0.5 * FIELD_DEG + SENSORS_DEG
+"""Half width in declination of the band about the path, as `guide.m` has it."""
 
-CLOSEST_DEG, SHORTEST_DEG, LONGEST_DEG = 0.039, 0.8, 14.14
-"""R_MinA, R_min and R_max."""
+CLOSEST_DEG = 0.039
+"""R_MinA."""
+LONGEST_DEG = math.sqrt(2.0) * FIELD_DEG
+PARTNERS = 30
+"""Stars, the next in right ascension, with which `guide.m` pairs each one."""
+
+MAP_HALF_WIDTH_DEG, MAP_LONGEST_DEG, MAP_CLOSEST_DEG = 1.5 * FIELD_DEG, 14.147, 0.08
+"""The matching program's map: WCat = 3 WFOV, RCatLimit, CloseR."""
 
 TABLE_5_1 = {5.0: ("243", "8316"), 6.0: ("767", "16493"), 6.5: ("1248", "32290")}
 """Magnitude to the printed numbers of stars and lines."""
@@ -52,34 +61,74 @@ def guide_stars(
     magnitude_limit : float
         Faintest V.
     band_deg, dec_deg : float
-        Stars within `band_deg` of the declination `dec_deg`.
+        Stars nearer than `band_deg` to the declination `dec_deg`.
     closest_deg : float
-        Of two stars closer than this the dimmer is left out (Fig. 5.3); 0: none. The tracker's own database joins
-        them (`startracker.catalog.merge_doubles`).
+        Of two stars closer than this the dimmer is left out (Fig. 5.3; `guide.m` leaves out the other); 0: none. The
+        tracker's own database joins them (`startracker.catalog.merge_doubles`).
     """
     catalog = load_catalog("bsc5").brighter_than(magnitude_limit)
-    catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - dec_deg) <= band_deg))
+    catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - dec_deg) < band_deg))
     catalog = catalog.select(np.argsort(catalog.ra_rad, kind="stable"))
     if closest_deg == 0.0:
         return catalog
     chord = 2.0 * math.sin(math.radians(closest_deg) / 2.0)
-    pairs = cKDTree(_directions(catalog)).query_pairs(chord, output_type="ndarray")
+    pairs = cKDTree(radec_to_direction(catalog.ra_rad, catalog.dec_rad)).query_pairs(chord, output_type="ndarray")
     dimmer = np.where(catalog.v_mag[pairs[:, 0]] > catalog.v_mag[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
     keep = np.ones(len(catalog), dtype=bool)
     keep[dimmer] = False
     return catalog.select(keep)
 
 
-def lines(catalog: StarCatalog, shortest_deg: float = SHORTEST_DEG, longest_deg: float = LONGEST_DEG) -> PairList:
-    """Lines between guide stars: pairs with a separation from `shortest_deg` to `longest_deg`."""
-    everyone = np.arange(len(catalog), dtype=np.int64)
-    return PairList.of(_directions(catalog), everyone, math.radians(longest_deg), math.radians(shortest_deg))
+def lines(catalog: StarCatalog, partners: int | None = PARTNERS, start_ra_deg: float = 0.0) -> IntArray:
+    """Lines (L, 2) between the stars of a catalogue that is sorted by right ascension, as `guide.m` makes them.
+
+    Each star with the next `partners` ones in right ascension, in the plane of right ascension and declination without
+    cos δ, up to √2 times the field; none across the end of the list, and the last star only with those near the end.
+
+    Parameters
+    ----------
+    catalog : StarCatalog
+        Sorted by right ascension from `start_ra_deg` on.
+    partners : int, optional
+        None: with every star after it.
+    start_ra_deg : float
+        Right ascensions are counted from here, so that a zone across 0 h is one piece.
+    """
+    ra = (np.degrees(catalog.ra_rad) - start_ra_deg) % 360.0
+    dec = np.degrees(catalog.dec_rad)
+    found = []
+    for step in range(1, len(catalog) if partners is None else min(partners + 1, len(catalog))):
+        apart = np.hypot(ra[step:] - ra[:-step], dec[step:] - dec[:-step])
+        first = np.flatnonzero((apart < LONGEST_DEG) & (apart > 0.0))
+        found.append(np.stack([first, first + step], axis=1))
+    return np.concatenate(found) if found else np.empty((0, 2), np.int64)
+
+
+def map_lines(hour: float, magnitude_limit: float, dec_deg: float = BORESIGHT_DEC_DEG) -> int:
+    """Lines of the matching program's map about a right ascension: ± 15° by ± 10°, plane, each pair once.
+
+    Of two stars closer than 0.08° the dimmer is left out. The program itself fills arrays of 1000 lines and meets each
+    pair twice; that limit is not applied.
+    """
+    catalog = load_catalog("bsc5")
+    ra = (np.degrees(catalog.ra_rad) - 15.0 * hour + 180.0) % 360.0 - 180.0
+    dec = np.degrees(catalog.dec_rad)
+    inside = (catalog.v_mag < magnitude_limit) & (np.abs(dec - dec_deg) < BAND_DEG) & (np.abs(ra) < MAP_HALF_WIDTH_DEG)
+    x, y, v_mag = ra[inside], dec[inside], catalog.v_mag[inside]
+    i, j = np.triu_indices(len(x), 1)
+    apart = np.hypot(x[i] - x[j], y[i] - y[j])
+    close = apart < MAP_CLOSEST_DEG
+    gone = np.zeros(len(x), dtype=bool)
+    gone[np.where(v_mag[i] > v_mag[j], i, j)[close]] = True
+    return int(np.count_nonzero((apart < MAP_LONGEST_DEG) & ~close & ~gone[i] & ~gone[j]))
 
 
 def zone(catalog: StarCatalog, ra_deg: float, width_deg: float = 46.0, height_deg: float = 16.0) -> StarCatalog:
-    """Stars of the zone that starts at `ra_deg`, `width_deg` long and `height_deg` high about the path."""
-    along = (np.degrees(catalog.ra_rad) - ra_deg) % 360.0 < width_deg
-    return catalog.select(along & (np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) <= 0.5 * height_deg))
+    """Stars of the zone that starts at `ra_deg`, `width_deg` long, `height_deg` high about the path, in order."""
+    along = (np.degrees(catalog.ra_rad) - ra_deg) % 360.0
+    inside = (along < width_deg) & (np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) <= 0.5 * height_deg)
+    chosen = np.flatnonzero(inside)
+    return catalog.select(chosen[np.argsort(along[chosen], kind="stable")])
 
 
 def zone_size_deg(
@@ -89,16 +138,14 @@ def zone_size_deg(
     return field_deg + days * day_deg + 2.0 * sensors_deg, field_deg + 2.0 * sensors_deg
 
 
-def zone_counts(magnitude_limit: float = 6.5, zones: int = ZONES) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def zone_counts(magnitude_limit: float = 6.5, zones: int = ZONES) -> tuple[IntArray, IntArray]:
     """Stars and lines of each zone; zone k starts at right ascension 360°(k − 1)/zones."""
     catalog = guide_stars(magnitude_limit)
     width, height = zone_size_deg()
-    parts = [zone(catalog, 360.0 / zones * k, width, height) for k in range(zones)]
-    return np.array([len(part) for part in parts]), np.array([len(lines(part)) for part in parts])
-
-
-def _directions(catalog: StarCatalog) -> FloatArray:
-    return radec_to_direction(catalog.ra_rad, catalog.dec_rad)
+    starts = [360.0 / zones * k for k in range(zones)]
+    parts = [zone(catalog, start, width, height) for start in starts]
+    counts = [len(lines(part, start_ra_deg=start)) for part, start in zip(parts, starts, strict=True)]
+    return np.array([len(part) for part in parts]), np.array(counts)
 
 
 def section() -> Section:
@@ -132,29 +179,30 @@ def _table_rows() -> list[Row]:
     rows = []
     for limit, (stars, pairs) in TABLE_5_1.items():
         catalog = guide_stars(limit)
-        n, printed = len(catalog), int(stars)
-        share = 200 * int(pairs) / (printed * (printed - 1))
+        before = guide_stars(limit, closest_deg=0.0)
+        printed, found = int(stars), len(lines(catalog))
         rows.append(
             compare(
-                "Table 5.1", f"guide stars, V ≤ {limit:g}", stars, n,
-                why=f"Bright Star Catalogue, declination {BORESIGHT_DEC_DEG}° ± {BAND_DEG}° (fitted), dimmer "
-                f"ones of pairs closer than {CLOSEST_DEG}° left out",
+                "Table 5.1", f"guide stars, V ≤ {limit:g}", stars, len(catalog),
+                why=f"Bright Star Catalogue, declination {BORESIGHT_DEC_DEG}° ± {BAND_DEG:g}°, half the field and the "
+                f"other sensors' {SENSORS_DEG:g}° (guide.m), dimmer ones of pairs closer than {CLOSEST_DEG}° left out; "
+                f"{len(before)} before that",
             )
         )  # fmt: skip
+        why = f"guide.m: each star with the next {PARTNERS} in right ascension, no cos δ, shorter than 14.14°"
+        if printed * PARTNERS < int(pairs):
+            why += f"; {printed} stars make {printed * PARTNERS} lines at most so: {pairs} is not from this listing"
         rows.append(
             compare(
-                "Table 5.1", f"lines, V ≤ {limit:g}", pairs, len(lines(catalog)),
-                why=f"{SHORTEST_DEG}° to {LONGEST_DEG}°; printed {share:.1f} % of all pairs of its stars, here "
-                f"{200 * len(lines(catalog)) / (n * (n - 1)):.1f} %: the share "
-                "cannot fall as stars join, so the printed ratios contradict n²",
+                "Table 5.1", f"lines, V ≤ {limit:g}", pairs, found,
+                why=f"{why}. {len(lines(before))} before close stars are left out",
             )
         )  # fmt: skip
-    everyone = len(guide_stars(6.5, closest_deg=0.0))
-    without = len(lines(guide_stars(6.5, closest_deg=0.0)))
-    less = 100.0 * (1.0 - len(lines(guide_stars(6.5))) / without)
+    everyone, kept = guide_stars(6.5, closest_deg=0.0), guide_stars(6.5)
+    less = 100.0 * (1.0 - len(lines(kept)) / len(lines(everyone)))
     rows.append(
         compare("§ 5.2.1", "lines saved by leaving out close stars", "5", less, unit="%", form=".1f",
-                why=f"{everyone - len(guide_stars(6.5))} of {everyone} stars left out")
+                why=f"{len(everyone) - len(kept)} of {len(everyone)} stars left out")
     )  # fmt: skip
     return rows
 
@@ -183,12 +231,12 @@ def _zone_rows() -> list[Row]:
                 why="30 days each; the boresight moves 0.9856° a day"),
         compare("Fig. 5.5", "zone with most stars", str(DENSEST_ZONE), densest + 1,
                 why="zone 1 starts at 0 h; RA 60° to 106°, the Milky Way from Taurus to Gemini"),
+        compare("Fig. 5.5", "its lines, V ≤ 6.5", "5844", float(pairs[densest]), form=".0f",
+                why=f"by guide.m's pairs; 159 stars would make {159 * PARTNERS} lines at most, so that 5844 belongs to "
+                f"more stars than are printed"),
         compare("Fig. 5.5", "its stars, V ≤ 6.5", "159", float(stars[densest]), form=".0f",
-                why=f"159 is the mean number in 46° of the whole band of ±{BAND_DEG}°, {everywhere} × 46/360 = "
-                f"{everywhere * width / 360.0:.1f}; the mean zone of 46° × 16° has {stars.mean():.0f}"),
-        compare("Fig. 5.5", "its lines", "5844", float(pairs[densest]), form=",.0f",
-                why=f"5844 is {200 * 5844 / (159 * 158):.0f} % of the pairs of 159 stars; here "
-                f"{200 * pairs[densest] / (stars[densest] * (stars[densest] - 1)):.0f} %"),
+                why=f"the whole band of ± {BAND_DEG:g}° has {everywhere} × 46/360 = {everywhere * width / 360.0:.0f} "
+                f"stars in a zone on the mean, the mean zone of 46° × 16° {stars.mean():.0f}"),
     ]  # fmt: skip
 
 
@@ -196,9 +244,11 @@ def _lines_figure() -> Figure:
     figure, axes = new_figure(1, 1, (5.8, 4.0))
     n = np.arange(2, 1300)
     axes.plot(n, n * (n - 1) / 2, color=INK, label="N (N − 1)/2, eq. 5.2")
+    most = np.minimum(n * (n - 1) / 2, PARTNERS * n)
+    axes.plot(n, most, color=SOFT, linestyle="--", label=f"{PARTNERS} N, the most of guide.m")
     for (limit, (stars, pairs)), marker in zip(TABLE_5_1.items(), "osD", strict=True):
         catalog = guide_stars(limit)
-        axes.plot(len(catalog), len(lines(catalog)), marker, color=BLUE, markersize=7, label=f"here, V ≤ {limit:g}")
+        axes.plot(len(catalog), len(lines(catalog)), marker, color=BLUE, markersize=7, label=f"guide.m, V ≤ {limit:g}")
         axes.plot(
             int(stars), int(pairs), marker, color=VERMILION, markerfacecolor="none", markersize=9,
             label=f"Table 5.1, V ≤ {limit:g}",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,17 +19,13 @@ from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
 from simulator.study.style import BLUE, GREEN, ORANGE, VERMILION
-from simulator.theses.greyling1995.starlight import SATURATION_MV
+from simulator.theses.greyling1995.starlight import SATURATION_MV, VOLT_PER_E
 from simulator.theses.printed import Row, Section, compare, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
-
-CHARGE_C, GAIN, CAPACITANCE_F = 1.6e-19, 0.7, 0.1e-12
-VOLT_PER_E = CHARGE_C * GAIN / CAPACITANCE_F
-"""(3.7) with the typical values printed below it: 1.12 µV an electron."""
 
 SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 """Conditions of the budget: signal, dark signal, its non-uniformity, electrons; readout capacitance; temperature."""
@@ -123,22 +120,15 @@ def _term_rows() -> list[Row]:
     printed = {"photon noise": "1000", "dark signal": "100", "DSNU": "100", "reset noise": "110"}
     how = {
         "photon noise": "√N of 10⁶ electrons",
-        "dark signal": "a typical value at 25 °C, put in",
-        "DSNU": "a typical value at 25 °C, put in",
+        "dark signal": "the printed value put in, as the constant A of (3.11) is not printed",
+        "DSNU": "the printed value put in, as the constant A of (3.11) is not printed",
         "reset noise": "√(kTC)/q at 0.08 pF and 25 °C; print rounds to two digits",
     }
-    rows = [
-        compare(
-            "§ 3.4.2",
-            name,
-            printed[name],
-            equation[name],
-            unit="e⁻",
-            form=".1f",
-            why=f"{how[name]}; on simulated frames {measured[name]:.1f} e⁻",
-        )
-        for name in printed
-    ]
+    rows = []
+    for name, text in printed.items():
+        why = f"{how[name]}; on simulated frames {measured[name]:.1f} e⁻"
+        row = compare("§ 3.4.2", name, text, equation[name], unit="e⁻", form=".1f", why=why)
+        rows.append(replace(row, verdict="input missing") if "put in" in why else row)
     rows.insert(
         3,
         compare(

@@ -19,7 +19,14 @@ from simulator.mission.secular import mean_motion, sun_synchronous_inclination
 from simulator.scenario.schema import OrbitSection, PointingSection
 from simulator.sky.background import ECLIPTIC, GALACTIC
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.greyling1995.matrix import camera_to_celestial, departure_from_rotation, printed_matrix
+from simulator.theses.greyling1995.matrix import (
+    camera_to_celestial,
+    departure_from_rotation,
+    printed_matrix,
+    turn_x,
+    turn_y,
+    turn_z,
+)
 from simulator.theses.printed import Row, Section, compare, new_figure
 from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
@@ -72,6 +79,37 @@ def galactic_crossings_deg(dec_deg: float) -> tuple[float, float]:
     return low, high
 
 
+SUN_ANGLE_DEG = 30.0
+"""β in `bs_path.m`."""
+
+
+def bs_path(omega_deg: float, spin_deg: float = 0.0, *, exchanged: bool = False) -> tuple[float, float]:
+    """Right ascension and declination of the boresight, degrees, by the turns of `bs_path.m` in its own order.
+
+    Parameters
+    ----------
+    omega_deg : float
+        Turn of the Earth about the Sun since the equinox.
+    spin_deg : float
+        Turn of the satellite about +Y of the local level.
+    exchanged : bool
+        With the axes of its last two turns exchanged: by the inclination about x, by β + 90° − Ω about z, as the text
+        of Appendix A has them; the listing has them about z and x.
+    """
+    tilt, turn = 90.0 - INCLINATION_DEG, SUN_ANGLE_DEG + 90.0 - omega_deg
+    vector = np.array([0.0, 0.0, -1.0])
+    for psi, theta, phi in (
+        (180.0, 0.0, 90.0),  # sensor to body
+        (0.0, 0.0, 180.0),  # body to local level
+        (0.0, spin_deg, 0.0),
+        (0.0, 0.0, tilt) if exchanged else (tilt, 0.0, 0.0),  # local level to Earth
+        (turn, 0.0, 0.0) if exchanged else (0.0, 0.0, turn),
+    ):
+        vector = turn_x(math.radians(phi)) @ turn_y(math.radians(theta)) @ turn_z(math.radians(psi)) @ vector
+    ra = math.degrees(math.atan2(-vector[0], vector[1])) % 360.0
+    return ra, math.degrees(math.asin(vector[2]))
+
+
 def section() -> Section:
     """Boresight path, camera matrix and period."""
     return Section(
@@ -117,6 +155,8 @@ def _path_rows() -> list[Row]:
     )
     low, high = galactic_crossings_deg(DECLINATION_DEG)
     equinox_ra = float(path.ra_date_deg[0])
+    right_ra, right_dec = bs_path(0.0, exchanged=True)
+    listing = [bs_path(float(omega))[1] for omega in range(0, 360, 5)]
     return [
         compare(
             "§ 3.2",
@@ -128,13 +168,24 @@ def _path_rows() -> list[Row]:
             why=f"along +Y of the local level (+X velocity, +Z nadir), true equator of date; varies by "
             f"{np.ptp(path.dec_date_deg):.0e}°. RA = Ω + {ahead.mean():.3f}°",
         ),
-        Row(
+        compare(
             "Fig. 3.3",
-            "boresight at the equinox, with Ω = 155° (Table 3.2)",
-            "(90 + β)° behind the Sun at 0°",
-            f"RA {equinox_ra:.2f}°, {360.0 - equinox_ra:.2f}° behind",
-            "exact",
-            f"β, the sun angle of the orbit, follows as {270.0 - equinox_ra:.2f}°; the text gives no number for it",
+            "boresight behind the Sun at the equinox, 90° + β with β = 30° (bs_path.m)",
+            "120",
+            360.0 - equinox_ra,
+            unit="°",
+            form=".2f",
+            why=f"from Ω = {NODE_DEG:g}° of Table 3.2, to which β = {270.0 - equinox_ra:.2f}° belongs; β = 30° belongs "
+            "to Ω = 150°, which scenarios/sunsat.yaml and greyling1995.yaml take",
+        ),
+        Row(
+            "App. B",
+            "declination of the boresight over the year by the turns of bs_path.m",
+            "+8.6°",
+            f"{min(listing):+.1f}° to {max(listing):+.1f}°",
+            "differs",
+            f"it turns by 90° − i about z and by β + 90° − Ω about x; with these axes exchanged the declination is "
+            f"{right_dec:+.2f}° and the boresight {360.0 - right_ra:.2f}° behind the Sun at the equinox",
         ),
         Row(
             "§ 3.2",

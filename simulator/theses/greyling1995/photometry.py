@@ -13,18 +13,19 @@ from numpy.typing import NDArray
 from simulator.scenario.physics import violations
 from simulator.sky.colours import spectral_coordinates
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
-from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V, VOLT_PER_E
+from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V
 from simulator.theses.greyling1995.starlight import (
     BANDS_UM,
     IRRADIANCE_W_CM2_UM,
-    MICROVOLT_PER_E,
-    RELATIVE_WIDTH,
+    PROTOTYPE_VOLT_PER_E,
     SATURATION_MV,
+    VOLT_PER_E,
     camera_mv,
     irradiance_w_cm2_um,
+    second_script_mv,
     thesis_mv,
 )
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -136,8 +137,8 @@ def _voltage_rows() -> list[Row]:
             coded,
             unit="mV",
             form=".3f",
-            why=f"five bands whose widths are not printed: Δλ/λ = {RELATIVE_WIDTH} is fitted to what its script "
-            "gives; 5.5 is rounded in print",
+            why="ccdmag.m: bands of 0.10, 0.11, 0.09, 0.15 and 0.46 µm, q G/C₀ = 1.12 µV an electron; with the 1.4 µV "
+            f"of section 3.4.1 it gives {coded * PROTOTYPE_VOLT_PER_E / VOLT_PER_E:.2f} mV",
         ),
         compare(
             "Fig. 3.13",
@@ -156,7 +157,8 @@ def _voltage_rows() -> list[Row]:
             ours,
             unit="mV",
             form=".2f",
-            why="no surplus λ, and the whole spectrum from 350 to 1260 nm where five bands leave gaps",
+            why="no surplus λ, and the spectrum times the efficiency integrated from 350 to 1260 nm in place of five "
+            "products; 1.12 µV an electron",
         ),
         compare(
             "§ 3.4.3",
@@ -178,10 +180,20 @@ def _voltage_rows() -> list[Row]:
         compare(
             "§ 3.4.1",
             "output voltage an electron, q G / C_o of (3.7)",
-            f"{MICROVOLT_PER_E:g}",
+            "1.4",
             VOLT_PER_E * 1e6,
             unit="µV",
-            why="typical G = 0.7, C_o = 0.1 pF; 1.4 µV is said of the TC211, for which section 6.1 has 4 µV",
+            why="G = 0.7, C_o = 0.1 pF, as ccdmag.m has them in the first of its two scripts; 1.4 µV is said of the "
+            "TC211 and used in the second one; section 6.1 has 4 µV for it",
+        ),
+        Row(
+            "App. B",
+            f"the second script of ccdmag.m: {camera.replace('25', '10')}",
+            NOTHING,
+            f"{float(second_script_mv(FAINTEST_V)):.1f} mV",
+            "not printed",
+            "efficiencies 0.1, 0.28, 0.4, 0.38, 0.05, ten pixels, 1.4 µV, and no surplus λ; its own loop computes a "
+            "star of V = −1.6 (a factor of 4.36)",
         ),
     ]
 
@@ -274,14 +286,18 @@ def magnitude_figure(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Figure
         Lens and integration time.
     """
     v_mag = np.linspace(-1.5, 8.0, 96)
+    gain = PROTOTYPE_VOLT_PER_E
     cool_b_v, cool_class = (float(column[2]) for column in _colours())
+    coded, right = (
+        thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=extra, volt_per_e=gain) for extra in (True, False)
+    )
     curves = (
-        ("thesis, as coded (one λ too many)", thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=True), "-", BLUE),
-        ("thesis, correct physics", thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=False), "--", ORANGE),
-        ("this product, A0V", camera_mv(v_mag, aperture_m, exposure_s), "-.", GREEN),
+        ("thesis, as coded (one λ too many)", coded, "-", BLUE),
+        ("thesis, correct physics", right, "--", ORANGE),
+        ("this product, A0V", camera_mv(v_mag, aperture_m, exposure_s, volt_per_e=gain), "-.", GREEN),
         (
             "this product, K2III (α Arietis)",
-            camera_mv(v_mag, aperture_m, exposure_s, b_v=cool_b_v, giant=cool_class),
+            camera_mv(v_mag, aperture_m, exposure_s, b_v=cool_b_v, giant=cool_class, volt_per_e=gain),
             ":",
             VERMILION,
         ),

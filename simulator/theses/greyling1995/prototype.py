@@ -31,7 +31,7 @@ from simulator.scenario.schema import DetectorSection, PsfSection
 from simulator.theses.greyling1995.converter import converter_trials
 from simulator.theses.greyling1995.holes import SLOW_CLOCK_HZ, camera, scene, smear_share
 from simulator.theses.greyling1995.prototype_figures import FIGURES, POSITION_PX
-from simulator.theses.printed import Row, Section, compare
+from simulator.theses.printed import NOTHING, Row, Section, compare
 
 __all__ = ["defocus_radii_um", "limits_of_brightness", "section"]
 
@@ -174,7 +174,7 @@ def _clock_rows() -> list[Row]:
             "integration time",
             "in multiples of the frame time",
             f"N × {frame_s * 1e3:.3f} ms + {(one.integration_s - frame_s) * 1e3:.3f} ms",
-            "exact",
+            "close",
             "run clock by clock; the rest is T6, T2 and the line from the last shift of the clearing to the first of "
             "the clock-out",
         ),
@@ -202,9 +202,9 @@ def _smear_rows() -> list[Row]:
         Row(
             "6.2, Fig. 6.10",
             "smear by line_time · Σ F against charge moved line by line",
-            "–",
+            NOTHING,
             f"{off:.0e} of the brightest pixel",
-            "exact" if off < 1e-9 else "differs",
+            "not printed",
             "simulator.optics.shutter against the sequencer, which moves the charge at every shift",
         ),
         Row(
@@ -251,10 +251,10 @@ def _focus_row() -> Row:
     return Row(
         "Fig. 6.9",
         f"rms radius of a point {DEFOCUS_UM:g} µm out of focus at f/1",
-        f"geometric disc: {disc:.1f} µm",
+        NOTHING,
         f"{diffraction:.1f} µm",
-        "close" if abs(diffraction / disc - 1.0) < 0.1 else "differs",
-        "the figure has no scale: our diffraction image against a disc of diameter δ/N spread over a pixel",
+        "not printed",
+        f"the figure has no scale; a geometric disc of diameter δ/N, spread over a pixel, has {disc:.1f} µm",
     )
 
 
@@ -308,10 +308,11 @@ def _converter_rows() -> list[Row]:
             Row(
                 "6.2.3",
                 f"centroid error with {bits} bits, rms of an axis",
-                "for experimental purposes" if bits == 2 else f"{bits} bits should rather be used",
+                NOTHING,
                 f"{bright.words()} at 0.8 of the full well; {faint.words()} at 0.04",
-                "exact" if (max(bright.error_px, faint.error_px) < POSITION_PX) == (bits > 2) else "differs",
-                "through detection and centroiding of the product; section 7.2 asks for a tenth of a pixel",
+                "not printed",
+                ("2 bits are for experimental purposes, the thesis says" if bits == 2 else "recommended by the thesis")
+                + f"; by the product's detection and centroiding; section 7.2 asks for {POSITION_PX:g} pixels",
             )
         )
     wide, faint = trials["2 bits, geometric levels", 0.8], trials["2 bits, geometric levels", 0.04]
@@ -321,8 +322,8 @@ def _converter_rows() -> list[Row]:
             "2 bits, levels of equal ratio in place of even ones",
             "further tests could be done",
             f"{wide.words()} at 0.8 of the full well; {faint.words()} at 0.04",
-            "close",
-            "levels at 0.02, 0.1 and 0.5 of the full well: what the thesis leaves open",
+            "open",
+            "levels at 0.02, 0.1 and 0.5 of the full well",
         )
     )
     return rows

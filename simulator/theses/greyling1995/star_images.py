@@ -24,7 +24,6 @@ from startracker.settings import CentroidSettings, DetectionSettings
 __all__ = [
     "distortion_errors",
     "moments",
-    "noise_errors",
     "smear_errors",
     "smear_path",
     "star_stamps",
@@ -91,23 +90,6 @@ def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray
     return OFFSETS - moments(stamps) - moment_bias(OFFSETS, sigma_px, 2 * _HALF + 1, integrated=integrated)
 
 
-def noise_errors(
-    snr_db: float, seeds: int = 200, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False
-) -> FloatArray:
-    """Errors (seeds, 11) along x, detector lengths, under noise, the bias taken off.
-
-    Noise is uniform between ±A with A = 10^(−SNR/20) of the intensity in the star's centre, the reading under which
-    both of the thesis' figures are what a seed may give.
-    """
-    stamps = star_stamps(OFFSETS, sigma_px, integrated=integrated)
-    amplitude = 10.0 ** (-snr_db / 20.0)
-    out = []
-    for seed in range(seeds):
-        noise = stream(seed, "greyling1995 noise").uniform(-amplitude, amplitude, stamps.shape)
-        out.append(_errors(stamps + noise, sigma_px, integrated))
-    return np.array(out)
-
-
 def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> tuple[FloatArray, FloatArray]:
     """Way (K, 2) of a star at constant rate over an exposure, centred on its middle (eq. 4.11), and weights (K,)."""
     length = rate_px_s * exposure_s
@@ -147,7 +129,8 @@ def tracker_errors(
     """Errors (N, 2) in x and y, pixels, of this project's tracker on 81 stars at as many sub-pixel phases.
 
     Found and measured by `startracker.front_end.find_stars` with its default detector and one of its centroiders, which
-    take widths and bias from the frame; noise as in `noise_errors`. Stars that are not found are left out.
+    take widths and bias from the frame; noise uniform between ±10^(−SNR/20) of a star's centre. Stars that
+    are not found are left out.
     """
     sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
     way, weights = path

@@ -1,7 +1,8 @@
 """The signal of a star in the thesis' camera: its five-band sum as coded and as it should be, and this product's.
 
 Volts a pixel: U = K n t A ∫ E_λ λ/(hc) η dλ / P, with the volts K an electron makes, the pixels P that share the image,
-and the irradiance E_λ ∝ 10^(−0.4 V). The thesis' script multiplies by λ, in µm, once more.
+and the irradiance E_λ ∝ 10^(−0.4 V). The first script of the thesis' `ccdmag.m` multiplies by λ, in µm, once more; a
+second one in the same listing does not.
 """
 
 from __future__ import annotations
@@ -14,14 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.curves import Curve, load_curve
 from simulator.sky.library import HC_J_NM
-from simulator.sky.photometry import Photometer, integrate
+from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import colour_sequence
 
 __all__ = [
     "BANDS_UM",
     "IRRADIANCE_W_CM2_UM",
+    "VOLT_PER_E",
+    "WIDTHS_UM",
     "camera_mv",
     "irradiance_w_cm2_um",
+    "second_script_mv",
     "thesis_mv",
 ]
 
@@ -34,34 +38,47 @@ IRRADIANCE_W_CM2_UM = np.array([6.6, 3.6, 2.25, 1.22, 0.292]) * 1e-12
 EFFICIENCY = np.array([0.2, 0.4, 0.5, 0.38, 0.05])
 """Quantum efficiency of the TC211 there; the thesis' Appendix B."""
 
-RELATIVE_WIDTH = 0.1493
-"""Δλ/λ of the bands. The thesis prints no widths; this one makes the sum as coded 5.405 mV, which is what its script
-gives for V = 6.5, 12 cm, 0.5 s, and the same sum without the surplus λ is then 8.75 mV."""
+WIDTHS_UM = np.array([0.10, 0.11, 0.09, 0.15, 0.46])
+"""Δλ of the bands in `ccdmag.m`: each reaches down to the band before it, the first is 0.1 µm wide."""
 
-MICROVOLT_PER_E = 1.4
-"""Section 3.4.1, TC211."""
+CHARGE_C, GAIN, CAPACITANCE_F = 1.6e-19, 0.7, 0.1e-12
+VOLT_PER_E = CHARGE_C * GAIN / CAPACITANCE_F
+"""(3.7) with the typical values printed below it, as `ccdmag.m` has them: 1.12 µV an electron."""
+
+PROTOTYPE_VOLT_PER_E = 1.4e-6
+"""Section 3.4.1 of the TC211, Fig. 3.15, and the second script of `ccdmag.m`."""
 
 IMAGE_PIXELS = 25
 SATURATION_MV = 450.0
 """Of the TC211 with antiblooming, section 3.4.3."""
 
 
+PLANCK_J_S, LIGHT_M_S = 6.626e-34, 3e8
+"""As `ccdmag.m` has them; 0.07 % from today's."""
+
+SECOND_EFFICIENCY = np.array([0.1, 0.28, 0.4, 0.38, 0.05])
+SECOND_PIXELS = 10
+"""Of the second script in the listing of `ccdmag.m`."""
+
+
 @functools.cache
-def _band_electrons_cm2_s(extra_lambda: bool) -> float:
-    """Electrons cm⁻² s⁻¹ of V = 0 from the five bands, each a box of equal relative width."""
-    total = 0.0
-    for um, irradiance, efficiency in zip(BANDS_UM, IRRADIANCE_W_CM2_UM, EFFICIENCY, strict=True):
-        edges_nm = um * 1e3 * np.array([1.0 - RELATIVE_WIDTH / 2, 1.0 + RELATIVE_WIDTH / 2])
-        photons = irradiance * 1e-3 * um * 1e3 / HC_J_NM
-        electrons = integrate(Curve(edges_nm, np.full(2, photons)), Curve(edges_nm, np.full(2, efficiency)))
-        total += electrons * (um if extra_lambda else 1.0)
-    return float(total)
+def _band_electrons_cm2_s(extra_lambda: bool, second: bool = False) -> float:
+    """Electrons cm⁻² s⁻¹ of V = 0 from the five bands: Σ E_λ λ/(hc) η Δλ, of either script."""
+    efficiency = SECOND_EFFICIENCY if second else EFFICIENCY
+    photons = IRRADIANCE_W_CM2_UM * BANDS_UM * 1e-6 / (PLANCK_J_S * LIGHT_M_S)
+    electrons = photons * efficiency * WIDTHS_UM * (BANDS_UM if extra_lambda else 1.0)
+    return float(electrons.sum())
 
 
 def thesis_mv(
-    v_mag: ArrayLike, aperture_m: ArrayLike = 0.12, exposure_s: ArrayLike = 0.5, *, extra_lambda: bool
+    v_mag: ArrayLike,
+    aperture_m: ArrayLike = 0.12,
+    exposure_s: ArrayLike = 0.5,
+    *,
+    extra_lambda: bool,
+    volt_per_e: float = VOLT_PER_E,
 ) -> FloatArray:
-    """Output voltage of each of 25 pixels, mV, by the thesis' five bands; not clipped at saturation.
+    """Output voltage of each of 25 pixels, mV, by the first script of `ccdmag.m`; not clipped at saturation.
 
     Parameters
     ----------
@@ -70,9 +87,17 @@ def thesis_mv(
     aperture_m, exposure_s : array
         Diameter of the lens, integration time; broadcast against `v_mag`.
     extra_lambda : bool
-        As the thesis' script has it, with λ in µm once too often; or right.
+        As the script has it, with λ in µm once too often; or without.
+    volt_per_e : float
+        Volts an electron; the script's q G / C₀ where left out.
     """
-    return _millivolts(_band_electrons_cm2_s(extra_lambda), v_mag, aperture_m, exposure_s)
+    return _millivolts(_band_electrons_cm2_s(extra_lambda), v_mag, aperture_m, exposure_s, volt_per_e)
+
+
+def second_script_mv(v_mag: ArrayLike, aperture_m: ArrayLike = 0.12, exposure_s: ArrayLike = 0.5) -> FloatArray:
+    """Output voltage of each of 10 pixels, mV, by the second script: other efficiencies, 1.4 µV, no surplus λ."""
+    electrons = _band_electrons_cm2_s(False, second=True)
+    return _millivolts(electrons, v_mag, aperture_m, exposure_s, PROTOTYPE_VOLT_PER_E, SECOND_PIXELS)
 
 
 def camera_mv(
@@ -82,6 +107,7 @@ def camera_mv(
     *,
     b_v: float = 0.0,
     giant: float = 0.0,
+    volt_per_e: float = VOLT_PER_E,
 ) -> FloatArray:
     """The same with this product's spectra and the TC211's curve, a lens without losses.
 
@@ -91,9 +117,11 @@ def camera_mv(
         As in `thesis_mv`.
     b_v, giant : float
         Colour and class of the star, as `simulator.sky.photometry.Photometer` takes them; A0V left out.
+    volt_per_e : float
+        Volts an electron.
     """
     electrons = float(_photometer().electrons_per_s(0.0, b_v, giant))
-    return _millivolts(electrons, v_mag, aperture_m, exposure_s)
+    return _millivolts(electrons, v_mag, aperture_m, exposure_s, volt_per_e)
 
 
 @functools.cache
@@ -101,10 +129,17 @@ def _photometer() -> Photometer:
     return Photometer(Curve.flat(1.0) * load_curve("tc211", "quantum_efficiency"), 1.0)
 
 
-def _millivolts(electrons_cm2_s: float, v_mag: ArrayLike, aperture_m: ArrayLike, exposure_s: ArrayLike) -> FloatArray:
+def _millivolts(
+    electrons_cm2_s: float,
+    v_mag: ArrayLike,
+    aperture_m: ArrayLike,
+    exposure_s: ArrayLike,
+    volt_per_e: float,
+    pixels: int = IMAGE_PIXELS,
+) -> FloatArray:
     area_cm2 = math.pi * (np.asarray(aperture_m, dtype=float) * 50.0) ** 2
     electrons = electrons_cm2_s * area_cm2 * np.asarray(exposure_s) * 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
-    return np.asarray(electrons / IMAGE_PIXELS * MICROVOLT_PER_E * 1e-3)
+    return np.asarray(electrons / pixels * volt_per_e * 1e3)
 
 
 def irradiance_w_cm2_um(wavelength_nm: FloatArray, v_mag: float, b_v: float, giant: float) -> FloatArray:

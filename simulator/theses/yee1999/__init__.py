@@ -1,4 +1,7 @@
-"""Yee 1999, "Attitude from stellar images" (M.Sc. thesis, University of Saskatchewan): every table computed again."""
+"""Yee 1999, every table computed again.
+
+Tammy K. Yee, *Attitude Determination Using Stellar Images*, M.Sc. thesis, University of Saskatchewan, 1999.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from simulator.theses.yee1999.video_field import video_field
 
 __all__ = ["SECTIONS", "Analysis", "Options", "Picture", "analyse", "centred", "run", "step_tables", "vega"]
 
-TITLE = "Yee 1999, attitude from stellar images (University of Saskatchewan)"
+TITLE = "Tammy K. Yee, Attitude Determination Using Stellar Images (M.Sc., University of Saskatchewan, 1999)"
 
 SECTIONS: dict[str, Callable[[], Section]] = {
     "databases": cassiopeia,

@@ -140,7 +140,7 @@ def _centroids() -> Row:
         "fixed-point and floating-point centroids differ by",
         "0.00001 to 0.00004 px",
         f"{min(off):.6f} to {max(off):.6f} px",
-        "close",
+        "input missing",
         f"{len(off)} stars of a rendered picture, whose pixels are not hers; running means of 10.22 with products of "
         "64 bits, where she had to split them into pieces of 32",
     )

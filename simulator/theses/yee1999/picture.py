@@ -17,12 +17,15 @@ from startracker.identification.arithmetic import Arithmetic
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_votes import COMBINED_ID, GroupMatch, TriadMatch, match_triads
 
-__all__ = ["VEGA_FOV_DEG", "VEGA_SIZE_PX", "Analysis", "Picture", "analyse", "centred", "vega"]
+__all__ = ["PRINTED_MATCHES", "VEGA_FOV_DEG", "VEGA_SIZE_PX", "Analysis", "Picture", "analyse", "centred", "vega"]
 
 FloatArray = NDArray[np.float64]
 
 VEGA_SIZE_PX = (427, 319)
 VEGA_FOV_DEG = (9.0130, 6.9049)
+PRINTED_MATCHES = (7001, 17139, 17056, 17051, 6872)
+"""HR numbers of the Vega image's stars, section 4.2.1; 10,000 more where several catalogue stars are one."""
+
 MOST_STARS = 12
 """Brightest stars that are matched (thesis section 2.3.4)."""
 

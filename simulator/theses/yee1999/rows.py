@@ -13,7 +13,7 @@ _ORDER: tuple[Verdict, ...] = ("exact", "close", "differs")
 
 
 def worst(verdicts: Sequence[Verdict]) -> Verdict:
-    """The worst of several verdicts."""
+    """The worst of several verdicts of a comparison."""
     return max(verdicts, key=_ORDER.index)
 
 

@@ -152,7 +152,7 @@ def _field_rows(errors: dict[int, FloatArray]) -> list[Row]:
 
 
 def _answer(quantity: str, computed: str, why: str) -> Row:
-    return Row("5.2", quantity, "open question", computed, "close", why)
+    return Row("5.2", quantity, "left open", computed, "open", why)
 
 
 def mean_errors(

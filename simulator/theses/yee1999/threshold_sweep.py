@@ -178,12 +178,9 @@ def section(frames: int = _FRAMES) -> Section:
                     f"{threshold.label}, {method}",
                     f"{threshold.printed:g}, by trial on one image",
                     f"{best.value:g}: {best.right} of {frames} right, {best.wrong} wrong",
-                    "exact"
-                    if best.value == threshold.printed
-                    else "close"
-                    if best.right <= at.right + 2
-                    else "differs",
-                    f"at the printed value {at.right} right, {at.wrong} wrong; frames at random attitudes",
+                    "input missing",
+                    f"her image is not to be had: rendered frames at random attitudes; at the printed value {at.right} "
+                    f"right, {at.wrong} wrong",
                 )
             )
     return Section(

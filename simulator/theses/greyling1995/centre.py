@@ -1,0 +1,170 @@
+"""`centre.m` of Greyling 1995, appendix B: noise with its expression and seed, and the choice of the central pixel.
+
+The script puts a Gaussian of I₀ = 10 on the 5 × 5 pixels about its own pixel of an 11 × 11 frame, adds noise to all of
+it, takes the brightest pixel for the centre and the first moment of the 5 × 5 about that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
+from startracker.centroid.bias import moment_bias
+
+__all__ = [
+    "LISTING_OFFSETS",
+    "LISTING_SEED",
+    "central_pixels",
+    "first_moments",
+    "lower_equal_peaks",
+    "matlab_rand",
+    "noise_errors",
+    "smear_errors",
+    "smeared_frames",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+LISTING_SIGMA, LISTING_SEED, LISTING_PEAK = 1.325, 5, 10.0
+LISTING_OFFSETS: FloatArray = np.arange(51.0) * 0.01
+NOISE_MIDDLE = 0.05
+"""n = A (rand − 0.05): the noise runs from −0.05 A to 0.95 A, its mean is 0.45 A and not 0."""
+
+_SIDE, _MIDDLE, _HALF = 11, 5, 2
+_MODULUS, _MULTIPLIER = 2**31 - 1, 16807
+
+
+def matlab_rand(seeds: ArrayLike, count: int) -> FloatArray:
+    """Uniform deviates (S, count) of Matlab 4's ``rand`` after ``rand('seed', s)``.
+
+    s ← 7⁵ s mod (2³¹ − 1), the deviate is s / (2³¹ − 1): S. K. Park and K. W. Miller 1988, Comm. ACM 31, 1192.
+
+    Parameters
+    ----------
+    seeds : (S,) array
+        Whole numbers from 1 on.
+    count : int
+        Deviates for each.
+    """
+    state = np.atleast_1d(np.asarray(seeds, dtype=np.int64))
+    out = np.empty((count, len(state)))
+    for step in range(count):
+        state = _MULTIPLIER * state % _MODULUS
+        out[step] = state
+    return np.ascontiguousarray(out.T) / _MODULUS
+
+
+def _star(offsets: FloatArray, sigma_px: float) -> FloatArray:
+    """Frames (N, 11, 11) of stars right of the middle, only on the 5 × 5 pixels about it, as the script has them."""
+    frames = np.zeros((len(offsets), _SIDE, _SIDE))
+    pixels = np.arange(-_HALF, _HALF + 1.0)
+    x = np.exp(-0.5 * ((pixels - offsets[:, None]) / sigma_px) ** 2)
+    y = np.exp(-0.5 * (pixels / sigma_px) ** 2)
+    inner = slice(_MIDDLE - _HALF, _MIDDLE + _HALF + 1)
+    frames[:, inner, inner] = LISTING_PEAK * y[:, None] * x[:, None, :]
+    return frames
+
+
+def central_pixels(frames: FloatArray) -> tuple[IntArray, IntArray]:
+    """Row and column, each (N,), of the brightest pixel; of equal ones the first by columns, as Matlab's ``max``."""
+    columns = frames.max(axis=1).argmax(axis=1)
+    return frames[np.arange(len(frames)), :, columns].argmax(axis=1), columns
+
+
+def first_moments(frames: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
+    """First moments (N,) along x of the 5 × 5 about given pixels, from the middle of the frame, pixels."""
+    steps = np.arange(-_HALF, _HALF + 1)
+    y, x = rows[:, None, None] + steps[:, None], columns[:, None, None] + steps
+    window = frames[np.arange(len(frames))[:, None, None], y, x]
+    return np.asarray(columns - _MIDDLE + (window * steps).sum(axis=(1, 2)) / window.sum(axis=(1, 2)))
+
+
+def noise_errors(
+    snr_db: float,
+    seeds: ArrayLike = LISTING_SEED,
+    sigma_px: float = LISTING_SIGMA,
+    offsets: FloatArray = LISTING_OFFSETS,
+) -> tuple[FloatArray, Flags]:
+    """Errors (S, N) along x, pixels, less those without noise; and where the wrong pixel is taken for the centre.
+
+    Parameters
+    ----------
+    snr_db : float
+        I₀ over the range A of the noise; the script's factor of 0.1 is 40 dB.
+    seeds : (S,) array
+        Of ``rand``; 5 in the script.
+    sigma_px : float
+        Width; 1.325 in the script, 1.23 in Table 4.1.
+    offsets : (N,) array
+        Of the star, in the order in which the script draws their noise.
+    """
+    stars = _star(offsets, sigma_px)
+    clean = first_moments(stars, *central_pixels(stars))
+    drawn = matlab_rand(seeds, len(offsets) * _SIDE**2).reshape(-1, len(offsets), _SIDE, _SIDE)
+    noise = LISTING_PEAK * 10.0 ** (-snr_db / 20.0) * (drawn.swapaxes(2, 3) - NOISE_MIDDLE)
+    errors, wrong = [], []
+    for one in noise:
+        rows, columns = central_pixels(stars + one)
+        errors.append(clean - first_moments(stars + one, rows, columns))
+        wrong.append((columns != _MIDDLE) | (rows != _MIDDLE))
+    return np.array(errors), np.array(wrong)
+
+
+def smeared_frames(path: tuple[FloatArray, FloatArray], offsets: FloatArray, sigma_px: float) -> FloatArray:
+    """Frames (N, 11, 11) of stars smeared along a way, all of their light in the frame (eq. 4.11), peak 1 at rest."""
+    way, weights = path
+    pixels = np.arange(_SIDE) - float(_MIDDLE)
+    x = np.exp(-0.5 * ((pixels - (offsets[:, None] + way[:, 0])[..., None]) / sigma_px) ** 2)
+    y = np.exp(-0.5 * ((pixels - way[:, 1][:, None]) / sigma_px) ** 2)
+    return np.asarray(np.einsum("k,kj,nki->nji", weights, y, x))
+
+
+def smear_errors(
+    path: tuple[FloatArray, FloatArray],
+    offsets: FloatArray = OFFSETS,
+    sigma_px: float = THESIS_SIGMA,
+    *,
+    other_of_equal: bool = False,
+) -> FloatArray:
+    """Errors (N,) along x of smeared stars by the brightest pixel, Table 4.1's bias for the true offset taken off.
+
+    A star at half a pixel has two pixels of equal height, whatever the direction of the smear, as they lie
+    symmetrically about its centre. The left one is right: Table 4.1 counts its offsets from there.
+
+    Parameters
+    ----------
+    path : (K, 2) and (K,) arrays
+        Way and weights of the exposure (`star_images.smear_path`).
+    offsets : (N,) array
+        From the middle of the central pixel.
+    sigma_px : float
+        Width.
+    other_of_equal : bool
+        Take the right one of two equal pixels: the "spikes" of Fig. 4.12.
+    """
+    frames = smeared_frames(path, offsets, sigma_px)
+    rows = np.full(len(frames), _MIDDLE)
+    columns = np.full(len(frames), _MIDDLE)
+    if other_of_equal:
+        columns[np.isclose(frames[:, _MIDDLE, _MIDDLE + 1], frames[:, _MIDDLE, _MIDDLE], rtol=1e-9)] += 1
+    bias = moment_bias(offsets, sigma_px, 2 * _HALF + 1, integrated=False)
+    return np.asarray(offsets - first_moments(frames, rows, columns) - bias)
+
+
+def lower_equal_peaks(frame_dn: FloatArray, levels: int = 1) -> FloatArray:
+    """A digitised frame (H, W) in which one pixel has the highest value: the first of equal ones, in reading order.
+
+    Parameters
+    ----------
+    frame_dn : (H, W) array
+        DN.
+    levels : int
+        Subtracted from each of the others; 1 to 3 in section 4.3.1.
+    """
+    out = np.array(frame_dn, dtype=float)
+    peaks = np.flatnonzero(out.ravel() == out.max())
+    out.ravel()[peaks[1:]] -= levels
+    return out
