@@ -21,6 +21,7 @@ from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.study.style import BLUE, ORANGE
 from simulator.theses.printed import Row, Section, new_figure
 from simulator.theses.yee1999.catalogue import sub_catalog
+from simulator.theses.yee1999.fixed_centroids import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, vega
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -118,7 +119,7 @@ def attitude_differences() -> FloatArray:
 
 def integer_build() -> Section:
     """Rows, and the figure of the attitudes' differences."""
-    rows = [_centroids(), *_attitude(), *_run_time()]
+    rows = [*fixed_centroids(), _centroids(), *_attitude(), *_run_time()]
     return Section("The integer build", rows, {"integer_attitude": difference_figure})
 
 
