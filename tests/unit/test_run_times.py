@@ -9,7 +9,8 @@ from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.catalogue import printed_rows
 from simulator.theses.yee1999.fixed_centroids import fixed_centroids, star_pixels
-from simulator.theses.yee1999.run_times import deneb, version_b
+from simulator.theses.yee1999.picture import deneb
+from simulator.theses.yee1999.run_times import version_b
 
 
 def test_fixed_point_columns_of_her_centroids():

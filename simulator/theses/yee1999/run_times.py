@@ -19,7 +19,7 @@ from simulator.study.exported_c.build import M68K, Build, compile_export, native
 from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.printed import Row, Section
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
-from simulator.theses.yee1999.picture import VEGA_FOV_DEG, Picture, vega
+from simulator.theses.yee1999.picture import Picture, deneb, vega
 from simulator.theses.yee1999.rows import joined
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -31,7 +31,6 @@ from startracker.identification.triad_votes import match_triads
 
 __all__ = ["deneb", "run_times", "version_b"]
 
-DENEB_SIZE_PX = (424, 320)
 _MAX_SEPARATION_DEG = 12.0
 _A, _B = TriadLimits(), TriadLimits(enclosed_tolerance_deg=None)
 _CLOCKS = 25e6
@@ -51,12 +50,6 @@ _WHERE = {
     "C.5": "Deneb, Visual C++ 5.0",
     "C.6": "Deneb, MC68360",
 }
-
-
-def deneb() -> Picture:
-    """The Deneb image: the nine centroids of Table 4.15."""
-    xy = [(float(row["x"]), float(row["y"])) for row in printed_rows("table_4_15")]
-    return Picture(np.array(xy), DENEB_SIZE_PX, VEGA_FOV_DEG)
 
 
 def version_b(picture: Picture) -> CExport:
