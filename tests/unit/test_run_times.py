@@ -22,7 +22,7 @@ def test_fixed_point_columns_of_her_centroids():
         for name, pixels in (("x", x), ("y", y)):
             assert abs((pixels * dn).sum() / dn.sum() - float(star[name])) < 5e-6
     rows = fixed_centroids()
-    assert [row.where for row in rows] == ["Table 4.14"] * 2 + ["Table 4.15"] * 2
+    assert [row.where for row in rows] == ["Table 4.14"] * 2 + ["Table 4.15"] * 2 + ["Table 4.16"] * 2
     assert {row.verdict for row in rows} == {"close"}
 
 

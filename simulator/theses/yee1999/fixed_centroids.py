@@ -77,8 +77,8 @@ def fixed_centroids() -> list[Row]:
             )
             why = (
                 f"pixels of ours ({min(count)} to {max(count)} a star) with her floating-point centroids, from "
-                f"which hers differ by up to {_difference(stars, name):.5f} px; ours lie up to {lost.max():.6f} px towards "
-                "the centre of the image, with products of 64 bits where she had pieces of 32"
+                f"which hers differ by up to {_difference(stars, name):.5f} px; ours lie up to {lost.max():.6f} px "
+                "towards the centre of the image, with products of 64 bits where she had pieces of 32"
             )
             rows.append(
                 Row(
