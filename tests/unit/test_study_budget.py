@@ -77,6 +77,65 @@ def test_known_parts_are_found(monkeypatch):
     assert next(label.get_text() for label in figure.axes[0].get_yticklabels()) == "shot noise"
 
 
+@pytest.mark.parametrize("wrong", [False, True])
+def test_one_outlier_is_named_and_belongs_to_no_effect(monkeypatch, wrong):
+    """A trial off by 600″ with everything on, and in order as soon as anything is off: 180,000 / N square arcseconds
+    would be added by each of three effects, 13.4″ in place of 3, 2 and 1."""
+
+    def with_outlier(scenario, trials, **given):
+        found = fake_run(scenario, trials, **given)
+        on = scenario.detector.shot_noise and scenario.detector.read_noise_e > 0 and scenario.detector.prnu > 0
+        if not on:
+            return found
+        columns = {name: found.table[name].to_pylist() for name in found.table.column_names}
+        columns["error_cross_x_deg"][17] = 600.0 / 3600
+        columns["wrong"][17] = wrong
+        return SimpleNamespace(table=pa.table(columns), interrupted=False)
+
+    monkeypatch.setattr(module, "run_trials", fake_run)
+    plain = budget(Scenario.load("cubesat", overrides=QUIET), N)
+    assert plain.outliers == ()
+    monkeypatch.setattr(module, "run_trials", with_outlier)
+    found = budget(Scenario.load("cubesat", overrides=QUIET), N)
+    (outlier,) = found.outliers
+    assert (outlier.index, outlier.axis, outlier.wrong) == (17, "cross_x", wrong)
+    assert outlier.runs == ("everything on",)
+    assert outlier.error_deg == pytest.approx(600.0 / 3600)
+    # robust sigma √(9 + 4 + 1 + 0.25) = 3.77″, good to some 3 % for 2000 trials
+    assert outlier.sigmas == pytest.approx(600.0 / 3.775, rel=0.1)
+    for row, before in zip((*found.effects, *found.classes), (*plain.effects, *plain.classes), strict=True):
+        for axis in ("cross_x", "cross_y", "about_boresight"):
+            assert row.added_rms_deg(axis) == pytest.approx(before.added_rms_deg(axis), rel=0.05)
+    assert found.rms_deg["cross_x"] * 3600 == pytest.approx(3.775, rel=0.1)
+    assert found.solved == plain.solved - wrong
+    assert found.effects[0].trials == plain.effects[0].trials - 1
+    text = found.table()
+    assert "trial 17" in text
+    assert "600.000″ cross x" in text
+    assert "'everything on'" in text
+    entry = json.loads(json.dumps(found.to_dict(), allow_nan=False))["outliers"]
+    assert [row["index"] for row in entry] == [17]
+
+
+def test_outlier_of_the_scene_stays_in_every_run(monkeypatch):
+    """One that no effect is the cause of is an outlier in all runs, and is said to belong to the scene."""
+
+    def with_outlier(scenario, trials, **given):
+        columns = {name: c.to_pylist() for name, c in zip(*_columns(fake_run(scenario, trials, **given)), strict=True)}
+        columns["error_about_boresight_deg"][3] += 1.0
+        return SimpleNamespace(table=pa.table(columns), interrupted=False)
+
+    monkeypatch.setattr(module, "run_trials", with_outlier)
+    (outlier,) = budget(Scenario.load("cubesat", overrides=QUIET), 200).outliers
+    assert (outlier.index, outlier.axis) == (3, "about_boresight")
+    assert len(outlier.runs) == outlier.of == 6
+    assert "belongs to the scene" in str(outlier)
+
+
+def _columns(found):
+    return found.table.column_names, found.table.columns
+
+
 def test_an_interrupt_keeps_what_is_done(monkeypatch):
     calls = []
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect, changed, effective
+from simulator.study.budget.outliers import Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.engine import Progress, run_trials
@@ -39,9 +40,9 @@ class Contribution:
     interval_deg2 : dict
         95 % bootstrap interval of these, of the paired trials; None at an end for too few.
     trials : int
-        Trials that both solve rightly.
+        Trials that both solve rightly, but for those set apart.
     solved : int
-        Trials solved rightly without it.
+        Trials solved rightly without it, but for those set apart.
     """
 
     name: str
@@ -77,6 +78,8 @@ class Budget:
         One effect off; all effects of a class off.
     remainder : Contribution or None
         All effects off at once: its `rms_off_deg` is what the algorithms alone leave. None where nothing is on.
+    outliers : tuple of Outlier
+        Trials that are set apart, and in no other figure.
     interrupted : bool
         Whether it was stopped before all runs were done; what is there is complete.
     """
@@ -90,6 +93,7 @@ class Budget:
     effects: tuple[Contribution, ...]
     classes: tuple[Contribution, ...]
     remainder: Contribution | None
+    outliers: tuple[Outlier, ...] = ()
     interrupted: bool = False
 
     def table(self) -> str:
@@ -111,6 +115,7 @@ class Budget:
             "Added: the root of the mean square with the effect less that without; with a minus sign where the error "
             "grows without it. Effects need not add up: weights and star counts change with them."
         )
+        lines += lines_of(self.outliers)
         if self.interrupted:
             lines.append("Interrupted: effects that are not listed were not run.")
         return "\n".join(lines)
@@ -128,6 +133,7 @@ class Budget:
             "effects": [_entry(row) for row in self.effects],
             "classes": [_entry(row) for row in self.classes],
             "remainder": None if self.remainder is None else _entry(self.remainder),
+            "outliers": [outlier.to_dict() for outlier in self.outliers],
             "interrupted": self.interrupted,
         }
 
@@ -135,7 +141,8 @@ class Budget:
 def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress | None = None) -> Budget:
     """Error budget of a scenario: one Monte Carlo run for everything, each effect, each class, and nothing.
 
-    An effect that the scenario does not have is passed over.
+    An effect that the scenario does not have is passed over. Trials whose error is far beyond all others in any run, or
+    wrong, are set apart (`simulator.study.budget.outliers`).
 
     Parameters
     ----------
@@ -166,7 +173,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     if effects:
         runs.append(("everything", "", _joined(effects)))
 
-    done: list[tuple[FloatArray, NDArray[np.bool_]]] = []
+    done: list[_Run] = []
     interrupted = False
     for k, (_, _, changes) in enumerate(runs):
         found = run_trials(
@@ -182,11 +189,14 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     if len(done) < min(2, len(runs)):
         raise BoresightError("interrupted before the first effect was compared: nothing to report")
 
-    base, right = done[0]
+    outliers = find_outliers([name for name, _, _ in runs][: len(done)], *zip(*done, strict=True))
+    kept = np.ones(trials, np.bool_)
+    kept[[outlier.index for outlier in outliers]] = False
+    base, right = done[0].errors, done[0].right & kept
     if not right.any():
         raise BoresightError("no trial is solved with everything on: there is no error to divide up")
     rows = [
-        _contribution(name, kind, base, right, *result, scenario.seed)
+        _contribution(name, kind, base, right, result.errors, result.right & kept, scenario.seed)
         for (name, kind, _), result in zip(runs[1:], done[1:], strict=False)
     ]
     singles = rows[: len(effects)]
@@ -202,12 +212,13 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
         scenario.name,
         scenario.seed,
         trials,
-        int(right.sum()),
+        int(done[0].right.sum()),
         _by_axis(np.sqrt(np.mean(base[right] ** 2, axis=0))),
         _by_axis(base[right].mean(axis=0)),
         tuple(singles),
         tuple(_renamed(of_class[kind], CLASSES[kind]) for kind in CLASSES if kind in of_class),
         rows[-1] if effects and len(done) == len(runs) else None,
+        outliers,
         interrupted,
     )
 
@@ -223,11 +234,18 @@ def _shifted(progress: Progress | None, before: int, total: int) -> Progress | N
     return None if progress is None else lambda finished, _: progress(before + finished, total)
 
 
-def _errors(table: Any) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Errors (n, 3) about the camera's axes, degrees, and which trials are solved and not wrong."""
+class _Run(NamedTuple):
+    """Errors (n, 3) about the camera's axes, degrees, and which trials are solved and not wrong, and solved."""
+
+    errors: FloatArray
+    right: NDArray[np.bool_]
+    solved: NDArray[np.bool_]
+
+
+def _errors(table: Any) -> _Run:
     errors = np.stack([table[f"error_{axis}_deg"].to_numpy() for axis in CAMERA_AXES], axis=1)
     solved = np.array([status == "solved" for status in table["status"].to_pylist()], dtype=bool)
-    return errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool)
+    return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved)
 
 
 def _contribution(

@@ -1,0 +1,135 @@
+"""Trials that an error budget sets apart: one error far from all others is no measure of any effect.
+
+Such an error (a star misidentified, a cosmic ray, a blend at a threshold) often disappears when anything at all is
+changed. Its square would then be ascribed to every effect that is switched off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.study.statistics import CAMERA_AXES
+
+__all__ = ["Outlier", "find_outliers"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+LIMIT_SIGMAS = 8.0
+"""Robust standard deviations of the errors with everything on. The normal distribution has 1e-15 beyond it; errors of
+fields with few stars, which may be three times as uncertain as the rest, 1 %."""
+_MAD_TO_SIGMA = 1.4826
+_MOST_LISTED = 10
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A trial that is set apart.
+
+    Parameters
+    ----------
+    index : int
+        Its index: ``boresight render --index`` shows it.
+    axis : str
+        Axis of the camera about which it errs most.
+    error_deg : float
+        That error, in the run where it is largest.
+    sigmas : float
+        The same in robust standard deviations of the errors with everything on.
+    wrong : bool
+        Whether the attitude is wrong in a run, and not only off.
+    runs : tuple of str
+        Runs in which it is an outlier: ``everything on``, or the effect that is off.
+    of : int
+        Number of runs.
+    """
+
+    index: int
+    axis: str
+    error_deg: float
+    sigmas: float
+    wrong: bool
+    runs: tuple[str, ...]
+    of: int
+
+    def __str__(self) -> str:
+        what = "wrong" if self.wrong else "off"
+        where = f"in {len(self.runs)} of {self.of} runs" if len(self.runs) > 1 else f"with '{self.runs[0]}'"
+        if 1 < self.of <= 2 * len(self.runs):
+            where += ": it belongs to the scene, whatever is off"
+        axis = self.axis.replace("_", " ")
+        return f"trial {self.index}: {what} by {self.error_deg * 3600:.3f}″ {axis}, {self.sigmas:.0f} sigma, {where}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {
+            "index": self.index,
+            "axis": self.axis,
+            "error_deg": self.error_deg,
+            "sigmas": self.sigmas,
+            "wrong": self.wrong,
+            "runs": list(self.runs),
+        }
+
+
+def find_outliers(
+    names: Sequence[str], errors: Sequence[FloatArray], right: Sequence[BoolArray], solved: Sequence[BoolArray]
+) -> tuple[Outlier, ...]:
+    """Outliers of several runs over the same trials, in the order of their indices.
+
+    A trial is one where it is solved wrongly in a run, or its error about an axis exceeds `LIMIT_SIGMAS` times 1.4826
+    times the median magnitude, about the median, of the errors of the first run.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The runs; the first has everything on.
+    errors : sequence of (n, 3) arrays
+        About the camera's axes, degrees.
+    right, solved : sequence of (n,) arrays
+        Whether a trial is solved and not wrong, and whether it is solved.
+    """
+    good = errors[0][right[0]]
+    if not len(good):
+        return ()
+    middle = np.median(good, axis=0)
+    sigma = _MAD_TO_SIGMA * np.median(np.abs(good - middle), axis=0)
+    if not (sigma > 0.0).all():
+        return ()
+    off = np.abs(np.stack(errors) - middle) / sigma  # (runs, n, 3)
+    off[~np.stack(solved)] = 0.0
+    wrong = np.stack(solved) & ~np.stack(right)
+    out = (off > LIMIT_SIGMAS).any(axis=2) | wrong
+    found = []
+    for index in np.flatnonzero(out.any(axis=0)):
+        largest = np.argmax(np.where(out[:, index, None], off[:, index], -1.0))
+        run, axis = divmod(int(largest), len(CAMERA_AXES))
+        found.append(
+            Outlier(
+                int(index),
+                CAMERA_AXES[axis],
+                float(errors[run][index, axis]),
+                float(off[run, index, axis]),
+                bool(wrong[:, index].any()),
+                tuple(name for name, is_out in zip(names, out[:, index], strict=True) if is_out),
+                len(names),
+            )
+        )
+    return tuple(found)
+
+
+def lines_of(outliers: tuple[Outlier, ...]) -> list[str]:
+    """Lines of a table that name them."""
+    if not outliers:
+        return []
+    count = f"{len(outliers)} trial{'s' if len(outliers) > 1 else ''}"
+    lines = [f"Set apart, and in no figure above: {count}, each far beyond all others or wrong in some run"]
+    lines += [f"  {outlier}" for outlier in outliers[:_MOST_LISTED]]
+    if len(outliers) > _MOST_LISTED:
+        lines.append(f"  and {len(outliers) - _MOST_LISTED} more, in budget.json")
+    return lines
