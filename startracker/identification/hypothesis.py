@@ -279,10 +279,13 @@ class Bench:
     def judge(self, observed: Observed) -> Identification:
         """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""
         found = self._judge(observed)
-        if found.status is not Status.SOLVED and self.cut_short:
-            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {found.reason}"
-            found = replace(found, status=Status.SEARCH_LIMIT, reason=reason)
-        return replace(found, operations=self.operations)
+        if found.status is Status.SOLVED:
+            return found
+        status, reason = found.status, found.reason
+        if self.cut_short:
+            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {reason}"
+            status = Status.SEARCH_LIMIT
+        return replace(found, status=status, reason=reason, operations=self.operations)
 
     def _judge(self, observed: Observed) -> Identification:
         seen = f"{len(observed)} stars seen"
@@ -296,7 +299,7 @@ class Bench:
         enough = len(best.pairs) >= self.settings.min_stars
         if enough and accepts(chance, self.settings):
             reason = f"{says}; by chance with probability {power_of_ten(chance)}"
-            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps)
+            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps, self.operations)
         if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
