@@ -132,6 +132,12 @@ def refine(
         used = fitting
         if same and not free_focal:  # nor would the next fit be another
             break
+    if known and len(used) >= _FEWEST_TO_REJECT:  # a systematic error shows in bright stars: they are not yet left out
+        wide = np.maximum(sigma, np.median(sigma[used[:, 0]]))
+        matrix, reference = _first_fit(used, directions, sky, wide)
+        cosine = field_cosine(camera, MARGIN_PX)
+        more, _ = matched_again(used, matrix, reference, xy, wide, known, sky, grid, cosine, camera.image_map)
+        used = more if len(more) >= len(used) else used
     stated = np.zeros((len(xy), 2, 2))
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
     if known and covariance_px2 is not None:

@@ -55,8 +55,9 @@ TRUSTED = 20.0
 """Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
 SYSTEMATIC = np.concatenate((np.zeros(1), 0.4 * 2.0 ** np.arange(9)))
 """Values of τ in units of the median stated error."""
-_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.array([0.7]), 0.3 * 2.0 ** -np.arange(1.0, 10.0))))
-"""None is the most probable, and a large one less than a small one: of three stars it is hardly known."""
+_FALLING = 0.75 ** np.arange(9)
+_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.array([0.5]), 0.5 * _FALLING / _FALLING.sum())))
+"""As probable as not, and a large one less than a small one: of three stars it is hardly known."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
 """Relative error of a calibrated focal length, and of a shear, where there is one."""
 FREE_FOCAL_SIGMA = 1e-2
