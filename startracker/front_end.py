@@ -88,13 +88,13 @@ class FoundStars:
     pixels, background : array (H, W) and Background, optional
         For a second look.
     smeared : bool
-        Whether the stars seem to be streaks. These are the points nevertheless; `look_again` finds the streaks.
+        Whether the stars seem to be streaks.
     covariance_px2 : (N, 2, 2), optional
         Of a centroid; None: `variance_px2` on both axes.
     lines : (N, 4)
         Middle x and y and half the length along x and y of the streaks that share one motion.
     streaks : Centroids, optional
-        Of a smeared frame: these streaks as the centroider measures them.
+        Where these are the points of a smeared frame: the streaks as the centroider measures them.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -125,6 +125,7 @@ def find_stars(
     shape: tuple[int, int] | None = None,
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
+    points: bool = False,
 ) -> FoundStars:
     """Background, detection and centroids of an image.
 
@@ -138,6 +139,8 @@ def find_stars(
         What the camera has; another is no image of it.
     clock : Clock
         Takes the times.
+    points : bool
+        Give the points of a smeared frame, too: the streaks are then those of `look_again`.
 
     Returns
     -------
@@ -174,12 +177,11 @@ def find_stars(
         clock.lap("detection")
         trails = spots if spots.are_streaks else spots.other
         smeared = spots.are_streaks or (trails is None and _left_out_streaks(spots))
-        points = spots if trails is not spots or spots.other is None else spots.other
-        steps.append(partial(detection_steps, points, detection, background))
-        found = measure(pixels, background, points, centroid, gain_e_per_dn)
         streaks = None
-        if smeared and trails is not None:
-            streaks = measure(pixels, background, trails, centroid, gain_e_per_dn)
+        if points and spots.are_streaks and spots.other is not None:
+            streaks, spots = measure(pixels, background, spots, centroid, gain_e_per_dn), spots.other
+        steps.append(partial(detection_steps, spots, detection, background))
+        found = measure(pixels, background, spots, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))

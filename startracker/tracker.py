@@ -155,6 +155,7 @@ class StarTracker:
             shape=(self.camera.height, self.camera.width),
             saturation_dn=saturation_dn,
             gain_e_per_dn=gain_e_per_dn,
+            points=True,
         )
         if found.status is not None:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
