@@ -208,7 +208,10 @@ class FocalPlane:
             electrons=seen.electrons,
             variable=catalog.variable[rows],
         )
-        return Light(sources, seen.in_camera, none, none + 1.0, none, np.tile(NO_LIMB, (len(rows), 1)))
+        nm = none
+        if self.psfs.coloured:
+            nm = self.photometer.effective_wavelength_nm(scene.star_b_v[seen.rows], scene.star_giant[seen.rows])
+        return Light(sources, seen.in_camera, none, none + 1.0, none, np.tile(NO_LIMB, (len(rows), 1)), nm)
 
     def _of_bodies(self, scene: Scene, bodies: Bodies, seen: Seen) -> Light:
         bodies = bodies.select(seen.rows)
@@ -236,7 +239,8 @@ class FocalPlane:
             limb[:, 2] = [
                 sun_angle_rad(self.true_camera, scene.pointing.camera, u, -scene.r_km) for u in bodies.direction
             ]
-        return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles), limb)
+        nm = self.photometer.body_wavelength_nm(bodies.name)
+        return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles), limb, nm)
 
     def _reaching(
         self, scene: Scene, direction: FloatArray, electrons_s: FloatArray, extent_rad: float | FloatArray
@@ -281,9 +285,9 @@ class FocalPlane:
         xy, weights, electrons = self._paths(light, scene)
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
         points = np.flatnonzero(~disk)
-        for members, psf in self.psfs.groups(sources.b_v[points], sources.xy[points]):
+        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], sources.xy[points]):
             chosen = points[members]
-            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen], psf)
+            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
         for i in np.flatnonzero(disk):
             place = (float(sources.xy[i, 0]), float(sources.xy[i, 1]))
             size = (float(light.radius_rad[i] * camera.fx), float(light.radius_rad[i] * camera.fy))
@@ -346,9 +350,11 @@ class FocalPlane:
                 radius = (float(points.blur_rad[k] * camera.fx), float(points.blur_rad[k] * camera.fy))
                 add_disk(image, xy[k], radius, float(electrons[k]))
             sharp = np.flatnonzero(~blurred & camera.contains(xy, _EDGE_MARGIN_PX))
-            for members, psf in self.psfs.groups(np.full(len(sharp), float(bodies.b_v[lamp])), xy[sharp]):
+            nm = np.full(len(sharp), self.photometer.body_wavelength_nm(bodies.name[lamp : lamp + 1])[0])
+            for members, part, psf in self.psfs.blends(nm, xy[sharp]):
                 chosen = sharp[members]
-                add_stars(image, np.ascontiguousarray(xy[chosen][:, None, :]), np.ones(1), electrons[chosen], psf)
+                paths = np.ascontiguousarray(xy[chosen][:, None, :])
+                add_stars(image, paths, np.ones(1), electrons[chosen] * part, psf)
         return image
 
     def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:

@@ -40,6 +40,7 @@ class Light(NamedTuple):
     lit: FloatArray
     sun_angle_rad: FloatArray
     limb: FloatArray
+    wavelength_nm: FloatArray
 
     @classmethod
     def joined(cls, first: Light, second: Light) -> Light:
