@@ -105,7 +105,7 @@ class StarTracker:
         self.detection = detection or DetectionSettings()
         self.centroid = centroid or CentroidSettings()
         self.identification = identification or IdentificationSettings()
-        self._detect = lookup("detectors", detecting.METHODS, detector)
+        self._detect = lookup("detectors", detecting.DETECTORS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
         self._estimate = lookup("estimators", estimating.METHODS, estimator)

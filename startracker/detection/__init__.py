@@ -16,6 +16,7 @@ from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
 
 __all__ = [
+    "DETECTORS",
     "METHODS",
     "Background",
     "Detector",
@@ -39,7 +40,12 @@ METHODS: dict[str, Detector] = {
     "components": find_components,
     "region_growing": grow_regions,
     "clustering": find_clusters,
+}
+"""Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""
+
+DETECTORS: dict[str, Detector] = {
+    **METHODS,
     "round_regions": find_round_regions,
     "first_regions": find_first_regions,
 }
-"""Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""
+"""`METHODS`, and those with the rules of Greyling 1995 alone, which leave hot pixels and streaks in."""
