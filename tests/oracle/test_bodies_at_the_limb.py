@@ -54,7 +54,7 @@ def test_share_of_the_sun_is_a_segment_and_the_published_penumbra(height, r_km):
     segment = 1.0 - (math.acos(s) - s * math.sqrt(1.0 - s * s)) / math.pi
     # the limb is no straight line: ½ a cot ρ radii at the rim, 0.1 % from 800 km, 1.5 % from the geostationary orbit
     assert share == pytest.approx(segment, abs=2e-3 if r_km[0] < 1e4 else 8e-3)
-    # Montenbruck & Gill 2000, Satellite Orbits, eq. 3.87 to 3.94: overlap of two circles of radii a and b, c apart
+    # shadow function of Montenbruck & Gill 2000, Satellite Orbits, chapter 3: overlap of two circles a and b, c apart
     b = math.tan(angular_radius_rad(r_km))  # the circle on the sphere that curves alike
     c = b + height * a
     if abs(height) < 1.0:
