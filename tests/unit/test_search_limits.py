@@ -81,6 +81,7 @@ def test_long_lists_are_cut_to_the_brightest():
     solution = tracker.solve_centroids(points, flux)
     assert solution.solved, solution.reason
     assert math.degrees(attitude.angle_to(solution.attitude)) < 0.05
+    assert any("max_centroids" in step.text for step in solution.steps)
     assert not tracker.solve_centroids(points[len(xy) :], flux[len(xy) :]).solved
     assert not solve_unknown_fov(points[len(xy) :], 512, 512, flux=flux[len(xy) :], fov_deg=10.0).solved
 
