@@ -296,7 +296,7 @@ class FreeSearch:
         if found.solved:
             return found
         limit = self.settings.max_operations_free_scale
-        reason = f"ended by the limit of {limit:.3g} operations; until then: {found.reason}"
+        reason = f"ended by its limit of operations (max_operations_free_scale {limit:.3g}); until then: {found.reason}"
         return replace(found, status=Status.SEARCH_LIMIT, reason=reason)
 
     def _passes(self) -> tuple[tuple[float, float], ...]:

@@ -233,6 +233,8 @@ def hints(
             says.append("field not known: give --fov, which narrows the search")
         if settings is not None and stars >= settings.max_stars:
             says.append("many detections: raise detection.threshold_sigma, if trees, clouds or noise are among them")
+        if status is Status.SEARCH_LIMIT:
+            says.append("the search was ended: raise identification.max_operations, or give fewer, better centroids")
         if saturated > stars // 2:
             says.append("most stars are saturated, which spoils their places: expose for less time")
     return tuple(Step("hint", text) for text in says)

@@ -173,7 +173,7 @@ class IdentificationSettings:
     max_operations : int
         Steps of one search with a known camera (pairs, candidates and stars compared), after which it ends with the
         status ``search_limit``. They are counted, not timed: the same list ends at the same step on every machine. One
-        takes a nanosecond or so.
+        takes a nanosecond or so. `adaptive` shares them out among its assumptions, and ends sooner.
     max_operations_free_scale : int
         The same where the focal length is not known.
     """

@@ -302,11 +302,12 @@ class StarTracker:
                 return replace(free_fit, times_ms=clock.times_ms(), steps=tried)
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
         directions, usable, vectors, sigma = usable_directions(xy, stated, self.camera.pixel_rad, self.camera.image_map)
-        brightest = slice(0, self.identification.max_centroids)
-        signal = None if flux is None else flux[usable]
+        signal, most = None if flux is None else flux[usable], self.identification.max_centroids
         observed = Observed(vectors, signal, sigma)
-        if len(vectors) > self.identification.max_centroids:
-            observed = Observed(vectors[brightest], None if signal is None else signal[brightest], sigma[brightest])
+        if len(vectors) > most:
+            observed = Observed(vectors[:most], None if signal is None else signal[:most], sigma[:most])
+            text = f"the {most} brightest of {len(vectors)} centroids are taken (max_centroids)"
+            tried = (*tried, Step("identification", text))
         found, contradicted = self._around_prior(observed, guide, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first

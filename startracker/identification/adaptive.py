@@ -53,7 +53,7 @@ class _Turn(NamedTuple):
     triangles : int
         Looked up under this assumption by the end of the turn, at most.
     work : float
-        Operations at most.
+        Operations at most, where `IdentificationSettings.max_operations` is as usual; else in proportion.
     """
 
     assumption: str
@@ -92,6 +92,7 @@ _BRIGHT = 9
 _LEAST_SIDE = 0.12
 _MOST_FINDS = 12
 _HITS_FOR_RATE = 10.0
+_USUAL_OPERATIONS = IdentificationSettings().max_operations
 _NO_PRIOR = np.eye(3)
 
 
@@ -151,14 +152,14 @@ def adaptive(
         )
         done[turn.assumption] = start + looked
         bench.operations += int(operations)
-        if bench.left <= 0 and start + looked < stop:
-            bench.cut_short = True
         bench.note(f"{turn.assumption}: {looked} triangles, {found} alike in the sky, {count - kept} worth a look")
         kept = count
         for row in range(count):
             bench.add(hypothesis_of(tuple(column[row] for column in finds)))
         if bench.surely:
             break
+        if start + looked < stop and (bench.left <= 0 or turn.triangles >= _MOST_TRIPLES):
+            bench.cut_short = True
         everything = turn.multiple == TIGHT and start + looked >= len(triangles)
         if everything and bench.standing and bench.log_chance < bench.limit:
             break
@@ -198,7 +199,7 @@ def _limits(bench: Bench, observed: Observed, turn: _Turn) -> Limits:
     tolerance, sure = bench.settings.magnitude_tolerance, bench.sure_evidence
     # who accepts much by chance wants what few other stars confirm to be looked at, too
     chance_hits = max(turn.chance_hits, _HITS_FOR_RATE * bench.settings.false_alarm_rate)
-    work = min(turn.work, bench.left)
+    work = min(turn.work * bench.settings.max_operations / _USUAL_OPERATIONS, bench.left)
     return Limits(turn.multiple, turn.focal_range, tolerance, chance_hits, sure, work, matrix, cosine)
 
 

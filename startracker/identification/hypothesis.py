@@ -283,7 +283,8 @@ class Bench:
             return found
         status, reason = found.status, found.reason
         if self.cut_short:
-            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {reason}"
+            limit = self.settings.max_operations
+            reason = f"ended by the limit on its operations (max_operations {limit:.3g}); until then: {reason}"
             status = Status.SEARCH_LIMIT
         return replace(found, status=status, reason=reason, operations=self.operations)
 

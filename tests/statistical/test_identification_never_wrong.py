@@ -90,7 +90,7 @@ def test_random_points_are_no_sky(trackers, points, trials):
         xy, flux = rng.uniform(-0.5, 511.5, (points, 2)), rng.uniform(0.02, 1.0, points)
         prior = Attitude(rng.normal(size=4)) if k % 2 else None
         solution = tracker.solve_centroids(xy, flux, prior=prior)
-        assert solution.status in (Status.NO_MATCH, Status.AMBIGUOUS), solution.reason
+        assert solution.status in (Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT), solution.reason
 
 
 def test_covariance_is_honest(trackers):
