@@ -22,7 +22,7 @@ from startracker.identification import free_scale
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
 from startracker.identification.last_fit import last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
-from startracker.observer import Observer
+from startracker.observer import Observer, unknown_aberration
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -336,11 +336,12 @@ class FreeSearch:
         )
         exponent = math.floor(min(chance, 0.0) / math.log(10.0))
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance 1e{exponent}"
+        covariance = fit.covariance if self.observer else fit.covariance + unknown_aberration(fit.matrix)
         return Solution(
             Status.SOLVED,
             reason,
             Attitude.from_matrix(fit.matrix),
-            fit.covariance,
+            covariance,
             stars,
             xy,
             _field_deg(fit.camera),
