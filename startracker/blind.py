@@ -24,7 +24,7 @@ from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
 from startracker.identification.last_fit import last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
-from startracker.observer import Observer
+from startracker.observer import Observer, unknown_aberration
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -373,11 +373,12 @@ class FreeSearch:
             residual,
         )
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
+        covariance = fit.covariance if self.observer else fit.covariance + unknown_aberration(fit.matrix)
         return Solution(
             Status.SOLVED,
             reason,
             Attitude.from_matrix(fit.matrix),
-            fit.covariance,
+            covariance,
             stars,
             xy,
             free_scale.field_deg(fit.camera),

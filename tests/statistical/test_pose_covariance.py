@@ -4,6 +4,8 @@ The normalised error squared of an attitude is χ² of 3 degrees of freedom wher
 6. Its mean over n trials lies within 3 ± 1.96 √(6/n) in 95 % of cases; quick versions allow four standard deviations.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -131,6 +133,27 @@ def test_an_unknown_observer_costs_twenty_arcseconds(tracker):
     sigma = [np.sqrt(np.diag(s.covariance)[:2]) / ARCSEC_RAD for s in (unknown, known)]
     assert sigma[0].max() == pytest.approx(14.5, rel=0.1)  # 20.5″/√2
     assert sigma[1].max() < 1.0
+
+
+@pytest.mark.parametrize("off", [-0.05, -0.04, 0.04, 0.05])
+def test_a_focal_length_far_off_is_refused_or_fitted(tracker, off):
+    """A camera whose focal length is 4 to 5 % off: what is solved is right, and says how good it is."""
+    camera = replace(tracker.camera, fx=tracker.camera.fx * (1 + off), fy=tracker.camera.fy * (1 + off))
+    other, rng, solved = StarTracker(camera, magnitude_limit=6.5), np.random.default_rng(5), 0
+    observer = Observer(tracker.guide.epoch_jyear)
+    for k in range(30):
+        attitude = Attitude(rng.normal(size=4))
+        index, _, xy = tracker.guide.in_field(attitude.as_matrix())
+        flux = 10.0 ** (-0.4 * tracker.guide.v_mag[index])
+        prior, sigma = (attitude if k % 2 else None), (0.3 if k % 4 > 1 else None)
+        seen = xy + rng.normal(0.0, 0.3, xy.shape)
+        solution = other.solve_centroids(seen, flux, prior=prior, observer=observer, sigma_px=sigma)
+        if solution.solved:
+            solved += 1
+            error = attitude.rotation_vector_to(solution.attitude)
+            assert error @ np.linalg.solve(solution.covariance, error) < 25.0  # χ² of 3 exceeds it once in 60,000
+            assert np.hypot(*error[:2]) < 3.0 * camera.pixel_rad
+    assert solved > 5
 
 
 def test_each_star_given_twice(tracker):

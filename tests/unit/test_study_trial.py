@@ -10,8 +10,10 @@ from astropy.coordinates import SkyCoord
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from simulator.cli.solve_output import as_dict
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
+from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.statistics import WRONG_NEES, is_wrong
 from simulator.study.trials.trial import (
     TrialRunner,
@@ -21,6 +23,7 @@ from simulator.study.trials.trial import (
     solve_frame,
 )
 from startracker.attitude import Attitude
+from startracker.solution import Status
 
 SMALL = ("detector.width=256", "detector.height=256", "optics.focal_length_mm=12", "optics.aperture_mm=8.5")
 
@@ -114,3 +117,24 @@ def test_what_noise_explains_is_not_wrong():
     assert not is_wrong(0, 20.0, 2.0 * error, bound)
     assert is_wrong(0, 1e3, error, np.full(3, np.nan))  # no noise at all
     assert chi2.sf(WRONG_NEES, 3) == pytest.approx(2.0 * norm.sf(5.0), rel=1e-3)
+
+
+def test_a_frame_of_a_sequence_is_wrong_by_the_same_rule():
+    runner = SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL, "sequence.frames=2"]))
+    frame, truth = runner.renderer.frame(0)
+    solution = solve_frame(runner.tracker, frame)
+    far = np.array([90.0 / 3600.0, 0.0, 0.0])
+    assert runner._is_wrong(truth, solution, 0, 3600.0, far)
+    assert not runner._is_wrong(truth, solution, 0, 3.0, far)  # it says that it may be so far off
+    assert not runner._is_wrong(truth, solution, 0, 3600.0, far * 1e-4)  # noise explains it
+    assert runner._is_wrong(truth, solution, 1, 3.0, far * 1e-4)
+    assert not runner._is_wrong(truth, replace(solution, status=Status.NO_MATCH), 1, 3600.0, far)
+
+
+def test_the_answer_says_which_stars_were_fitted():
+    runner = TrialRunner(Scenario.load("cubesat", overrides=SMALL))
+    frame, _ = runner.renderer.frame(0)
+    solution = solve_frame(runner.tracker, frame)
+    used = np.arange(solution.matched) != 1
+    told = as_dict(replace(solution, stars=replace(solution.stars, used=used)), np.empty((0, 2)), None)
+    assert [star["used"] for star in told["stars"]] == used.tolist()
