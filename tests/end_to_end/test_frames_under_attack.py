@@ -202,3 +202,78 @@ def test_a_steep_gradient_is_no_noise():
     case = cubesat()
     assert [case.outcome(index, spoil) for index in range(2)] == ["solved"] * 2
     assert len(case.solution.stars) >= 15
+
+
+def defective_columns(image, rng):
+    image[:, rng.integers(0, image.shape[1], 20)] += rng.normal(0.0, 200.0, 20)
+    return np.clip(image, 0.0, FULL)
+
+
+def saturated_columns(image, rng):
+    image[:, rng.integers(0, image.shape[1], 12)] = FULL
+    return image
+
+
+def row_banding(image, rng):
+    return np.clip(image + rng.normal(0.0, 15.0, (len(image), 1)), 0.0, FULL)
+
+
+def vignetting(image, rng):
+    y, x = np.indices(image.shape) / image.shape[0] - 0.5
+    return 60.0 + (image - 60.0) * np.exp(-4.4 * (x**2 + y**2))
+
+
+def dust_rings(image, rng):
+    y, x = np.indices(image.shape)
+    image += 200.0
+    for _ in range(15):
+        distance = np.hypot(x - rng.uniform(0, 1024), y - rng.uniform(0, 1024)) - rng.uniform(8, 40)
+        image *= 1.0 - 0.25 * np.exp(-((distance / 3.0) ** 2))
+    return np.minimum(image, FULL)
+
+
+def bright_planet(image, rng):
+    y, x = np.indices(image.shape)
+    square = (x - rng.uniform(100, 900)) ** 2 + (y - rng.uniform(100, 900)) ** 2
+    return np.minimum(image + 2e5 * np.exp(-square / 8.0) + 2000.0 / (1.0 + square / 30.0) ** 1.2, FULL)
+
+
+def fireflies(image, rng):
+    for _ in range(40):
+        angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(2.0, 30.0)
+        along = length * np.array([math.cos(angle), math.sin(angle)])
+        add_streak(image, *rng.uniform(0, 1024, 2), along, rng.uniform(500.0, 20_000.0), rng.uniform(0.7, 3.0))
+    return np.minimum(image, FULL)
+
+
+def colour_mosaic(image, rng):
+    image[::2, ::2] = 60.0 + 0.6 * (image[::2, ::2] - 60.0)
+    image[1::2, 1::2] = 60.0 + 0.45 * (image[1::2, 1::2] - 60.0)
+    return image
+
+
+def missing_border(image, rng):
+    image[:60], image[:, -80:] = np.nan, np.nan
+    return image
+
+
+SPOILT = [
+    defective_columns, saturated_columns, row_banding, vignetting, dust_rings, bright_planet, fireflies, colour_mosaic,
+    missing_border,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("spoil", SPOILT, ids=lambda spoil: spoil.__name__)
+def test_other_faults_of_frames(spoil):
+    assert [cubesat().outcome(index, spoil) for index in range(2)] == ["solved"] * 2
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e6, 0.0), (1e-6, 0.0), (1.0, 5e4), (1.0, -500.0)])
+def test_the_scale_of_a_frame_means_nothing(scale, offset):
+    case = cubesat()
+    frame, truth = case.frame(0)
+    image = (scale * np.asarray(frame.image, np.float64) + offset).astype(np.float32)
+    solution = case.tracker.solve(image, observer=frame.observer)
+    assert solution.solved
+    error = truth.attitude.rotation_vector_to(solution.attitude)
+    assert math.hypot(error[0], error[1]) < 3.0 * case.tracker.camera.pixel_rad
