@@ -70,4 +70,5 @@ def list_key(points: FloatArray) -> bytes:
     """The coordinates (N, 2) of a list, whatever their order; empty for an empty list or one of another shape."""
     if points.ndim != 2 or points.shape[1] != 2:
         return b""
-    return bytes(np.sort(points[:, 0]).tobytes() + np.sort(points[:, 1]).tobytes())
+    pairs = np.ascontiguousarray(points, dtype=float).view(np.complex128)  # sorted by x, then by y
+    return bytes(np.sort(pairs, axis=0).tobytes())
