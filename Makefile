@@ -1,5 +1,6 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
+# make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
 # make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
@@ -8,7 +9,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all lint clean cluster-demo bench bench-identification bench-frames
+.PHONY: run test test-all test-lowest lint clean cluster-demo bench bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -17,6 +18,19 @@ test: $(VENV)/.installed-test
 
 test-all: $(VENV)/.installed-oracles
 	$(BIN)/python -m pytest -n 2 -m '' --hypothesis-profile=explore
+
+# An environment of its own, and kernels compiled by its own numba; old libraries may warn of newer ones.
+LOWEST := .venv-lowest
+SMOKE  := tests/end_to_end/test_command_line.py tests/end_to_end/test_bad_images.py tests/property/test_fits_fuzz.py \
+          tests/unit/test_study_parts.py tests/unit/test_orbit.py tests/unit/test_sky_photometry.py
+test-lowest: $(LOWEST)/.installed
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/numba $(LOWEST)/bin/python -m pytest -o filterwarnings=default $(SMOKE)
+
+$(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python tests/lowest_versions.py >$(LOWEST)/constraints.txt
+	$(LOWEST)/bin/python -m pip install --quiet --constraint $(LOWEST)/constraints.txt --editable . pytest hypothesis
+	@touch $@
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
@@ -70,4 +84,4 @@ cluster-demo: $(VENV)/.installed-dask
 	  { tail -n 5 $$log/*; exit 1; }
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) $(LOWEST) out

@@ -2,7 +2,8 @@
 
 python -m benchmarks.identification [--case WORD ...] [--identifier NAME ...] [--n 2000] [--peers] [--out FILE.md]
 python -m benchmarks.identification --random-points 100000
-python -m benchmarks.identification --million --state FOLDER     (resumes where it was stopped)
+python -m benchmarks.identification --million --state FOLDER     (a million random attitudes; --total for fewer,
+    resumes where it was stopped, states the worst solve in operations)
 python -m benchmarks.identification --failures                   (lists the scenes not identified)
 """
 
@@ -143,6 +144,9 @@ def million(identifier: str, total: int, seed: int, pool: ProcessPoolExecutor | 
             state["outcomes"][str(name)] = state["outcomes"].get(str(name), 0) + int(count)
         state["wrong"] += [int(k) for k in rows["index"][rows["outcome"] == WRONG]]
         state["cpu_s"] += float(rows["cpu_ms"].sum()) / 1e3
+        costliest = rows[np.argmax(rows["operations"])]
+        worst = [int(costliest["operations"]), int(costliest["index"])]
+        state["worst"] = max(state.get("worst", [0, -1]), worst)
         state["done"] += len(rows)
         draft = path.with_suffix(".draft")
         draft.write_text(json.dumps(state, indent=1))
@@ -153,6 +157,8 @@ def million(identifier: str, total: int, seed: int, pool: ProcessPoolExecutor | 
         sys.stdout.flush()
     good = state["outcomes"].get(IDENTIFIED, 0)
     low, high = wilson_interval(good, state["done"])
+    worst, index = state["worst"]
+    print(f"the costliest solve took {worst / 1e6:.1f} million operations (scene {index})")
     print(
         f"{case.name}: {100 * good / state['done']:.3f} % identified (95 %: {100 * low:.3f} to {100 * high:.3f}), "
         f"{len(state['wrong'])} wrong, {1e3 * state['cpu_s'] / state['done']:.3f} ms of CPU a scene on average"

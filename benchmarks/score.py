@@ -36,6 +36,7 @@ ROW = np.dtype(
         ("matched", np.int32),
         ("cpu_ms", np.float64),
         ("identification_ms", np.float64),
+        ("operations", np.int64),
         # rotation vector of the error, rad, camera axes: of the solver, of Wahba's problem with the true pairs, ...
         ("error", np.float64, 3),
         ("oracle", np.float64, 3),
@@ -66,6 +67,7 @@ def judge(maker: SceneMaker, scene: Scene, answer: Answer, index: int) -> np.voi
     row = np.zeros(1, ROW)[0]
     row["index"], row["true_stars"], row["matched"] = index, scene.true_stars, answer.matched
     row["cpu_ms"], row["identification_ms"] = answer.cpu_ms, answer.identification_ms
+    row["operations"] = answer.operations
     for name in ("error", "oracle", "bound", "bound_focal"):
         row[name] = np.nan
     bound = (math.inf, math.inf)

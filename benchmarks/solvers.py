@@ -32,6 +32,7 @@ class Answer:
     cpu_ms: float = 0.0
     identification_ms: float = float("nan")
     matched: int = 0
+    operations: int = 0
 
 
 class Solver(Protocol):
@@ -59,7 +60,7 @@ class Boresight:
         cpu_ms = (time.process_time_ns() - start) * 1e-6
         matrix = None if solution.attitude is None else solution.attitude.as_matrix()
         identification = solution.times_ms.get("identification", float("nan"))
-        return Answer(str(solution.status), matrix, cpu_ms, identification, solution.matched)
+        return Answer(str(solution.status), matrix, cpu_ms, identification, solution.matched, solution.operations)
 
 
 class Tetra3rs:

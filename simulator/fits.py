@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from simulator.paths import write_atomically
 from startracker._version import __version__
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.camera import Camera
+from startracker.catalog.guide import field_of
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
@@ -176,47 +179,120 @@ def read_fits(path: str | Path) -> Frame:
     Raises
     ------
     InputError
-        When the file is no FITS file or not one of ours.
+        When the file cannot be read, is no FITS file or not one of ours, is damaged (its checksum does not match), or
+        lacks a value or has an impossible one: one line with the file's name and what is wrong.
     """
+    header, image = _primary(Path(path))
+    if "CAM_FX" not in header:
+        raise InputError(f"{path}: is not a frame of boresight render (no CAM_FX in its header)")
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or image.size == 0 or image.dtype.kind not in "uif":
+        shape = "none" if image is None else f"an array of shape {np.shape(image)}"
+        raise InputError(f"{path}: its image is {shape}, not rows and columns of pixels; get the file anew")
+    cards = _Cards(path, header)
+    velocity, position = (cards.vector(key, "XYZ") if f"{key}X" in header else None for key in ("OBS_V", "OBS_P"))
+    prior = cards.vector("PRI_Q", "XYZW") if "PRI_QX" in header else None
+    height, width = image.shape
+    try:
+        camera = Camera(
+            cards.number("CAM_FX"),
+            cards.number("CAM_FY"),
+            cards.number("CAM_CX"),
+            cards.number("CAM_CY"),
+            width,
+            height,
+            Distortion(**{k: cards.number(f"CAM_{k.upper()}") for k in _DISTORTION_KEYS}),
+            int(cards.number("CAM_PAR")),
+            cards.text("CAM_PROJ"),
+            cards.number("CAM_ROW", 0.0) if "CAM_ROW" in header else 0.0,
+        )
+        field_of(camera)  # refuses a distortion that cannot be undone
+        return Frame(
+            image=np.asarray(image).astype(image.dtype.newbyteorder("=")),
+            camera=camera,
+            observer=Observer(cards.number("JEPOCH", *_EPOCHS), velocity, position),
+            utc=cards.text("DATE-OBS"),
+            exposure_s=cards.number("EXPTIME", 0.0),
+            saturation_dn=cards.number("SATURATE"),
+            gain_e_per_dn=cards.number("GAIN", 1e-12),
+            offset_dn=cards.number("PEDESTAL"),
+            read_noise_e=cards.number("RDNOISE", 0.0),
+            prior=Attitude(prior) if prior is not None else None,
+            prior_deg=cards.number("PRI_DEG", 1e-9, 180.0) if prior is not None else 0.0,
+            scenario=cards.text("SCENARIO"),
+            seed=int(cards.number("SEED")),
+            index=int(cards.number("TRIAL")),
+        )
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if told.startswith(str(path)) else f"{path}: {told}") from error
+
+
+_CHECKSUM_FAILED = re.compile(r"verification failed for HDU \(.*, 1\)")
+"""astropy's warning on the first unit."""
+
+_EPOCHS = (1000.0, 3000.0)
+"""Julian years that an observer's epoch may be."""
+
+
+def _primary(path: Path) -> tuple[dict[str, Any], Any]:
+    """Cards and image of the first unit of a FITS file, its checksum verified where it has one.
+
+    The file is read first and parsed in memory, so that astropy has no open file to close when a damaged one makes it
+    give up.
+    """
+    import warnings
+
     from astropy.io import fits
 
     try:
-        with fits.open(path, memmap=False) as units:
-            header, image = units[0].header, units[0].data
+        data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read as FITS ({error})") from error
-    if image is None or "CAM_FX" not in header:
-        raise InputError(f"{path}: is not a frame of boresight render (no CAM_FX in its header)")
-    vectors = {
-        name: np.array([header[f"{key}{axis}"] for axis in axes]) if f"{key}X" in header else None
-        for name, key, axes in (("velocity", "OBS_V", "XYZ"), ("position", "OBS_P", "XYZ"), ("prior", "PRI_Q", "XYZW"))
-    }
-    height, width = image.shape
-    camera = Camera(
-        header["CAM_FX"],
-        header["CAM_FY"],
-        header["CAM_CX"],
-        header["CAM_CY"],
-        width,
-        height,
-        Distortion(**{k: header[f"CAM_{k.upper()}"] for k in _DISTORTION_KEYS}),
-        header["CAM_PAR"],
-        header["CAM_PROJ"],
-        header.get("CAM_ROW", 0.0),
-    )
-    return Frame(
-        image=np.asarray(image).astype(image.dtype.newbyteorder("=")),
-        camera=camera,
-        observer=Observer(header["JEPOCH"], vectors["velocity"], vectors["position"]),
-        utc=header["DATE-OBS"],
-        exposure_s=header["EXPTIME"],
-        saturation_dn=header["SATURATE"],
-        gain_e_per_dn=header["GAIN"],
-        offset_dn=header["PEDESTAL"],
-        read_noise_e=header["RDNOISE"],
-        prior=Attitude(vectors["prior"]) if vectors["prior"] is not None else None,
-        prior_deg=header.get("PRI_DEG", 0.0),
-        scenario=header["SCENARIO"],
-        seed=header["SEED"],
-        index=header["TRIAL"],
-    )
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    try:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            with fits.open(io.BytesIO(data), memmap=False, checksum=True) as units:
+                header = {key: value for key, value in units[0].header.items() if key not in ("COMMENT", "HISTORY", "")}
+                image = units[0].data
+    except Exception as error:  # astropy raises whatever its parsing meets
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: is damaged, truncated, or no FITS file ({text}); get it anew") from error
+    if failed := [str(w.message) for w in told if _CHECKSUM_FAILED.search(str(w.message))]:
+        what = "image" if any("Datasum" in text for text in failed) else "header"
+        raise InputError(
+            f"{path}: its {what} does not match its checksum, so it was damaged or edited; get it anew, or remove the "
+            "cards CHECKSUM and DATASUM to read it as it is"
+        )
+    return header, image
+
+
+class _Cards:
+    """Values of a header by keyword; each missing or impossible one is an `InputError` with its name."""
+
+    def __init__(self, path: str | Path, header: dict[str, Any]) -> None:
+        self.path, self.header = path, header
+
+    def _value(self, key: str) -> Any:
+        if key not in self.header:
+            raise InputError(f"{self.path}: {key} is missing from its header; get the file anew")
+        return self.header[key]
+
+    def number(self, key: str, least: float = -math.inf, most: float = math.inf) -> float:
+        """A finite number from `least` to `most`."""
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{self.path}: {key} in its header must be a number, not {value!r}")
+        if not least <= value <= most:
+            raise InputError(f"{self.path}: {key} in its header cannot be {value:g}")
+        return float(value)
+
+    def text(self, key: str) -> str:
+        """A text."""
+        value = self._value(key)
+        if not isinstance(value, str):
+            raise InputError(f"{self.path}: {key} in its header must be a text, not {value!r}")
+        return value
+
+    def vector(self, key: str, axes: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Numbers of several cards that differ in their last letter."""
+        return np.array([self.number(f"{key}{axis}") for axis in axes])

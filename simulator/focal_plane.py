@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
 from simulator.light import Light, Seen, near_image, path_middles
-from simulator.optics.bodies import LAW_OF_BODY, draw_body, sun_angle_rad
+from simulator.optics.bodies import LAW_OF_BODY, NO_LIMB, draw_body, sun_angle_rad
 from simulator.optics.curves import load_curve
 from simulator.optics.disk import add_disk
 from simulator.optics.ghosts import ghost_sources
@@ -26,7 +26,7 @@ from simulator.optics.thermal import true_camera
 from simulator.scenario import Scenario
 from simulator.scene import Scene
 from simulator.sky.background import diffuse_sky_s10
-from simulator.sky.earth import occulted, stray_sources
+from simulator.sky.earth import limbs, occulted, stray_sources, unhidden
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import Bodies
@@ -181,6 +181,8 @@ class FocalPlane:
         v_mag = scene.catalog.v_mag[scene.rows]
         rate = self.photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
         stars = self._reaching(scene, scene.star_directions, rate, streak_rad)
+        if self.sky.earth:
+            stars = stars.select(np.flatnonzero(~occulted(scene.star_directions[stars.rows], scene.r_km)))
         off_axis = np.arccos(np.clip(bodies.direction @ pointing.camera.boresight, -1.0, 1.0))
         reach = np.minimum(self.half_field_rad + streak_rad + bodies.angular_radius_rad, camera.limit_rad)
         near = np.flatnonzero(off_axis < reach)
@@ -188,6 +190,7 @@ class FocalPlane:
             return self._of_stars(scene, stars)
         bodies = bodies.select(near)
         rate = self.photometer.body_electrons_per_s(bodies.name, bodies.v_mag)
+        rate *= unhidden(bodies, scene.r_km, scene.sun_direction, self.sky)
         found = self._reaching(scene, bodies.direction, rate, bodies.angular_radius_rad + streak_rad)
         return Light.joined(self._of_stars(scene, stars), self._of_bodies(scene, bodies, found))
 
@@ -205,7 +208,10 @@ class FocalPlane:
             electrons=seen.electrons,
             variable=catalog.variable[rows],
         )
-        return Light(sources, seen.in_camera, none, none + 1.0, none)
+        nm = none
+        if self.psfs.coloured:
+            nm = self.photometer.effective_wavelength_nm(scene.star_b_v[seen.rows], scene.star_giant[seen.rows])
+        return Light(sources, seen.in_camera, none, none + 1.0, none, np.tile(NO_LIMB, (len(rows), 1)), nm)
 
     def _of_bodies(self, scene: Scene, bodies: Bodies, seen: Seen) -> Light:
         bodies = bodies.select(seen.rows)
@@ -227,13 +233,19 @@ class FocalPlane:
             variable=np.zeros(len(bodies), dtype=bool),
         )
         lit = bodies.illuminated_fraction if self.sky.phases else np.ones(len(bodies))
-        return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles))
+        limb = np.tile(NO_LIMB, (len(bodies), 1))
+        if self.sky.earth:
+            limb[:, 0], limb[:, 1] = limbs(bodies.direction, bodies.angular_radius_rad, scene.r_km)
+            limb[:, 2] = [
+                sun_angle_rad(self.true_camera, scene.pointing.camera, u, -scene.r_km) for u in bodies.direction
+            ]
+        nm = self.photometer.body_wavelength_nm(bodies.name)
+        return Light(sources, seen.in_camera, bodies.angular_radius_rad, lit, np.array(angles), limb, nm)
 
     def _reaching(
         self, scene: Scene, direction: FloatArray, electrons_s: FloatArray, extent_rad: float | FloatArray
     ) -> Seen:
-        """Those sources whose image, drawn out by disk and streak, reaches the detector, and that the Earth leaves
-        free."""
+        """Those sources that shine and whose image, extended by disk and streak, reaches the detector."""
         camera, scenario = self.true_camera, self.scenario
         in_camera = scene.pointing.camera.apply(direction)
         electrons = electrons_s * scenario.detector.exposure_s
@@ -242,8 +254,7 @@ class FocalPlane:
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + extent_rad / camera.pixel_rad
         rows = near_image(xy, extent_px, camera.width, camera.height)
-        if self.sky.earth:
-            rows = rows[~occulted(direction[rows], scene.r_km)]
+        rows = rows[electrons[rows] > 0.0]
         return Seen(rows, in_camera[rows], xy[rows], electrons[rows])
 
     def _paths(self, light: Light, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -274,9 +285,9 @@ class FocalPlane:
         xy, weights, electrons = self._paths(light, scene)
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
         points = np.flatnonzero(~disk)
-        for members, psf in self.psfs.groups(sources.b_v[points], sources.xy[points]):
+        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], sources.xy[points]):
             chosen = points[members]
-            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen], psf)
+            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
         for i in np.flatnonzero(disk):
             place = (float(sources.xy[i, 0]), float(sources.xy[i, 1]))
             size = (float(light.radius_rad[i] * camera.fx), float(light.radius_rad[i] * camera.fy))
@@ -290,6 +301,7 @@ class FocalPlane:
                 float(light.sun_angle_rad[i]),
                 self.psfs.psf(float(sources.b_v[i]), place),
                 LAW_OF_BODY.get(str(sources.name[i]), "lambert"),
+                (float(light.limb[i, 0]), float(light.limb[i, 1]), float(light.limb[i, 2])),
             )
         return np.asarray(path_middles(xy, weights, sources.xy))
 
@@ -322,10 +334,10 @@ class FocalPlane:
         if section.diameter_mm == 0.0:
             return None
         lamps = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
-        if self.sky.earth:
-            lamps = lamps[~occulted(bodies.direction[lamps], scene.r_km)]
+        share = unhidden(bodies.select(lamps), scene.r_km, scene.sun_direction, self.sky)
+        lamps, share = lamps[share > 0.0], share[share > 0.0]
         image = np.zeros((camera.height, camera.width))
-        rate = self.photometer.body_electrons_per_s(bodies.name[lamps], bodies.v_mag[lamps])
+        rate = self.photometer.body_electrons_per_s(bodies.name[lamps], bodies.v_mag[lamps]) * share
         for lamp, electrons_s in zip(lamps, rate, strict=True):
             towards = scene.pointing.camera.apply(bodies.direction[lamp])
             points = tether_points(section, camera, self.scenario.optics.aperture_mm, towards)
@@ -338,9 +350,11 @@ class FocalPlane:
                 radius = (float(points.blur_rad[k] * camera.fx), float(points.blur_rad[k] * camera.fy))
                 add_disk(image, xy[k], radius, float(electrons[k]))
             sharp = np.flatnonzero(~blurred & camera.contains(xy, _EDGE_MARGIN_PX))
-            for members, psf in self.psfs.groups(np.full(len(sharp), float(bodies.b_v[lamp])), xy[sharp]):
+            nm = np.full(len(sharp), self.photometer.body_wavelength_nm(bodies.name[lamp : lamp + 1])[0])
+            for members, part, psf in self.psfs.blends(nm, xy[sharp]):
                 chosen = sharp[members]
-                add_stars(image, np.ascontiguousarray(xy[chosen][:, None, :]), np.ones(1), electrons[chosen], psf)
+                paths = np.ascontiguousarray(xy[chosen][:, None, :])
+                add_stars(image, paths, np.ones(1), electrons[chosen] * part, psf)
         return image
 
     def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:

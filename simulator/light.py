@@ -26,15 +26,21 @@ class Seen(NamedTuple):
     xy: FloatArray
     electrons: FloatArray
 
+    def select(self, kept: IntArray) -> Seen:
+        """Some of them, by index array."""
+        return Seen(self.rows[kept], self.in_camera[kept], self.xy[kept], self.electrons[kept])
+
 
 class Light(NamedTuple):
-    """Sources of one exposure with what drawing them needs; columns of equal length N."""
+    """Sources of one exposure with what drawing them needs; columns of equal length N, `limb` of three values."""
 
     sources: TrueSources
     in_camera: FloatArray
     radius_rad: FloatArray
     lit: FloatArray
     sun_angle_rad: FloatArray
+    limb: FloatArray
+    wavelength_nm: FloatArray
 
     @classmethod
     def joined(cls, first: Light, second: Light) -> Light:

@@ -119,7 +119,7 @@ def solve_unknown_fov(
     if width is None or height is None:
         found = find_stars(
             source,
-            lookup("detectors", detecting.METHODS, detector),
+            lookup("detectors", detecting.DETECTORS, detector),
             lookup("centroiders", centroiding.METHODS, centroider),
             detection or DetectionSettings(),
             centroid or CentroidSettings(),

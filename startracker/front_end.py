@@ -22,6 +22,7 @@ from startracker.detection.components import find_smeared
 from startracker.detection.defects import fill_gaps, has_crowd, mask_extremes, mask_impulses
 from startracker.detection.smear import motion_at
 from startracker.detection.spots import Spots
+from startracker.detection.structure import follow_structure, has_structure
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
@@ -87,13 +88,13 @@ class FoundStars:
     pixels, background : array (H, W) and Background, optional
         For a second look.
     smeared : bool
-        Whether the stars seem to be streaks. These are the points nevertheless; `look_again` finds the streaks.
+        Whether the stars seem to be streaks.
     covariance_px2 : (N, 2, 2), optional
         Of a centroid; None: `variance_px2` on both axes.
     lines : (N, 4)
         Middle x and y and half the length along x and y of the streaks that share one motion.
     streaks : Centroids, optional
-        Of a smeared frame: these streaks as the centroider measures them.
+        Where these are the points of a smeared frame: the streaks as the centroider measures them.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -124,6 +125,7 @@ def find_stars(
     shape: tuple[int, int] | None = None,
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
+    points: bool = False,
 ) -> FoundStars:
     """Background, detection and centroids of an image.
 
@@ -137,6 +139,8 @@ def find_stars(
         What the camera has; another is no image of it.
     clock : Clock
         Takes the times.
+    points : bool
+        Give the points of a smeared frame, too: the streaks are then those of `look_again`.
 
     Returns
     -------
@@ -159,26 +163,25 @@ def find_stars(
         reason = f"every pixel is {survey.highest:g}"
         return FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
     try:
-        background = estimate(pixels, detection.background_tile_px)
+        background = _background(pixels, detection)
         clock.lap("background")
         whole = fill_gaps(pixels) if survey.gaps else pixels
         spots = detect(whole, background, detection, saturation_dn)
         if has_crowd(spots, pixels.size):
             pixels, hot = mask_impulses(pixels, background)
             if hot:
-                background = estimate(pixels, detection.background_tile_px)
+                background = _background(pixels, detection)
                 spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
                 spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
         steps.append(partial(background_step, background))
         clock.lap("detection")
         trails = spots if spots.are_streaks else spots.other
         smeared = spots.are_streaks or (trails is None and _left_out_streaks(spots))
-        points = spots if trails is not spots or spots.other is None else spots.other
-        steps.append(partial(detection_steps, points, detection, background))
-        found = measure(pixels, background, points, centroid, gain_e_per_dn)
         streaks = None
-        if smeared and trails is not None:
-            streaks = measure(pixels, background, trails, centroid, gain_e_per_dn)
+        if points and spots.are_streaks and spots.other is not None:
+            streaks, spots = measure(pixels, background, spots, centroid, gain_e_per_dn), spots.other
+        steps.append(partial(detection_steps, spots, detection, background))
+        found = measure(pixels, background, spots, centroid, gain_e_per_dn)
         clock.lap("centroid")
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
@@ -199,6 +202,12 @@ def find_stars(
         streaks=streaks,
         covariance_px2=found.covariance,
     )
+
+
+def _background(pixels: Image, detection: DetectionSettings) -> Background:
+    """Background of a frame; where its tiles are too coarse for what is in them, one that follows it."""
+    background = estimate(pixels, detection.background_tile_px)
+    return follow_structure(pixels, detection.background_tile_px) if has_structure(pixels, background) else background
 
 
 def _left_out_streaks(spots: Spots) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
-from startracker.catalog.voxels import VoxelGrid, stars_on_image
+from startracker.catalog.voxels import stars_on_image
 from startracker.estimation import OPTIMAL, Estimator
 from startracker.estimation.pose import (
     TRUSTED,
@@ -23,7 +23,7 @@ from startracker.estimation.pose import (
     pixel_slopes,
 )
 from startracker.estimation.wahba import fit_rotation
-from startracker.identification.hypothesis import nearest_unique
+from startracker.identification.association import MARGIN_PX, joined, matched_again, named
 from startracker.identification.verification import fit_step, focal_slopes, turned
 from startracker.image_map import ImageMap, to_pixels
 from startracker.observer import Observer, unknown_aberration
@@ -32,9 +32,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-REJECT_SIGMAS = 3.7
-"""A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""
-_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _FEWEST_TO_REJECT = 4
 _ROUNDS = 4
 NAMED_PX, BY_CHANCE = 3.0, 0.02
@@ -44,8 +41,6 @@ RATE_SIGMA_RAD_S = math.radians(2.0)
 """Rate of a body, about each axis, of which nothing is known but that the stars are seen."""
 EPOCH_SIGMA_YR = 30.0
 """Years between the catalogue's epoch and a frame whose time is not known."""
-_MANY, _LEAST_SCALE = 10, 0.4
-_MARGIN_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,30 +125,39 @@ def refine(
             directions = camera.unproject(xy)
         if same:
             break
-        cosine = field_cosine(camera, _MARGIN_PX)
-        fitting, same = _matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
+        cosine = field_cosine(camera, MARGIN_PX)
+        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
         if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
             break
         used = fitting
         if same and not free_focal:  # nor would the next fit be another
             break
+    if known and len(used) >= _FEWEST_TO_REJECT:  # a systematic error shows in bright stars: they are not yet left out
+        wide = np.maximum(sigma, np.median(sigma[used[:, 0]]))
+        matrix, reference = _first_fit(used, directions, sky, wide)
+        cosine = field_cosine(camera, MARGIN_PX)
+        more, _ = matched_again(used, matrix, reference, xy, wide, known, sky, grid, cosine, camera.image_map)
+        used = more if len(more) >= len(used) else used
     stated = np.zeros((len(xy), 2, 2))
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
     if known and covariance_px2 is not None:
         stated = covariance_px2 + floor**2 * np.eye(2)
     field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer)
-    pose, matrix = field.fit(used, matrix)
-    named, fits = field.named(pose, matrix)
+    measured = xy
+    pose, matrix = field.fit(used, matrix, measured)
+    named, fits, merged = field.named(pose, matrix)
     for _ in range(_ROUNDS):
         fitting = named[fits]
-        if np.array_equal(fitting, used) or len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):
+        if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):
             break
-        used = fitting
-        pose, matrix = field.fit(used, matrix)
-        named, fits = field.named(pose, matrix)
-    matrix, covariance = field.attitude(pose, matrix, used, estimator)
+        if np.array_equal(fitting, used) and np.array_equal(merged, measured):
+            break
+        used, measured = fitting, merged
+        pose, matrix = field.fit(used, matrix, measured)
+        named, fits, merged = field.named(pose, matrix)
+    matrix, covariance = field.attitude(pose, matrix, used, measured, estimator)
     if not np.array_equal(named[fits], used):
-        named, fits = _joined(used, named)
+        named, fits = joined(used, named)
     residual = xy[named[:, 0]] - camera.project(sky[named[:, 1]] @ matrix.T)
     return Refined(matrix, covariance, named, fits, residual, camera)
 
@@ -170,20 +174,21 @@ class _Field:
     free_focal: bool
     observer: Observer | None
 
-    def fit(self, pairs: IntArray, matrix: FloatArray) -> tuple[Pose, FloatArray]:
-        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), and the attitude that it comes to."""
+    def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray]:
+        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), and the attitude that it comes to; from
+        measured positions (N, 2), see `_named`."""
         stars, camera = pairs[:, 0], self.camera
         reference = self.guide.directions[pairs[:, 1]]
-        residual, slopes, offset = _linearised(self.xy[stars], matrix, reference, camera.image_map)
+        residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
         offset -= (camera.cx, camera.cy)
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
-        stated, first = self.stated[stars], 1 if self.free_focal else 0
+        stated, first, models = self.stated[stars], 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         if self.known:
-            pose = fit_pose(residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first)
+            pose = fit_pose(residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first, models)
         else:
             scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
             for _ in range(2):
-                pose = fit_pose(residual, slopes, offset, stated * scale, extra, extra_sigma, 0.0, first)
+                pose = fit_pose(residual, slopes, offset, stated * scale, extra, extra_sigma, 0.0, first, models)
                 scale *= pose.factor
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
@@ -211,14 +216,15 @@ class _Field:
             return np.zeros((len(guides), 2, 0)), np.zeros(0)
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
 
-    def named(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, BoolArray]:
-        """Pairs (K, 2) of all centroids that belong to guide stars, and which of them fit within their errors."""
+    def named(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, BoolArray, FloatArray]:
+        """Pairs (K, 2) of all centroids that belong to guide stars, which of them fit within their errors, and the
+        positions (N, 2), those of duplicates merged."""
         index, places, moved = self._predicted(pose, matrix)
         count = max(len(self.xy), 1)
         area = float(self.camera.width * self.camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
-        found: tuple[IntArray, BoolArray] = _named(
+        found: tuple[IntArray, BoolArray, FloatArray] = named(
             self.xy, self.stated, index, places + moved, scale, pose.systematic_px2, near_px
         )
         return found
@@ -227,24 +233,24 @@ class _Field:
         """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
         camera, guide = self.camera, self.guide
         index, vectors, places = stars_on_image(
-            matrix, field_cosine(camera, _MARGIN_PX), _MARGIN_PX, guide.directions, guide.grid, camera.image_map
+            matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
         )
         slopes, offset = pixel_slopes(vectors, camera.image_map), places - (camera.cx, camera.cy)
         extra, _ = self._extra(index, matrix, slopes, offset)
         return index, places, displacements(slopes, offset, extra, pose.unknowns)
 
     def attitude(
-        self, pose: Pose, matrix: FloatArray, used: IntArray, estimator: Estimator
+        self, pose: Pose, matrix: FloatArray, used: IntArray, measured: FloatArray, estimator: Estimator
     ) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
         covariance, camera = pose.covariance, self.camera
         if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
             reference = self.guide.directions[used[:, 1]]
-            _, slopes, offset = _linearised(self.xy[used[:, 0]], matrix, reference, camera.image_map)
+            _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)
             offset -= (camera.cx, camera.cy)
             extra, _ = self._extra(used[:, 1], matrix, slopes, offset)
             pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-            seen = camera.unproject(self.xy[used[:, 0]] - displacements(slopes, offset, extra, pose.unknowns))
+            seen = camera.unproject(measured[used[:, 0]] - displacements(slopes, offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
         if self.observer is None:
@@ -288,44 +294,6 @@ def _first_fit(
 
 
 @njit(cache=True, error_model="numpy")
-def _predicted(matrix: FloatArray, reference: FloatArray, image: ImageMap) -> FloatArray:
-    """Pixels (M, 2) of guide stars (M, 3) at an attitude (3, 3)."""
-    vectors = np.empty_like(reference)
-    for k in range(len(reference)):
-        x, y, z = reference[k]
-        for axis in range(3):
-            vectors[k, axis] = matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z
-    pixels: FloatArray = to_pixels(vectors, image)
-    return pixels
-
-
-@njit(cache=True, error_model="numpy")
-def _matched_again(
-    used: IntArray,
-    matrix: FloatArray,
-    reference: FloatArray,
-    xy: FloatArray,
-    sigma: FloatArray,
-    known: bool,
-    sky: FloatArray,
-    grid: VoxelGrid,
-    cosine: float,
-    image: ImageMap,
-) -> tuple[IntArray, bool]:
-    """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
-    scale = _robust_scale(used, xy, _predicted(matrix, reference, image), sigma, known)
-    index, _, places = stars_on_image(matrix, cosine, _MARGIN_PX, sky, grid, image)
-    near, _ = nearest_unique(xy, places, REJECT_SIGMAS * scale * sigma)
-    seen = np.flatnonzero(near >= 0)
-    pairs = np.empty((len(seen), 2), np.int64)
-    same = len(seen) == len(used)
-    for k in range(len(seen)):
-        pairs[k, 0], pairs[k, 1] = seen[k], index[near[seen[k]]]
-        same = same and pairs[k, 0] == used[k, 0] and pairs[k, 1] == used[k, 1]
-    return pairs, same
-
-
-@njit(cache=True, error_model="numpy")
 def _linearised(
     xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -333,65 +301,3 @@ def _linearised(
     vectors = reference @ matrix.T
     places: FloatArray = to_pixels(vectors, image)
     return xy - places, pixel_slopes(vectors, image), places
-
-
-@njit(cache=True, error_model="numpy")
-def _named(
-    xy: FloatArray,
-    stated: FloatArray,
-    index: IntArray,
-    places: FloatArray,
-    factor: float,
-    systematic_px2: float,
-    near_px: float,
-) -> tuple[IntArray, BoolArray]:
-    """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), and which fit.
-
-    A centroid that fits is within 3.7 standard errors; the others go to what guide stars are left within `near_px`.
-    """
-    gate = np.empty(len(xy))
-    for n in range(len(xy)):
-        a, b, c = stated[n, 0, 0], stated[n, 0, 1], stated[n, 1, 1]
-        widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
-        gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
-    near, _ = nearest_unique(xy, places, gate)
-    taken = np.zeros(len(places), np.bool_)
-    for n in range(len(xy)):
-        if near[n] >= 0:
-            taken[near[n]] = True
-    rest, free = np.flatnonzero(near < 0), np.flatnonzero(~taken)
-    other, _ = nearest_unique(xy[rest], places[free], np.full(len(rest), near_px))
-    pairs, fits, count = np.empty((len(xy), 2), np.int64), np.zeros(len(xy), np.bool_), 0
-    late = np.full(len(xy), -1)
-    for k in range(len(rest)):
-        if other[k] >= 0:
-            late[rest[k]] = free[other[k]]
-    for n in range(len(xy)):
-        place = near[n] if near[n] >= 0 else late[n]
-        if place >= 0:
-            pairs[count, 0], pairs[count, 1], fits[count] = n, index[place], near[n] >= 0
-            count += 1
-    return pairs[:count], fits[:count]
-
-
-def _joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
-    """Pairs that are used and those named that share no star with them, by centroid; and which are used."""
-    other = ~(np.isin(named[:, 0], used[:, 0]) | np.isin(named[:, 1], used[:, 1]))
-    pairs = np.concatenate([used, named[other]])
-    order = np.argsort(pairs[:, 0], kind="stable")
-    return pairs[order], order < len(used)
-
-
-@njit(cache=True, error_model="numpy")
-def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: FloatArray, known: bool) -> float:
-    """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
-    length = np.empty(len(used))
-    for k in range(len(used)):
-        star = used[k, 0]
-        length[k] = math.hypot(xy[star, 0] - predicted[k, 0], xy[star, 1] - predicted[k, 1]) / sigma[star]
-    freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
-    scale = np.median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
-    if not known:
-        return max(scale, UNKNOWN_FLOOR_PX)
-    # where many stars agree better than they claim to, as without noise, a blend among them shows
-    return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)

@@ -69,7 +69,8 @@ class DetectionSettings:
     cluster_radius_px : float or None
         Yee's τ: clustering's largest distance of a pixel from its cluster's centre; None: from the frame.
     threshold_dn : float or None
-        Clustering: pixels above this many DN, whatever the background, as in Yee's thesis; None: `threshold_sigma`.
+        Clustering and round regions: pixels above this many DN, whatever the background, as in the two theses; None:
+        `threshold_sigma`.
     """
 
     threshold_sigma: float = 5.0

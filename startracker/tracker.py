@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker import centroid as centroiding
@@ -33,16 +31,17 @@ from startracker.front_end import (
     says_saturated,
     stated_variance,
 )
+from startracker.identification.acceptance import is_beyond_doubt
 from startracker.identification.free_scale import FEWEST_MATCHED
+from startracker.identification.given import as_prior, usable_directions
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.image_map import ImageMap, to_directions
 from startracker.observer import Observer
 from startracker.refine import refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.trace import Step, Steps
-from startracker.whole_field import MISFIT_PX, is_whole, misfit_px
+from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
 
 __all__ = ["StarTracker"]
 
@@ -53,11 +52,8 @@ STATED_PX = 0.15
 """Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
 """Added to the centroids' errors for identification alone: what camera model and blends may add."""
-WORST_PX = 5.0
-"""A centroid with a larger error says nothing worth knowing."""
-_AXES = math.sqrt(3.0)
-_NOT_FOUND = (Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
-"""Answers after which what a prior excludes is searched, too."""
+_DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
+"""Answers after which what a prior excludes is searched, too, unless they are beyond doubt."""
 
 
 class StarTracker:
@@ -109,7 +105,7 @@ class StarTracker:
         self.detection = detection or DetectionSettings()
         self.centroid = centroid or CentroidSettings()
         self.identification = identification or IdentificationSettings()
-        self._detect = lookup("detectors", detecting.METHODS, detector)
+        self._detect = lookup("detectors", detecting.DETECTORS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
         self._estimate = lookup("estimators", estimating.METHODS, estimator)
@@ -159,11 +155,12 @@ class StarTracker:
             shape=(self.camera.height, self.camera.width),
             saturation_dn=saturation_dn,
             gain_e_per_dn=gain_e_per_dn,
+            points=True,
         )
         if found.status is not None:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=told)
-        hint = _prior(prior, prior_deg)
+        hint = as_prior(prior, prior_deg)
         solution, found, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
@@ -206,7 +203,7 @@ class StarTracker:
         clock = Clock()
         points, signal = clean_centroids(xy, flux, self.camera)
         guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
-        solution = self._solve(points, signal, variance, _prior(prior, prior_deg), observer, guide, clock)
+        solution = self._solve(points, signal, variance, as_prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
@@ -229,13 +226,13 @@ class StarTracker:
         saturation_dn: float | None,
         gain_e_per_dn: float | None,
     ) -> tuple[Solution, FoundStars, Sequence[Step]]:
-        """Solution, the stars that it is of, and the steps that led to these: from spots, or from streaks.
+        """Solution, the stars that it is of, and the steps that led to these: of points or of streaks, whichever look
+        has the more evidence.
 
         Pieces of streaks lie near their stars and all off alike: the field is found, and the attitude off by half a
-        streak. Streaks are looked for where the frame seems smeared, or spots do not solve it as a whole field; where
-        there are some, spots count only if they do.
+        streak. The second look is left out where the first explains a whole field. Where the points win, they count
+        only if they can be no pieces.
         """
-
         guide = self.guide.seen_by(observer)
 
         def solve(look: FoundStars) -> Solution:
@@ -247,26 +244,24 @@ class StarTracker:
             return look_again(spots, self.detection, self.camera, clock, **known)
 
         drawn = streaks() if spots.smeared else None
-        steps: Sequence[Step] = spots.steps
-        if drawn is not None:  # their own measurement is far better, and most often there
-            solution, steps = solve(drawn), drawn.steps
-            if solution.solved:
-                return solution, drawn, steps
-            steps = (*steps, *solution.steps, *spots.steps)
-        solution = solve(spots)
-        if solution.solved and is_whole(solution, spots.flux, guide):
-            return solution, spots, steps
-        if not spots.smeared:
-            drawn = streaks()
-            if drawn is not None:
-                again = solve(drawn)
-                if again.solved or not solution.solved:
-                    return again, drawn, (*steps, *solution.steps, *attitude_steps(solution), *drawn.steps)
-        if solution.solved and (drawn is not None or misfit_px(solution) > MISFIT_PX):
+        first = spots if drawn is None else drawn
+        looks = [(first, solve(first))]
+        if not (looks[0][1].solved and is_whole(looks[0][1], first.flux, guide)):
+            second = spots if drawn is not None else None if spots.smeared else streaks()
+            if second is not None:
+                drawn = drawn or second
+                looks.append((second, solve(second)))
+        look, solution = best_look(looks)
+        operations = sum(tried.operations for _, tried in looks)
+        steps: Sequence[Step] = look.steps
+        for other, tried in looks:
+            if other is not look:
+                steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
+        if look is spots and solution.solved and may_be_pieces(solution, spots.flux, guide, drawn is not None):
             within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        return solution, spots, steps
+        return replace(solution, operations=operations), look, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
@@ -281,6 +276,7 @@ class StarTracker:
         covariance_px2: FloatArray | None = None,
     ) -> Solution:
         tried: Sequence[Step] = ()
+        free_fit: Solution | None = None
         if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
             camera, error = self.camera, self.focal_error
             search = FreeSearch(
@@ -296,33 +292,32 @@ class StarTracker:
             )
             fov = camera.undistorted_fov_deg
             band = (fov * (1.0 - error), fov, fov * (1.0 + error))
-            solution = search.run((band,), (camera.parity,))
+            free_fit = search.run((band,), (camera.parity,))
             clock.lap("free_scale")
             tried = (
                 search_step(search.trials, (band,), (camera.parity,)),
-                Step("identification", solution.reason),
+                Step("identification", free_fit.reason),
             )
-            if solution.solved:
-                return replace(solution, times_ms=clock.times_ms(), steps=tried)
+            if is_beyond_doubt(free_fit, self.identification):
+                return replace(free_fit, times_ms=clock.times_ms(), steps=tried)
         stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        directions, usable, vectors, sigma = _seen(xy, stated, self.camera.pixel_rad, self.camera.image_map)
+        directions, usable, vectors, sigma = usable_directions(xy, stated, self.camera.pixel_rad, self.camera.image_map)
         brightest = slice(0, self.identification.max_centroids)
         signal = None if flux is None else flux[usable]
         observed = Observed(vectors, signal, sigma)
         if len(vectors) > self.identification.max_centroids:
             observed = Observed(vectors[brightest], None if signal is None else signal[brightest], sigma[brightest])
-        found = self._identify(observed, guide, self.identification, prior)
-        contradicted = False
-        if prior is not None and found.status in _NOT_FOUND:
-            elsewhere = self._identify(observed, guide, self.identification, None)
-            operations = found.operations + elsewhere.operations
-            if elsewhere.status is Status.SOLVED:
-                found, contradicted = _beside_prior(elsewhere), True
-            found = replace(found, operations=operations)
+        found, contradicted = self._around_prior(observed, guide, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
         told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
         tried = Steps(tried, told)
+        if free_fit is not None:
+            found = replace(found, operations=found.operations + free_fit.operations)
+            if free_fit.solved and not (
+                found.status is Status.SOLVED and found.log_false_alarm < free_fit.log_false_alarm
+            ):
+                return replace(free_fit, times_ms=clock.times_ms(), steps=tried, operations=found.operations)
         if found.status is not Status.SOLVED:
             unsolved = self._unsolved(found.status, found.reason, clock, xy)
             chance, operations = found.log_false_alarm, found.operations
@@ -376,6 +371,24 @@ class StarTracker:
             contradicted,
         )
 
+    def _around_prior(
+        self, observed: Observed, guide: GuideDatabase, prior: Prior | None
+    ) -> tuple[Identification, bool]:
+        """Identification within the prior, and over the whole sky where that leaves a doubt; the one with the more
+        evidence, and whether it contradicts the prior."""
+        found = self._identify(observed, guide, self.identification, prior)
+        if prior is None or is_beyond_doubt(found, self.identification) or found.status not in _DOUBTFUL:
+            return found, False
+        elsewhere = self._identify(observed, guide, self.identification, None)
+        operations = found.operations + elsewhere.operations
+        better = found.status is not Status.SOLVED or elsewhere.log_false_alarm < found.log_false_alarm
+        if elsewhere.status is Status.SOLVED and better:
+            matched = set(map(tuple, elsewhere.pairs.tolist()))
+            same = found.status is Status.SOLVED and not matched.isdisjoint(map(tuple, found.pairs.tolist()))
+            found = elsewhere if same else _beside_prior(elsewhere)
+            return replace(found, operations=operations), not same
+        return replace(found, operations=operations), False
+
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
         return Solution(
@@ -387,38 +400,6 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
-
-
-@njit(cache=True, error_model="numpy")
-def _seen(
-    xy: FloatArray, stated_px: FloatArray, pixel_rad: float, image: ImageMap
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-    """Directions (N, 3) of centroids, those that are of use (M,), and directions and standard errors, rad, of these."""
-    directions = to_directions(xy, image)
-    usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
-    for n in range(len(xy)):
-        # beyond the lens model's fold there are no directions, NaN on all axes
-        if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
-            usable[count], sigma[count] = n, stated_px[n] * pixel_rad
-            count += 1
-    usable = usable[:count]
-    return directions, usable, directions[usable], sigma[:count]
-
-
-def _prior(attitude: object, prior_deg: float) -> Prior | None:
-    if attitude is None:
-        return None
-    if not isinstance(attitude, Attitude):
-        made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
-        raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
-    try:
-        fits = math.isfinite(prior_deg) and prior_deg > 0
-    except TypeError:
-        fits = False
-    if not fits:
-        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg!r}")
-    # at the limit about all three axes at once
-    return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))
 
 
 def _off_focus(factor: float) -> str:

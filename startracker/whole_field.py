@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.front_end import FoundStars
 from startracker.solution import Solution
 
-__all__ = ["MISFIT_PX", "is_whole", "misfit_px"]
+__all__ = ["MISFIT_PX", "best_look", "is_whole", "may_be_pieces", "misfit_px"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,6 +38,24 @@ def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool
     index, _, _ = guide.in_field(solution.attitude.as_matrix(), -_BORDER_PX, solution.camera)
     brightest = set(guide.catalog.id[index[:_BRIGHTEST]].tolist())
     return len(brightest.intersection(stars.catalog_id.tolist())) >= _LEAST_SEEN * len(brightest)
+
+
+def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, streaked: bool) -> bool:
+    """Whether the points that were matched may be pieces of streaks, all off alike.
+
+    They may where they fit worse than stars do; and where the frame has streaks of one motion (`streaked`), which are
+    no stars of the field themselves, and most bright points are not matched. Points that are most of a frame's bright
+    ones are stars, whatever else there is.
+    """
+    if misfit_px(solution) > MISFIT_PX:
+        return True
+    return streaked and not _many_bright(flux, solution.stars.flux) and not is_whole(solution, flux, guide)
+
+
+def best_look(looks: Sequence[tuple[FoundStars, Solution]]) -> tuple[FoundStars, Solution]:
+    """Of several looks at one frame the solved one with the most evidence; the last where none is solved."""
+    solved = [look for look in looks if look[1].solved]
+    return min(solved, key=lambda look: look[1].log_false_alarm) if solved else looks[-1]
 
 
 def misfit_px(solution: Solution) -> float:

@@ -19,7 +19,13 @@ from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.theses.yee1999.catalogue import SubCatalog, sub_catalog
 from startracker.errors import InputError
 from startracker.fixed_point.export_c import CExport, export_c
-from startracker.identification.integer_solution import MAX_STARS, MAX_TRIADS, integer_tables
+from startracker.identification.integer_solution import (
+    MAX_GROUPS,
+    MAX_STARS,
+    MAX_TRIADS,
+    IntegerCamera,
+    IntegerTracker,
+)
 from startracker.identification.triad_search import TriadLimits
 
 __all__ = ["ExportRequest", "parse_pair", "run_export"]
@@ -44,6 +50,10 @@ class ExportRequest:
         Faintest star; longest pair, below 32°.
     limits : TriadLimits
         Thresholds.
+    centroid_error_px, false_alarm_rate, resolution_px : float
+        Of `IntegerCamera`.
+    prefix : str
+        Of the names in the C.
     """
 
     out: Path
@@ -54,6 +64,10 @@ class ExportRequest:
     magnitude_limit: float
     max_separation_deg: float
     limits: TriadLimits
+    centroid_error_px: float = 0.3
+    false_alarm_rate: float = 1e-7
+    resolution_px: float = 3.0
+    prefix: str = "tracker"
 
 
 def parse_pair(text: str, option: str, separator: str) -> tuple[float, float]:
@@ -77,15 +91,18 @@ def run_export(request: ExportRequest) -> int:
     stars = sub_catalog(
         request.edition, request.magnitude_limit, *parse_pair(request.declination, "--declination", ":")
     )
-    tables = integer_tables(stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, request.max_separation_deg)
-    scale = (fov[0] / size[0], fov[1] / size[1])
-    export = export_c(tables, scale, request.limits, MAX_STARS, MAX_TRIADS)
+    camera = IntegerCamera(size, fov, request.centroid_error_px, request.false_alarm_rate, request.resolution_px)
+    tracker = IntegerTracker.build(
+        camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, request.max_separation_deg
+    )
+    export = export_c(tracker, request.limits, MAX_STARS, MAX_TRIADS, MAX_GROUPS, request.prefix)
     folder = make_folder(request.out)
     for name, text in export.files.items():
         write_atomically(folder / name, text)
     console = Console(highlight=False)
     console.print(
-        f"{len(export.files)} files in {folder}: {len(tables):,} stars, {len(tables.first):,} pairs", soft_wrap=True
+        f"{len(export.files)} files in {folder}: {len(tracker.tables):,} stars, {len(tracker.tables.first):,} pairs",
+        soft_wrap=True,
     )
     console.print(_table(export, *_measured(export, stars, fov, size)))
     return 0
@@ -120,8 +137,10 @@ def _table(export: CExport, build: Build | None, time_s: float) -> Table:
         table.add_row("no C compiler here", "not measured")
         return table
     table.add_row("code", f"{build.code_bytes:,} bytes")
+    table.add_row("context, given by the caller", f"{build.context_bytes:,} bytes")
     table.add_row("static buffers", f"{build.static_bytes:,} bytes")
     table.add_row("stack, at most", f"{build.stack_bytes:,} bytes")
     table.add_row("heap", "0 bytes" if not build.heap_calls else ", ".join(build.heap_calls))
+    table.add_row("comparisons of pairs, at most", f"{export.most_steps:,}")
     table.add_row(f"time, mean of {_TIMED_FIELDS} fields", f"{time_s * 1e3:.3f} ms")
     return table

@@ -29,6 +29,18 @@ def export_c_command(
         float, typer.Option("--enclosed-tolerance", metavar="DEG", help="Of inner angles; 0: not looked at.")
     ] = 1.0,
     vote_number: Annotated[int, typer.Option("--vote-number", metavar="N", help="Fewest votes for a star.")] = 2,
+    centroid_error: Annotated[
+        float, typer.Option("--centroid-error", metavar="PX", help="Standard error of a centroid on one axis.")
+    ] = 0.3,
+    false_alarm_rate: Annotated[
+        float, typer.Option("--false-alarm-rate", metavar="P", help="Chance that no sky is taken for one.")
+    ] = 1e-7,
+    resolution: Annotated[
+        float, typer.Option("--resolution", metavar="PX", help="Stars closer than this are one in the image.")
+    ] = 3.0,
+    prefix: Annotated[
+        str, typer.Option("--prefix", metavar="NAME", help="That all names in the C begin with.")
+    ] = "tracker",
     edition: Annotated[int, typer.Option("--edition", metavar="N", help="Of the Bright Star Catalogue, 4 or 5.")] = 5,
 ) -> None:
     """Write the integer tracker as C99 source with its tables, and print its memory and time."""
@@ -44,5 +56,20 @@ def export_c_command(
         three_stars=True,
     )
     raise typer.Exit(
-        run_export(ExportRequest(out, size, fov, declination, edition, magnitude_limit, max_separation, limits))
+        run_export(
+            ExportRequest(
+                out,
+                size,
+                fov,
+                declination,
+                edition,
+                magnitude_limit,
+                max_separation,
+                limits,
+                centroid_error,
+                false_alarm_rate,
+                resolution,
+                prefix,
+            )
+        )
     )

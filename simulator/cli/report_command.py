@@ -19,15 +19,19 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     InputError
         Where the folder holds no run, or a file cannot be read or written.
     """
+    from simulator.study.folder_lock import folder_lock
     from simulator.study.report.drawing import drawn_apart
     from simulator.study.report.page import build_report, html_of
     from simulator.study.report.pdf import pdf_of
+    from simulator.study.trials.checked_files import fault_of
     from simulator.study.trials.columns import Columns
 
     files = {name: folder / name for name in ("summary.json", "trials.parquet", "scenario.resolved.yaml")}
     if missing := [name for name, path in files.items() if not path.is_file()]:
         raise InputError(f"{folder}: not the folder of a finished run ({', '.join(missing)} missing)")
     summary = _read_json(files["summary.json"], {"trials", "errors_deg", "specification", "versions"})
+    if "trials_sha256" in summary and (fault := fault_of(files["trials.parquet"], str(summary["trials_sha256"]))):
+        raise InputError(f"{files['trials.parquet']}: {fault}; boresight run --resume computes its trials again")
     told = None if budget is None else _read_json(budget, {"effects", "classes", "rms_deg"})
     scenario = load_scenario(files["scenario.resolved.yaml"], [])
     if told is not None and told.get("scenario") != scenario.name:
@@ -40,8 +44,9 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     pages: dict[str, str | bytes] = {"report.html": drawn_apart(html_of, report)}
     if pdf:
         pages["report.pdf"] = drawn_apart(pdf_of, report)
-    for name, page in pages.items():
-        write_atomically(folder / name, page)
+    with folder_lock(folder):
+        for name, page in pages.items():
+            write_atomically(folder / name, page)
     print(f"{folder}: {', '.join(pages)}")
     return 0
 

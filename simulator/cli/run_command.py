@@ -56,11 +56,11 @@ def _print(study: Study, folder: Path, console: Console) -> None:
     for axis in AXES:
         e = summary["errors_deg"][axis]
         verdict = summary["specification"].get(axis)
-        low, high = e["p997_interval95"]
+        between = " to ".join(map(deg_text, e["p997_interval95"]))
         table.add_row(
             "about boresight" if axis == "about_boresight" else axis.replace("_", " "),
             *(deg_text(e[key]) for key in ("mean", "std", "rms", "p997")),
-            f"{deg_text(low)} to {deg_text(high)}",
+            between,
             deg_text(e["max"]),
             deg_text(verdict["specified_deg"]) if verdict else "",
             f"[{_COLOURS[verdict['verdict']]}]{verdict['verdict']}[/]" if verdict else "",

@@ -19,7 +19,7 @@ from simulator.optics.splat import render_stars
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
-__all__ = ["LAWS", "LAW_OF_BODY", "draw_body", "sun_angle_rad"]
+__all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "draw_body", "share_before_limb", "sun_angle_rad"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,6 +39,59 @@ vertical (Hapke 2012, *Theory of Reflectance and Emittance Spectroscopy*, chapte
 LAW_OF_BODY = {"Moon": "lommel_seeliger", "Mercury": "lommel_seeliger", "Sun": "lommel_seeliger"}
 """Scattering law by name of body; all others have clouds or dust: ``lambert``. The Sun is drawn as an even disk, which
 the law makes of a full one."""
+
+
+Limb = tuple[float, float, float]
+"""Edge of a nearer body across a disk, in radii of the disk: hidden is t > offset + ½ curvature p², with t along the
+angle (from +x to +y, radians) and p across it: (offset, curvature, angle)."""
+
+NO_LIMB: Limb = (2.0, 0.0, 0.0)
+
+_SHARE_SAMPLES = 400
+
+
+def share_before_limb(
+    offset: float, curvature: float, between_rad: float, illuminated_fraction: float, law: str
+) -> float:
+    """Share of the light of a body that a limb across its disk leaves free (0 to 1, to 1e-3).
+
+    Parameters
+    ----------
+    offset, curvature : float
+        Of the limb, see `Limb`.
+    between_rad : float
+        Angle, at the middle of the disk, between the directions of the Sun and of what hides it.
+    illuminated_fraction : float
+        Lit share of the disk's area.
+    law : str
+        Key of `LAWS`.
+    """
+    cosine = min(max(2.0 * illuminated_fraction - 1.0, -1.0), 1.0)
+    return float(_share(_SHARE_SAMPLES, cosine, LAWS[law], (offset, curvature, between_rad)))
+
+
+@njit(cache=True, error_model="numpy")
+def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
+    """Kernel of `share_before_limb`: the Sun along +x, lines of samples along the way to the limb, cut where it is."""
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    along_x, along_y = math.cos(limb[2]), math.sin(limb[2])
+    whole, free = 0.0, 0.0
+    step = 2.0 / samples
+    for j in range(samples):
+        p = (j + 0.5) * step - 1.0
+        end = limb[0] + 0.5 * limb[1] * p * p
+        for i in range(samples):
+            t = (i + 0.5) * step - 1.0
+            square = 1.0 - t * t - p * p
+            if square <= 0.0:
+                continue
+            mu = math.sqrt(square)
+            mu_0 = (t * along_x - p * along_y) * sine + mu * cosine
+            if mu_0 > 0.0:
+                light = mu_0 if law == LAMBERT else mu_0 / (mu_0 + mu)
+                whole += light
+                free += light * min(max((end - t) / step + 0.5, 0.0), 1.0)
+    return free / whole if whole > 0.0 else 1.0
 
 
 def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: ArrayLike) -> float:
@@ -75,12 +128,13 @@ def draw_body(
     sun_angle_rad: float,
     psf: Psf,
     law: str = "lommel_seeliger",
+    limb: Limb = NO_LIMB,
 ) -> None:
     """Add the lit disk of a body to `mean_e` in place.
 
     Brightness over the disk by the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated fraction;
-    electrons are the whole body's, whatever its phase (its magnitude has the phase in it), and all of them are
-    drawn, less what the PSF throws beyond where it ends.
+    electrons are those of all that is seen of the body, whatever its phase (its magnitude has the phase in it), and all
+    of them are drawn, less what the PSF throws beyond where it ends.
 
     Parameters
     ----------
@@ -102,6 +156,8 @@ def draw_body(
         Image of a point, which blurs disks of up to 256 pixels radius.
     law : str
         Key of `LAWS`.
+    limb : Limb
+        Edge beyond which something nearer hides the disk.
 
     Notes
     -----
@@ -146,6 +202,7 @@ def draw_body(
         sun_angle_rad,
         LAWS[law],
         _samples(min(rx, ry) * fine),
+        limb,
     )
     if not blurred:
         _add(mean_e, disk, left, top)
@@ -179,10 +236,13 @@ def add_lit_disk(
     sun_angle: float,
     law: int,
     samples: int,
+    limb: Limb = NO_LIMB,
 ) -> None:
     """Kernel: light of a lit sphere, sampled at `samples`² points a cell; `amounts` (K,) of it at each of the centres
-    (K, 2), of which the image gets what falls on it."""
+    (K, 2), of which the image gets what falls on it. Beyond the limb there is none."""
     height, width = image.shape
+    offset, bend, along_x, along_y = limb[0], 0.5 * limb[1], math.cos(limb[2]), math.sin(limb[2])
+    cut = offset < 1.0
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
     sun_x, sun_y = sine * math.cos(sun_angle), sine * math.sin(sun_angle)
     step = 1.0 / samples
@@ -203,6 +263,8 @@ def add_lit_disk(
                             u = (i - 0.5 + (a + 0.5) * step - x) / radius_x
                             square = 1.0 - u * u - v * v
                             if square <= 0.0:
+                                continue
+                            if cut and u * along_x + v * along_y > offset + bend * (v * along_x - u * along_y) ** 2:
                                 continue
                             mu = math.sqrt(square)
                             mu_0 = u * sun_x + v * sun_y + mu * cosine

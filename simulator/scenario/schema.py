@@ -166,7 +166,7 @@ class TrackerSection(Section):
     magnitude_limit: FiniteFloat = 6.5
     """Faintest guide star."""
     detector: str = "components"
-    """``components``, ``region_growing`` or ``clustering``."""
+    """``components``, ``region_growing``, ``clustering``, ``round_regions`` or ``first_regions``."""
     centroider: str = "moment"
     """``moment``, ``weighted_moment``, ``least_squares`` or ``maximum_likelihood``."""
     identifier: str = "adaptive"

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -29,8 +30,10 @@ __all__ = [
     "earth_in_field",
     "earth_radiance_map",
     "earth_s10",
+    "limbs",
     "occulted",
     "stray_sources",
+    "unhidden",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -74,6 +77,59 @@ def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
     r = np.asarray(r_km, dtype=float)
     cosine = np.atleast_2d(np.asarray(directions, dtype=float)) @ (r / -math.hypot(*r.tolist()))
     return np.asarray(cosine > math.cos(angular_radius_rad(r)))
+
+
+def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Where the Earth's limb runs over the disks of bodies.
+
+    On the sphere the limb is a circle of radius ρ about the nadir, whose geodesic curvature is cot ρ. On a disk of
+    radius a ≪ ρ whose centre is D from the nadir, with t the distance towards the nadir and p across it, in radii, the
+    Earth hides t > (D − ρ)/a + ½ a cot ρ p².
+
+    Parameters
+    ----------
+    directions : array_like, shape (N, 3)
+        Unit vectors of the disks' centres.
+    radius_rad : array_like, shape (N,)
+        Their radii.
+    r_km : array_like, shape (3,)
+        Position of the spacecraft.
+
+    Returns
+    -------
+    offset, curvature : (N,) arrays
+        (D − ρ)/a and a cot ρ: from 1 on the disk is free, up to −1 it is hidden.
+    """
+    r = np.asarray(r_km, dtype=float)
+    radius = np.maximum(np.asarray(radius_rad, dtype=float), 1e-9)
+    horizon = angular_radius_rad(r)
+    away = np.arccos(np.clip(np.atleast_2d(directions) @ (r / -math.hypot(*r.tolist())), -1.0, 1.0))
+    return (away - horizon) / radius, radius * math.cos(horizon) / math.sin(horizon)
+
+
+def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection) -> FloatArray:
+    """Share (N,) of the light of Sun, Moon and planets that the Earth leaves free: 0 or 1, or between where its limb
+    runs over the disk, as in the penumbra.
+
+    Brightness over the disk is that of its phase and scattering law (`simulator.optics.bodies`).
+    """
+    if not section.earth or not len(bodies):
+        return np.ones(len(bodies))
+    offset, curvature = limbs(bodies.direction, bodies.angular_radius_rad, r_km)
+    share = (offset > 0.0).astype(float)
+    nadir = -np.asarray(r_km, dtype=float)
+    for k in np.flatnonzero(np.abs(offset) < 1.0):
+        lit = float(bodies.illuminated_fraction[k]) if section.phases else 1.0
+        between = _angle_at(bodies.direction[k], np.asarray(sun_direction, dtype=float), nadir)
+        law = LAW_OF_BODY.get(str(bodies.name[k]), "lambert")
+        share[k] = share_before_limb(float(offset[k]), float(curvature[k]), between, lit, law)
+    return share
+
+
+def _angle_at(centre: FloatArray, one: FloatArray, other: FloatArray) -> float:
+    """Angle between the great circles from a direction towards two others; 0 where one of them has none."""
+    first, second = one - (one @ centre) * centre, other - (other @ centre) * centre
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
 def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
@@ -159,7 +215,8 @@ def stray_sources(
     """What may shine into the baffle: Sun, Moon, and the lit Earth in pieces.
 
     The visible part of the Earth is cut into pieces of equal solid angle about the nadir, each a point of V = −2.5
-    log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are left out while the Earth hides them.
+    log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are left out while the Earth hides them, and
+    fainter where it hides a part of them.
 
     Parameters
     ----------
@@ -179,12 +236,12 @@ def stray_sources(
     v_mag : (N,)
         Brightness.
     """
-    chosen = np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"]))
-    if section.earth and len(chosen):
-        chosen = chosen[~occulted(bodies.direction[chosen], r_km)]
-    names, directions = bodies.name[chosen], bodies.direction[chosen]
-    v_mag = bodies.v_mag[chosen]
     sun = np.flatnonzero(bodies.name == "Sun")
+    lamps = bodies.select(np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"])))
+    share = unhidden(lamps, r_km, bodies.direction[sun[0]] if len(sun) else np.zeros(3), section)
+    free = np.flatnonzero(share > 0.0)
+    names, directions = lamps.name[free], lamps.direction[free]
+    v_mag = lamps.v_mag[free] - 2.5 * np.log10(share[free])
     if section.earth and len(sun):
         pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
         light = earth_s10(pieces, r_km, bodies.direction[sun[0]], section.earth_albedo) * square_degrees

@@ -84,7 +84,7 @@ class Photometer:
     _rate: _Tables = field(init=False, repr=False)
     _first_moment: _Tables = field(init=False, repr=False)
     _bins: dict[tuple[float, ...], _Tables] = field(init=False, repr=False)
-    _bodies: dict[str, float] = field(init=False, repr=False)
+    _bodies: dict[str, tuple[float, float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.aperture_area_cm2) and self.aperture_area_cm2 > 0):
@@ -128,12 +128,22 @@ class Photometer:
         v_mag : (N,) array
             Magnitudes V of the whole bodies.
         """
-        for name in {str(name) for name in names} - self._bodies.keys():
-            photons = body_photons(self._wavelength_nm, name, self.spectrum)
-            rate = self.aperture_area_cm2 * np.trapezoid(photons * self._efficiency, self._wavelength_nm)
-            self._bodies[name] = float(rate)
-        at_zero = np.array([self._bodies[str(name)] for name in names])
+        at_zero = np.array([self._body(str(name))[0] for name in names])
         return at_zero * 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
+
+    def body_wavelength_nm(self, names: NDArray[np.str_]) -> FloatArray:
+        """Mean wavelength (N,) of the photo-electrons of bodies of the solar system, nm."""
+        return np.array([self._body(str(name))[1] for name in names])
+
+    def _body(self, name: str) -> tuple[float, float]:
+        """Electrons a second of a body of V = 0, and their mean wavelength; kept."""
+        if name not in self._bodies:
+            nm = self._wavelength_nm
+            electrons = body_photons(nm, name, self.spectrum) * self._efficiency
+            rate = float(np.trapezoid(electrons, nm))
+            mean = float(np.trapezoid(electrons * nm, nm)) / rate if rate > 0.0 else 0.0
+            self._bodies[name] = (self.aperture_area_cm2 * rate, mean)
+        return self._bodies[name]
 
     def effective_wavelength_nm(self, b_v: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
         """Mean wavelength of a star's photo-electrons, ∫ λ n η dλ / ∫ n η dλ, nm; (N,)."""

@@ -71,7 +71,7 @@ def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str
             f"{axis}_rms_low_deg": _plain(intervals[k, 0]) if intervals is not None else None,
             f"{axis}_rms_high_deg": _plain(intervals[k, 1]) if intervals is not None else None,
             f"{axis}_three_sigma_deg": None if rms is None else 3.0 * rms,
-            f"{axis}_p997_deg": float(np.percentile(np.abs(e), 99.7)) if len(e) else None,
+            f"{axis}_p997_deg": float(np.percentile(np.abs(e), 99.7, method="inverted_cdf")) if len(e) else None,
         }
     for name in TIMINGS:
         times = np.asarray(columns[name.removeprefix("median_")], dtype=float)

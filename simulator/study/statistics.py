@@ -52,14 +52,15 @@ FloatArray = NDArray[np.float64]
 def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
     """Mean, standard deviation (n − 1), rms, and the percentiles of the magnitude of one axis' errors, degrees.
 
-    ``p997`` is the magnitude that 99.7 % of the errors stay below, ``three_sigma`` three times the rms: the two meet
-    for a normal distribution about zero. None where there are too few errors.
+    ``p997`` is the smallest magnitude that at least 99.7 % of the errors do not exceed, ``three_sigma`` three times the
+    rms: the two meet for a normal distribution about zero. None where there are too few errors.
     """
     n = len(errors_deg)
     if n == 0:
         return dict.fromkeys(("mean", "std", "rms", "three_sigma", "p50", "p95", "p997", "max"))
     magnitude = np.abs(errors_deg)
-    p50, p95, p997 = (float(v) for v in np.percentile(magnitude, list(PERCENTILES.values())))
+    # an error of the sample, so that it lies within its interval between two others
+    p50, p95, p997 = np.percentile(magnitude, list(PERCENTILES.values()), method="inverted_cdf").tolist()
     rms = math.sqrt(float(np.mean(errors_deg**2)))
     return {
         "mean": float(np.mean(errors_deg)),

@@ -27,9 +27,9 @@ from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
+from startracker.identification.association import REJECT_SIGMAS
 from startracker.lens import PARAMETERS, only, plain
 from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
-from startracker.refine import REJECT_SIGMAS
 
 __all__ = ["calibrate"]
 

@@ -47,12 +47,11 @@ def match(bright: StarCatalog, precise: StarCatalog) -> IntArray:
     return found
 
 
-def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -np.inf) -> StarCatalog:
+def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
     """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it lacks.
 
     Stars that are added carry minus their number as id and are moved to the epoch of `precise`. Brightness, colour,
-    position and motion of a star that both have are those of `precise`, but for the V of stars brighter than
-    `saturated_mag` in `bright`, which is that of `bright`. Variable is what either calls so.
+    position and motion of a star that both have are those of `precise`. Variable is what either calls so.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)
@@ -64,9 +63,6 @@ def complete(precise: StarCatalog, bright: StarCatalog, saturated_mag: float = -
         columns[column] = values
     columns["variable"] = columns["variable"].copy()
     columns["variable"][found[has]] |= bright.variable[has]
-    saturated = has[bright.v_mag[has] < saturated_mag]
-    columns["v_mag"] = columns["v_mag"].copy()
-    columns["v_mag"][found[saturated]] = bright.v_mag[saturated]
     added = bright.select(np.flatnonzero(_missing(bright, precise, found))).at_epoch(precise.epoch_jyear)
     joined: dict[str, Any] = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
     joined["id"] = np.concatenate([precise.id, -added.id])

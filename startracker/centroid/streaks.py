@@ -58,7 +58,7 @@ _FREE_SNR = 30.0
 _WORST_CHI2 = 3.0
 _MODEL_ERROR = 0.01
 """Share of a streak's light by which the model may be wrong without its being something else."""
-_SYSTEMATIC_PX = 0.02
+_SYSTEMATIC_PX = 0.005
 _CUT_PX = 4.0
 """A streak that ends nearer to the border may go on beyond."""
 _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1

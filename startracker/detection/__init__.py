@@ -10,11 +10,13 @@ from startracker.detection.bad_pixels import find_bad_pixels, mask_pixels
 from startracker.detection.clustering import find_clusters
 from startracker.detection.components import find_components
 from startracker.detection.region_growing import grow_regions
+from startracker.detection.round_regions import find_first_regions, find_round_regions
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
 
 __all__ = [
+    "DETECTORS",
     "METHODS",
     "Background",
     "Detector",
@@ -24,6 +26,8 @@ __all__ = [
     "find_bad_pixels",
     "find_clusters",
     "find_components",
+    "find_first_regions",
+    "find_round_regions",
     "grow_regions",
     "mask_pixels",
 ]
@@ -38,3 +42,10 @@ METHODS: dict[str, Detector] = {
     "clustering": find_clusters,
 }
 """Detectors by name; packages add theirs in the entry-point group ``boresight.detectors``."""
+
+DETECTORS: dict[str, Detector] = {
+    **METHODS,
+    "round_regions": find_round_regions,
+    "first_regions": find_first_regions,
+}
+"""`METHODS`, and those with the rules of Greyling 1995 alone, which leave hot pixels and streaks in."""

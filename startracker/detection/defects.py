@@ -48,11 +48,11 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     """
     if pixels.dtype.kind == "u":
         return pixels, 0
-    sample = pixels.reshape(-1)[:: max(1, pixels.size // _SAMPLES)].astype(np.float64)
-    sample = sample[np.isfinite(sample)]
-    if not len(sample):
+    sample = pixels.reshape(-1)[:: max(1, pixels.size // _SAMPLES) | 1]
+    ordered = np.sort(sample[np.isfinite(sample)])
+    if not len(ordered):
         return pixels, 0
-    low, middle, high = np.quantile(sample, (0.158655, 0.5, 0.841345))
+    low, middle, high = (float(ordered[int(share * len(ordered))]) for share in (0.158655, 0.5, 0.841345))
     limit = _HIGHEST_SIGMA * min(high - middle, middle - low)
     if not max(highest - middle, middle - lowest) > limit:
         return pixels, 0

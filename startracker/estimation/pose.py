@@ -23,7 +23,7 @@ Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V 
 N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ V⁻¹ r, ν = 2M − 3 and n the degrees of freedom of the prior of s²:
 
     mean        N⁻¹ Hᵀ V⁻¹ r
-    covariance  N⁻¹ (n + χ²)/(n + ν − 2)
+    covariance  N⁻¹ (n + χ²)/(n + ν)
     evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
 
 The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance has the
@@ -54,7 +54,10 @@ FloatArray = NDArray[np.float64]
 TRUSTED = 20.0
 """Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
 SYSTEMATIC = np.concatenate((np.zeros(1), 0.4 * 2.0 ** np.arange(9)))
-"""Values of τ in units of the median stated error; the first has as much prior probability as all others."""
+"""Values of τ in units of the median stated error."""
+_FALLING = 0.75 ** np.arange(9)
+_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.array([0.5]), 0.5 * _FALLING / _FALLING.sum())))
+"""As probable as not, and a large one less than a small one: of three stars it is hardly known."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
 """Relative error of a calibrated focal length, and of a shear, where there is one."""
 FREE_FOCAL_SIGMA = 1e-2
@@ -195,6 +198,7 @@ def fit_pose(
     extra_sigma: FloatArray,
     trusted: float,
     first: int,
+    models: int,
 ) -> Pose:
     """Average of all models of the module's docstring over their evidence.
 
@@ -215,6 +219,8 @@ def fit_pose(
         there is no τ.
     first : int
         First model: 0 where the camera may be as calibrated; 1 where the focal length is always fitted.
+    models : int
+        Number of models: 3, or 2 where the caller's columns make shears as they are.
     """
     count, known = len(residual), extra.shape[2]
     columns = _columns(slopes, extra, offset)
@@ -247,7 +253,7 @@ def fit_pose(
                 for j in range(i + 1):
                     normal[i, j] += u * columns[n, 0, j] + v * columns[n, 1, j]
         plain[t] = _inverse(normal, 3)[0]
-        for m in range(first, 3):
+        for m in range(first, models):
             size = (3 + known, 4 + known, 6 + known)[m]
             added, log_prior = normal.copy(), 0.0
             for k in range(3, size):
@@ -268,14 +274,12 @@ def fit_pose(
                 chi2 -= mean[t, m, i] * right[i]
             power, chi2 = trusted + freedom, max(chi2, 1e-12)
             if trusted > 0.0:
-                scale[t, m] = (trusted + chi2) / (power - 2.0)
+                scale[t, m] = (trusted + chi2) / power
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
             every[t, m, :size, :size] = inverse
             log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
-            weight[t, m] = _PRIOR_OF_MODELS[m] - 0.5 * log_data
-            if t > 0:
-                weight[t, m] -= math.log(grid - 1.0)
+            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] - 0.5 * log_data
     pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, known)
     return pose
 
@@ -313,7 +317,6 @@ def _averaged(
                     covariance[i, j] += share * (scale[t, m] * every[t, m, i, j] + away)
                     without[i, j] += share * scale[t, m] * plain[t, i, j]
             last = 5 + known
-            unseen = share * (mean[t, m, last] ** 2 + scale[t, m] * every[t, m, last, last])
-            covariance[2, 2] += unseen
+            covariance[2, 2] += share * mean[t, m, last] ** 2
     sigma = np.sqrt(factor * trace + systematic)
     return Pose(centre[:3], covariance, covariance - without, sigma, systematic, factor, centre[3:])

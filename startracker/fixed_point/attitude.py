@@ -22,7 +22,7 @@ from startracker.fixed_point.cordic import angles_deg
 from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Format, Integers, divide, integers
 from startracker.fixed_point.square_root import square_root
 
-__all__ = ["DIRECTION", "MAX_STARS", "NotSolved", "PlateAttitude", "plate_attitude", "unit"]
+__all__ = ["DIRECTION", "MAX_STARS", "NotSolved", "PlateAttitude", "matrix_angles", "plate_attitude", "unit"]
 
 DIRECTION = Format(2, 30)
 """Components of unit vectors."""
@@ -201,17 +201,19 @@ def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers
         raise NotSolved("the stars are the mirror image of the picture, or none of it")
     reach, swing = int(plate[0, 0] + plate[1, 1]), int(plate[1, 0] - plate[0, 1])
     cosine, sine, _ = unit(_long(np.array([reach, swing, 0])))
-    x = (cosine * east + sine * north) >> 30
-    y = (cosine * north - sine * east) >> 30
-    cx, cy, cz = (int(c) for c in center)
+    matrix = np.vstack([(cosine * east + sine * north) >> 30, (cosine * north - sine * east) >> 30, center])
+    return PlateAttitude(matrix, *matrix_angles(matrix), rounds)
+
+
+def matrix_angles(matrix: Integers) -> tuple[int, int, int]:
+    """Right ascension and declination of the boresight and roll, degrees of 10.22, of a matrix of 2.30."""
+    up = [-int(c) for c in matrix[1]]
+    cx, cy, cz = (int(c) for c in matrix[2])
     level = int(square_root(cx * cx + cy * cy))
-    up = [-int(c) for c in y]
     to_east = (cx * up[1] - cy * up[0]) >> 30
     to_north = (up[2] * level >> 30) * level - ((cx * up[0] + cy * up[1]) >> 30) * cz >> 30
     ra, dec, roll = (int(a) for a in angles_deg([cy, cz, to_east], [cx, level, to_north]))
-    if dec > 180 << 22:
-        dec -= 360 << 22
-    return PlateAttitude(np.vstack([x, y, center]), ra, dec, roll, rounds)
+    return ra, dec - (360 << 22 if dec > 180 << 22 else 0), roll
 
 
 def _long(vector: Integers) -> Integers:

@@ -1,19 +1,21 @@
 """The integer tracker as C99 source: tables as constant arrays, and the algorithm (Yee 1999, section 4.2.5).
 
-`export_c` returns the files: the C of ``c/`` as it is, ``tables.h`` and ``tables.c`` with the numbers of one
-camera, sub-catalogue and set of thresholds, and a Makefile. Every buffer has a fixed size, the largest that these
-tables can ask for; only triads that pass all tests may be too many, which is a status.
+`export_c` returns the files: the C of ``c/`` with its names prefixed, ``<prefix>_tables.h`` and ``<prefix>_tables.c``
+with the numbers of one camera, sub-catalogue and set of thresholds, a ``main.c`` and a Makefile. Every buffer has a
+fixed size, the largest that these tables can ask for; only triads that pass all tests may be too many, which is a
+status.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FULL_TURN, SCALE, FixedArithmetic, FixedSky
@@ -23,25 +25,28 @@ from startracker.fixed_point.square_root import CROSSOVER
 from startracker.fixed_point.tables import arccosine_table, cosine_table, quadrant_table
 
 if TYPE_CHECKING:
+    from startracker.identification.integer_solution import IntegerTracker
     from startracker.identification.triad_search import TriadLimits
     from startracker.identification.triad_tables import TriadTables
 
-__all__ = ["SOURCES", "CExport", "export_c"]
+__all__ = ["MODULES", "CExport", "export_c"]
 
-SOURCES = ("tracker.h", "integers.c", "attitude.c", "triads.c", "main.c")
-"""Files that are the same for every camera."""
+MODULES = ("integers", "attitude", "verification", "triads")
+"""Modules of the solver that are the same for every camera: ``<prefix>_<module>.c``."""
+_SOURCES = ("tracker.h", "tracker_internal.h", *(f"tracker_{module}.c" for module in MODULES), "main.c")
+_NAME = re.compile(r"\b(tracker|TRACKER)(?=_|\.h)")
 _MAKEFILE = """\
-CFLAGS = -std=c99 -O2 -Wall -Wextra -Werror
-OBJECTS = tables.o integers.o attitude.o triads.o main.o
+CFLAGS = -std=c99 -O2 -Wall -Wextra -Wpedantic -Wconversion -Werror
+OBJECTS = tracker_tables.o {objects}
 
-solve: $(OBJECTS)
-\t$(CC) $(CFLAGS) $(LDFLAGS) -o $@ $(OBJECTS)
+solve: main.o $(OBJECTS)
+\t$(CC) $(CFLAGS) $(LDFLAGS) -o $@ main.o $(OBJECTS)
 
-%.o: %.c tracker.h tables.h
+%.o: %.c tracker.h tracker_internal.h tracker_tables.h
 \t$(CC) $(CFLAGS) -c -o $@ $<
 
 clean:
-\trm -f solve $(OBJECTS)
+\trm -f solve main.o $(OBJECTS)
 """
 
 
@@ -51,37 +56,52 @@ class CExport:
 
     Parameters
     ----------
+    prefix : str
+        That all its names begin with.
     files : dict of str to str
         Name to text.
     table_bytes : dict of str to int
         Array to its size.
+    most_steps : int
+        Comparisons of catalogue pairs in the search for triads, at most.
     """
 
+    prefix: str
     files: dict[str, str]
     table_bytes: dict[str, int]
+    most_steps: int = 0
 
 
 def export_c(
-    tables: TriadTables, scale_deg: ArrayLike, limits: TriadLimits, max_stars: int, max_triads: int
+    tracker: IntegerTracker,
+    limits: TriadLimits,
+    max_stars: int,
+    max_triads: int,
+    max_groups: int,
+    prefix: str = "tracker",
 ) -> CExport:
     """Write the tracker of one camera in C.
 
     Parameters
     ----------
-    tables : TriadTables
-        Of `startracker.identification.integer_solution.integer_tables`.
-    scale_deg : array_like, shape (2,)
-        Degrees a pixel, across and down.
+    tracker : IntegerTracker
+        Camera and tables.
     limits : TriadLimits
         Thresholds, one separation tolerance for all pairs.
-    max_stars, max_triads : int
-        Brightest stars that are matched; triads that there is room for.
+    max_stars, max_triads, max_groups : int
+        Brightest points that make triads; triads that there is room for; groups that are verified.
+    prefix : str
+        Of all files and names.
 
     Raises
     ------
     InputError
-        Tables of another arithmetic, several separation tolerances, more stars or pairs than 16-bit indices reach.
+        A prefix that is no name of C; tables of another arithmetic, several separation tolerances, more stars or pairs
+        than 16-bit indices reach.
     """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix) or prefix.endswith("_"):
+        raise InputError(f"--prefix: must be lower-case letters, digits and underscores, as 'vega_1', not '{prefix}'")
+    tables, check = tracker.tables, tracker.verification
     arithmetic, sky = tables.arithmetic, tables.sky
     if not (isinstance(arithmetic, FixedArithmetic) and isinstance(sky, FixedSky)):
         raise InputError("only tables of integers can be exported; build them with FixedArithmetic")
@@ -98,8 +118,10 @@ def export_c(
             f"{len(tables)} stars with up to {window} pairs within the tolerance: more than 16-bit indices reach "
             "(65535 stars, 32767 pairs); take fewer stars or a smaller tolerance"
         )
+    triangles = max_stars * (max_stars - 1) * (max_stars - 2) // 6
+    most_steps = triangles * 2 * window * _most_partners(tables, tolerance) ** 2
     # the same words as `combine_separation`, which this package cannot import
-    scale = SCALE.encode(scale_deg)
+    scale = SCALE.encode(tracker.camera.scale_deg)
     probe = arithmetic.image([[0.0, 0.0], [limits.combine_px, 0.0], [0.0, limits.combine_px]], scale)
     combine = int(arithmetic.image_separations(probe, [0, 0], [1, 2]).max())
     enclosed = limits.enclosed_tolerance_deg
@@ -107,9 +129,13 @@ def export_c(
     constants = {
         "CATALOG_STARS": len(tables),
         "PAIRS": len(tables.first),
+        "GUIDES": len(check.guide),
         "MAX_STARS": max_stars,
+        "MAX_POINTS": len(check.distracting) - 1,
+        "MAX_FIELD": check.seeing.shape[1] - 1,
         "MAX_WINDOW": window,
         "MAX_TRIADS": max_triads,
+        "MAX_GROUPS": max_groups,
         "ROTATIONS": len(STEPS_DEG),
         "FULL_TURN": FULL_TURN,
         "CROSSOVER": CROSSOVER,
@@ -123,6 +149,19 @@ def export_c(
         "THREE_STARS": int(limits.three_stars),
         "SCALE_X": int(scale[0]),
         "SCALE_Y": int(scale[1]),
+        "FOCAL": check.focal,
+        "RATIO": check.ratio,
+        "HALF_X": int(check.half[0]),
+        "HALF_Y": int(check.half[1]),
+        "GATES": len(check.gates),
+        "WIDTHS": len(check.log_cell),
+        "SUMS": len(check.sum_table),
+        "SAME": check.same,
+        "SAME_ROLL": check.same_roll,
+        "SPREAD": check.spread,
+        "LOG_AREA": check.log_area,
+        "LOG_PI": check.log_pi,
+        "THRESHOLD": check.threshold,
     }
     arrays = [
         _Table("uint16_t", "cosine", "cosines of 1.15 by angles of 6.10", cosine_table()),
@@ -137,15 +176,46 @@ def export_c(
         _Table("int16_t", "pair_separation", "degrees of 6.10, ascending", tables.separation),
         _Table("uint16_t", "pair_first", "places of stars", tables.first),
         _Table("uint16_t", "pair_second", "places of stars", tables.second),
+        _Table("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", check.guide),
+        _Table("int32_t", "guide_number", "their catalogue numbers", tracker.guide_number),
+        _Table("uint16_t", "guide_of_star", "the guide star that a star belongs to", tracker.guide_of_star),
+        _Table("int64_t", "gate", "squared radii of the matching, units of the plane", check.gates),
+        _Table("int32_t", "log_cell", "log2 of 2 pi sigma^2, of each width", check.log_cell),
+        _Table("int64_t", "quadratic", "log2(e) / 2 sigma^2, 32 bits of fraction", check.quadratic),
+        _Table("int64_t", "farthest", "largest squared distance", check.farthest),
+        _Table("int32_t", "log_volume", "log2 of prior and volume", check.log_volume),
+        _Table("int16_t", "log_table", "log2(1 + k / 256)", check.log_table),
+        _Table("int16_t", "sum_table", "log2(1 + 2^-x)", check.sum_table),
+        _Table("int32_t", "distracting", "log2 of the weight of k false stars", check.distracting),
+        _Table("int32_t", "seeing", "log2 of the weight of m stars seen and k not", check.seeing),
+        _Table("int32_t", "total", "log2 of the weight of n points before k guide stars", check.total),
     ]
-    head = ["/* Numbers of one camera and sub-catalogue; made by boresight export-c. */", "#ifndef TABLES_H"]
-    head += ["#define TABLES_H", "", "#include <stdint.h>", ""]
-    head += [f"#define {name} {value}" for name, value in constants.items()]
-    head += ["", *(f"extern {table.declaration}; /* {table.meaning} */" for table in arrays), "", "#endif", ""]
-    body = ['#include "tables.h"', "", *(line for table in arrays for line in table.definition()), ""]
-    source = {name: (files("startracker.fixed_point") / "c" / name).read_text("utf-8") for name in SOURCES}
-    made = {"tables.h": "\n".join(head), "tables.c": "\n".join(body), "Makefile": _MAKEFILE}
-    return CExport(source | made, {table.name: table.bytes for table in arrays})
+    head = ["/* Numbers of one camera and sub-catalogue; made by boresight export-c. */", "#ifndef TRACKER_TABLES_H"]
+    head += ["#define TRACKER_TABLES_H", "", "#include <stdint.h>", "", "#ifdef __cplusplus", 'extern "C" {', "#endif"]
+    head += ["", f"#define TRACKER_MOST_STEPS {most_steps}LL"]
+    head += [f"#define TRACKER_{name} {value}" for name, value in constants.items()]
+    head += ["", *(f"extern {table.declaration}; /* {table.meaning} */" for table in arrays), ""]
+    head += ["#ifdef __cplusplus", "}", "#endif", "", "#endif", ""]
+    body = ['#include "tracker_tables.h"', "", *(line for table in arrays for line in table.definition()), ""]
+    source = {name: (files("startracker.fixed_point") / "c" / name).read_text("utf-8") for name in _SOURCES}
+    objects = " ".join(f"tracker_{module}.o" for module in MODULES)
+    source |= {"tracker_tables.h": "\n".join(head), "tracker_tables.c": "\n".join(body)}
+    source["Makefile"] = _MAKEFILE.format(objects=objects)
+    named = {_prefixed(name, prefix): _prefixed(text, prefix) for name, text in source.items()}
+    return CExport(prefix, named, {table.name: table.bytes for table in arrays}, most_steps)
+
+
+def _prefixed(text: str, prefix: str) -> str:
+    return _NAME.sub(lambda match: prefix if match[1] == "tracker" else prefix.upper(), text)
+
+
+def _most_partners(tables: TriadTables, tolerance: int) -> int:
+    """Most partners that any star has within a window of separations."""
+    star = np.concatenate([tables.first, tables.second])
+    separation = np.concatenate([tables.separation, tables.separation])
+    order = np.lexsort((separation, star))
+    codes = star[order] * (1 << 20) + separation[order]
+    return int((np.searchsorted(codes, codes + 2 * tolerance, side="right") - np.arange(len(codes))).max())
 
 
 @dataclass(frozen=True)
@@ -163,7 +233,7 @@ class _Table:
 
     @property
     def declaration(self) -> str:
-        return f"const {self.type} {self.name}" + "".join(f"[{n}]" for n in self.values.shape)
+        return f"const {self.type} tracker_{self.name}" + "".join(f"[{n}]" for n in self.values.shape)
 
     def definition(self) -> Iterable[str]:
         """Its lines; every value is checked against the type's range."""

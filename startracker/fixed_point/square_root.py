@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_product, integers
 from startracker.fixed_point.tables import arccosine_table, cosine_table
 
-__all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "separation", "square_root"]
+__all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "root", "separation", "square_root"]
 
 CROSSOVER = 11929
 """11.65° in 6.10: up to here Pythagoras' theorem errs less than the tables; see `separation`."""
@@ -33,21 +33,25 @@ def square_root(value: ArrayLike) -> Integers:
 
 
 @njit(cache=True, error_model="numpy")
+def root(n: int) -> int:
+    """`square_root` of one number."""
+    if n == 0:
+        return 0
+    x, left = 1, n
+    while left > 0:  # a power of two of half the length, rounded up
+        x, left = x << 1, left >> 2
+    while True:
+        lower = (x + n // x) >> 1
+        if lower >= x:
+            return x
+        x = lower
+
+
+@njit(cache=True, error_model="numpy")
 def _roots(numbers: Integers) -> Integers:
     out = np.zeros_like(numbers)
     for k in range(len(numbers)):
-        n = numbers[k]
-        if n == 0:
-            continue
-        x, left = 1, n
-        while left > 0:  # a power of two of half the length, rounded up
-            x, left = x << 1, left >> 2
-        while True:
-            lower = (x + n // x) >> 1
-            if lower >= x:
-                break
-            x = lower
-        out[k] = x
+        out[k] = root(numbers[k])
     return out
 
 

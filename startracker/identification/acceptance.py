@@ -15,9 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from startracker.identification.observed import Identification
 from startracker.settings import IdentificationSettings
+from startracker.solution import Solution, Status
 
-__all__ = ["accepts", "log_chance", "log_limit", "power_of_ten"]
+__all__ = ["SURE_BEYOND", "accepts", "is_beyond_doubt", "log_chance", "log_limit", "power_of_ten"]
+
+SURE_BEYOND = 15.0
+"""How far beyond the limit (in ln of the chance) nothing can compete any more."""
 
 
 def log_chance(
@@ -42,6 +47,11 @@ def log_chance(
 def log_limit(settings: IdentificationSettings) -> float:
     """ln of the largest chance that is accepted."""
     return math.log(settings.false_alarm_rate)
+
+
+def is_beyond_doubt(found: Identification | Solution, settings: IdentificationSettings) -> bool:
+    """Whether an answer is accepted with so much to spare that no other way of looking can have more evidence."""
+    return found.status is Status.SOLVED and found.log_false_alarm < log_limit(settings) - SURE_BEYOND
 
 
 def accepts(chance: float, settings: IdentificationSettings) -> bool:

@@ -64,24 +64,25 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
         extent2 += square / n
     if not extent2 > 0.0:
         return out
+    h2 = np.empty(WIDTHS)
+    for width in range(WIDTHS):
+        h2[width] = extent2 / 4.0**width
+    sums = np.zeros((n, WIDTHS))  # the widths side by side, several at a time
     for i in range(n):
         for j in range(i):
             d2 = 0.0
             for axis in range(points.shape[1]):
                 d2 += (points[i, axis] - points[j, axis]) ** 2
-            h2 = extent2
             for width in range(WIDTHS):
-                ratio = 1.0 / (h2 + d2)
-                value = h2 * ratio * ratio
-                out[width, i] += value
-                out[width, j] += value
-                h2 *= 0.25
+                value = h2[width] / ((h2[width] + d2) * (h2[width] + d2))
+                sums[i, width] += value
+                sums[j, width] += value
     scale = (1.0 - _EVEN) * area / (math.pi * (n - 1))
     for i in range(n):
         total = 0.0
         for width in range(WIDTHS):
-            total += out[width, i]
-            out[width, i] = math.log(scale * out[width, i] + _EVEN)
+            total += sums[i, width]
+            out[width, i] = math.log(scale * sums[i, width] + _EVEN)
         out[WIDTHS, i] = math.log(scale * total / WIDTHS + _EVEN)
     return out
 

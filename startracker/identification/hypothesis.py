@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
+from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
@@ -30,8 +30,6 @@ IntArray = NDArray[np.int64]
 
 SCALES = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
-SURE_BEYOND = 15.0
-"""How far beyond the limit (in ln of the chance) nothing can compete any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,10 +279,13 @@ class Bench:
     def judge(self, observed: Observed) -> Identification:
         """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""
         found = self._judge(observed)
-        if found.status is not Status.SOLVED and self.cut_short:
-            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {found.reason}"
-            found = replace(found, status=Status.SEARCH_LIMIT, reason=reason)
-        return replace(found, operations=self.operations)
+        if found.status is Status.SOLVED:
+            return found
+        status, reason = found.status, found.reason
+        if self.cut_short:
+            reason = f"ended by the limit of {self.settings.max_operations:.3g} operations; until then: {reason}"
+            status = Status.SEARCH_LIMIT
+        return replace(found, status=status, reason=reason, operations=self.operations)
 
     def _judge(self, observed: Observed) -> Identification:
         seen = f"{len(observed)} stars seen"
@@ -298,7 +299,7 @@ class Bench:
         enough = len(best.pairs) >= self.settings.min_stars
         if enough and accepts(chance, self.settings):
             reason = f"{says}; by chance with probability {power_of_ten(chance)}"
-            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps)
+            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps, self.operations)
         if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)

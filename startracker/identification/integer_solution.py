@@ -1,7 +1,9 @@
-"""Centroids to attitude in integers: triads, votes, plate constants (Yee 1999, chapters 2 and 3).
+"""Centroids to attitude in integers: triads, votes, plate constants, verification (Yee 1999, chapters 2 and 3).
 
-What she left to floating point, the attitude, is in 64-bit integers here. The C that `startracker.fixed_point.export_c`
-writes gives the same answers bit for bit.
+What she left to floating point, the attitude, is in 64-bit integers here. The groups of triads are hypotheses: each of
+the largest is given an attitude, which is checked against all points of the list and all guide stars of the field
+(`startracker.fixed_point.verification`), and is an answer only where chance explains it at the false-alarm rate at
+most. The C that `startracker.fixed_point.export_c` writes gives the same answers bit for bit.
 """
 
 from __future__ import annotations
@@ -12,37 +14,116 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.attitude import NotSolved, PlateAttitude, plate_attitude
-from startracker.fixed_point.formats import FixedPointOverflow, integers
+from startracker.fixed_point.attitude import NotSolved, matrix_angles, plate_attitude
+from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Integers, integers
+from startracker.fixed_point.verification import FEW_FIT, LOG_BITS, NOT_SPREAD, Tables, local_areas, plane, verify
+from startracker.identification.integer_acceptance import (
+    MAX_POINTS,
+    IntegerCamera,
+    merged_stars,
+    verification_tables,
+)
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
-from startracker.identification.triad_votes import GroupMatch, match_triads
+from startracker.identification.triad_votes import COMBINED_ID, GroupMatch, match_triads
 
 __all__ = [
+    "MAX_GROUPS",
     "MAX_STARS",
     "MAX_TRIADS",
+    "REASONS",
     "STATUSES",
+    "IntegerAttitude",
+    "IntegerCamera",
+    "IntegerReason",
     "IntegerSolution",
     "IntegerStatus",
+    "IntegerTracker",
     "integer_tables",
     "solve_integers",
 ]
 
-IntegerStatus = Literal["solved", "too_few_stars", "no_match", "no_attitude", "overflow", "too_many_triads"]
+IntegerStatus = Literal["solved", "too_few_stars", "no_match", "ambiguous", "outside_image", "overflow", "search_limit"]
 STATUSES: tuple[IntegerStatus, ...] = (
     "solved",
     "too_few_stars",
     "no_match",
+    "ambiguous",
+    "outside_image",
+    "overflow",
+    "search_limit",
+)
+"""In the order of the C export's numbers."""
+IntegerReason = Literal[
+    "accepted",
+    "fewer_than_three",
+    "no_triads",
+    "no_group",
     "no_attitude",
+    "few_fit",
+    "not_spread",
+    "weak_evidence",
+    "rival",
+    "outside_image",
+    "overflow",
+    "too_many_triads",
+]
+REASONS: tuple[IntegerReason, ...] = (
+    "accepted",
+    "fewer_than_three",
+    "no_triads",
+    "no_group",
+    "no_attitude",
+    "few_fit",
+    "not_spread",
+    "weak_evidence",
+    "rival",
+    "outside_image",
     "overflow",
     "too_many_triads",
 )
-"""In the order of the C export's numbers."""
+"""The same for reasons; from ``no_triads`` to ``weak_evidence`` in the order of the stages."""
+_WORDS: dict[IntegerReason, str] = {
+    "accepted": "accepted",
+    "fewer_than_three": "fewer than three points",
+    "no_triads": "no triad of catalogue stars passes the tests",
+    "no_group": "no group of triads names three stars",
+    "no_attitude": "the stars named fit no attitude",
+    "few_fit": "fewer than three points fit an attitude",
+    "not_spread": "the points that fit lie in a clump or a line",
+    "weak_evidence": "chance explains the points that fit",
+    "rival": "two attitudes explain the points",
+    "outside_image": "a point lies outside the image",
+    "overflow": "fixed-point overflow",
+    "too_many_triads": "more triads pass the tests than there is room for",
+}
 MAX_STARS = 12
-"""Brightest stars that are matched, as in the thesis."""
+"""Brightest points that make triads, as in the thesis."""
 MAX_TRIADS = 4096
 """Triads that the C export has room for."""
+MAX_GROUPS = 12
+"""Largest groups of triads that are looked at."""
+
+
+@dataclass(frozen=True)
+class IntegerAttitude:
+    """Attitude of an image, integers only.
+
+    Parameters
+    ----------
+    matrix : int array, shape (3, 3)
+        Rows: the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30:
+        v_camera = matrix @ v_catalogue.
+    ra, dec, roll : int
+        Of the boresight, degrees of 10.22; roll is the position angle of the image's up, east of north.
+    """
+
+    matrix: Integers
+    ra: int
+    dec: int
+    roll: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,22 +133,81 @@ class IntegerSolution:
     Parameters
     ----------
     status : str
-        One of `STATUSES`.
+        One of `STATUSES`. Everything but ``solved`` says nothing of the attitude.
+    code : str
+        Why, one of `REASONS`.
     reason : str
-        In words.
+        The same in words.
     numbers : int array, shape (N,)
-        Catalogue number of each star used, plus 10,000 where several are one in the image; 0 where unmatched.
+        Catalogue number of each point, plus 10,000 where several stars are one in the image; 0 where unmatched, and
+        for all unless solved.
     triads : int
-        Triads of the group that won.
-    attitude : PlateAttitude or None
+        Triads of the group that won; 0 unless solved.
+    matched : int
+        Points that fit the best attitude; solved or not.
+    evidence : int
+        log₂ of its Bayes factor, 12 bits of fraction; 0 where no attitude was weighed.
+    attitude : IntegerAttitude or None
         When solved.
     """
 
     status: IntegerStatus
+    code: IntegerReason
     reason: str
     numbers: NDArray[np.int64]
     triads: int = 0
-    attitude: PlateAttitude | None = None
+    matched: int = 0
+    evidence: int = 0
+    attitude: IntegerAttitude | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerTracker:
+    """Everything in integers that one camera and sub-catalogue need.
+
+    Parameters
+    ----------
+    camera : IntegerCamera
+        What the rest was made for.
+    tables : TriadTables
+        Of `integer_tables`.
+    verification : Tables
+        Constants and guide stars of the verification.
+    guide_number : (G,)
+        Catalogue number of each guide star, plus 10,000 for several that are one.
+    guide_of_star : (N,)
+        Guide star that each star of the sub-catalogue belongs to.
+    """
+
+    camera: IntegerCamera
+    tables: TriadTables
+    verification: Tables
+    guide_number: Integers
+    guide_of_star: Integers
+
+    @classmethod
+    def build(
+        cls,
+        camera: IntegerCamera,
+        star_id: ArrayLike,
+        ra_deg: ArrayLike,
+        dec_deg: ArrayLike,
+        v_mag: ArrayLike,
+        max_separation_deg: float,
+    ) -> IntegerTracker:
+        """Tables of a sub-catalogue with pairs up to the largest separation.
+
+        Raises
+        ------
+        InputError, FixedPointOverflow
+            As `TriadTables.build`; a largest separation of 32° or more.
+        """
+        tables = integer_tables(star_id, ra_deg, dec_deg, v_mag, max_separation_deg)
+        if not len(tables):
+            raise InputError("the sub-catalogue has no star; raise the magnitude limit")
+        guide = merged_stars(ra_deg, dec_deg, v_mag, camera.resolution_px / max(camera.focal_px))
+        number = tables.id[guide.first] + np.where(guide.several, COMBINED_ID, 0)
+        return cls(camera, tables, verification_tables(camera, guide), number, guide.of_star)
 
 
 def integer_tables(
@@ -86,22 +226,18 @@ def integer_tables(
     return replace(tables, v_mag=rank)  # type: ignore[arg-type]  # only ever compared
 
 
-def solve_integers(
-    tables: TriadTables, xy_px: ArrayLike, scale_deg: ArrayLike, limits: TriadLimits | None = None
-) -> IntegerSolution:
-    """Identify stars by triads and find the attitude, after the tables in integers only.
+def solve_integers(tracker: IntegerTracker, xy_px: ArrayLike, limits: TriadLimits | None = None) -> IntegerSolution:
+    """Identify stars by triads, find the attitude and verify it, after the tables in integers only.
 
     Parameters
     ----------
-    tables : TriadTables
-        Of `integer_tables`.
+    tracker : IntegerTracker
+        Camera and tables.
     xy_px : array_like, shape (N, 2)
-        Centroids, brightest first, x right and y up from the image's centre: pixels, or integers of 10.22. The first
-        12 are used.
-    scale_deg : array_like, shape (2,)
-        Degrees a pixel, or integers of 12.20.
+        Centroids without distortion, brightest first, x right and y up from the image's centre: pixels, or integers of
+        10.22. The first 12 make triads, the first 24 are verified.
     limits : TriadLimits, optional
-        Thresholds.
+        Thresholds of the triads.
 
     Returns
     -------
@@ -113,34 +249,101 @@ def solve_integers(
     TypeError
         Tables that hold floating point.
     """
-    integers(tables.v_mag)
-    integers(tables.separation)
-    xy = np.asarray(xy_px).reshape(-1, 2)[:MAX_STARS]
-    nobody = np.zeros(len(xy), dtype=np.int64)
-    if len(xy) < 3:
-        return IntegerSolution("too_few_stars", f"{len(xy)} stars seen, 3 are needed", nobody)
+    integers(tracker.tables.v_mag)
+    integers(tracker.tables.separation)
+    given = np.asarray(xy_px).reshape(-1, 2)[:MAX_POINTS]
+    if len(given) < 3:
+        return _refused("too_few_stars", "fewer_than_three", len(given), f"{len(given)} points, 3 are needed")
     try:
-        image = tables.arithmetic.image(xy, scale_deg)
-        match = match_triads(tables, image.xy, image.scale_deg, limits)
-        if len(match.triads) > MAX_TRIADS:
-            reason = f"{len(match.triads)} triads passed the tests; there is room for {MAX_TRIADS}"
-            return IntegerSolution("too_many_triads", reason, nobody)
-        best = match.best()
-        if best is None:
-            return IntegerSolution("no_match", "no group of triads names three stars", nobody)
-        numbers = np.array([vote.number(tables) if vote else 0 for vote in best.matches], dtype=np.int64)
-        size = int(match.triads.group_sizes[best.group])
-        return _with_attitude(tables, image.xy, best, numbers, size)
+        xy = CENTROID.check(given, "centroid") if given.dtype.kind in "iu" else CENTROID.encode(given)
+        points = plane(xy, tracker.verification)
+        if (np.abs(points) > tracker.verification.half).any():
+            return _refused("outside_image", "outside_image", len(xy))
+        image = tracker.tables.arithmetic.image(xy[:MAX_STARS], tracker.camera.scale_deg)
+        match = match_triads(tracker.tables, image.xy, image.scale_deg, limits)
     except FixedPointOverflow as overflow:
-        return IntegerSolution("overflow", str(overflow), nobody)
+        return _refused("overflow", "overflow", len(given), str(overflow))
+    if len(match.triads) > MAX_TRIADS:
+        many = f"{len(match.triads)} triads passed the tests; there is room for {MAX_TRIADS}"
+        return _refused("search_limit", "too_many_triads", len(xy), many)
+    if not len(match.triads):
+        return _refused("no_match", "no_triads", len(xy))
+    bench = _Bench(tracker, xy, points)
+    for group in match.groups()[:MAX_GROUPS]:
+        bench.try_group(match.vote(int(group)), int(match.triads.group_sizes[group]))
+    return bench.judge()
 
 
-def _with_attitude(
-    tables: TriadTables, xy: NDArray[np.int64], best: GroupMatch, numbers: NDArray[np.int64], size: int
-) -> IntegerSolution:
-    seen, catalog = best.pairs.T
-    try:
-        attitude = plate_attitude(xy[seen], tables.sky.directions[catalog])
-    except NotSolved as why:
-        return IntegerSolution("no_attitude", str(why), numbers, size)
-    return IntegerSolution("solved", f"{len(seen)} stars matched", numbers, size, attitude)
+def _refused(status: IntegerStatus, code: IntegerReason, points: int, reason: str | None = None) -> IntegerSolution:
+    return IntegerSolution(status, code, reason or _WORDS[code], np.zeros(points, dtype=np.int64))
+
+
+class _Bench:
+    """Attitudes that have been verified: the best one, and its strongest rival."""
+
+    def __init__(self, tracker: IntegerTracker, xy: Integers, points: Integers) -> None:
+        self.tracker, self.xy, self.points = tracker, xy, points
+        self.area = local_areas(points, tracker.verification)
+        self.stage = REASONS.index("no_group")
+        self.found = False
+        self.evidence = self.matched = self.triads = 0
+        self.rival: int | None = None
+        self.numbers = np.zeros(len(xy), dtype=np.int64)
+        self.matrix = np.zeros((3, 3), dtype=np.int64)
+
+    def try_group(self, match: GroupMatch, size: int) -> None:
+        """Verify the attitude that a group of `size` triads gives."""
+        if match.matched < 3:
+            return
+        tables, check = self.tracker.tables, self.tracker.verification
+        seen, catalog = match.pairs.T
+        try:
+            start = plate_attitude(self.xy[seen], tables.sky.directions[catalog]).matrix
+        except NotSolved:
+            self._reached("no_attitude")
+            return
+        state, evidence, matched, index, matrix = verify(start, self.points, self.area, check)
+        self._reached("few_fit" if state == FEW_FIT else "not_spread" if state == NOT_SPREAD else "weak_evidence")
+        if state in (FEW_FIT, NOT_SPREAD):
+            return
+        right, _, boresight = np.abs(matrix - self.matrix).max(axis=1).tolist()
+        same = self.found and boresight <= check.same and right <= check.same_roll
+        better = not self.found or evidence > self.evidence
+        if self.found and not same:
+            weaker = self.evidence if better else evidence
+            self.rival = weaker if self.rival is None else max(self.rival, weaker)
+        if better:
+            self.found = True
+            self.evidence, self.matched, self.triads, self.matrix = evidence, matched, size, matrix
+            self.numbers = self._numbers(match, index)
+
+    def judge(self) -> IntegerSolution:
+        """The best, where chance and rivals leave it standing."""
+        threshold = self.tracker.verification.threshold
+        status: IntegerStatus = "no_match"
+        code = REASONS[self.stage]
+        if self.found and self.evidence >= threshold:
+            contested = self.rival is not None and self.evidence - self.rival < threshold
+            status, code = ("ambiguous", "rival") if contested else ("solved", "accepted")
+        chance = f"; chance 2^{-self.evidence / (1 << LOG_BITS):.1f}" if self.found else ""
+        reason = f"{_WORDS[code]}: {self.matched} of {len(self.xy)} points fit{chance}"
+        if status == "solved":
+            attitude = IntegerAttitude(self.matrix, *matrix_angles(self.matrix))
+            return IntegerSolution(
+                status, code, reason, self.numbers, self.triads, self.matched, self.evidence, attitude
+            )
+        nobody = np.zeros(len(self.xy), dtype=np.int64)
+        return IntegerSolution(status, code, reason, nobody, 0, self.matched, self.evidence)
+
+    def _reached(self, code: IntegerReason) -> None:
+        self.stage = max(self.stage, REASONS.index(code))
+
+    def _numbers(self, match: GroupMatch, index: Integers) -> Integers:
+        """Catalogue numbers of the points: the votes' where they agree with the verification."""
+        tracker = self.tracker
+        numbers = np.where(index >= 0, tracker.guide_number[index], 0)
+        for star, vote in enumerate(match.matches):
+            guide = index[star]
+            if vote is not None and guide >= 0 and (tracker.guide_of_star[list(vote.members)] == guide).any():
+                numbers[star] = vote.number(tracker.tables)
+        return np.asarray(numbers)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,19 +30,17 @@ class Observed:
         Signal in any linear unit; None when it is not known, and magnitudes are then not looked at.
     sigma_rad : array, shape (N,)
         Standard error of each direction, on one axis.
+    kept : dict
+        Room for what is derived from these stars once and used often.
     """
 
     vectors: FloatArray
     flux: FloatArray | None
     sigma_rad: FloatArray
+    kept: dict[float, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.vectors)
-
-    @cached_property
-    def kept(self) -> dict[float, Any]:
-        """Room for what is derived from these stars once and used often."""
-        return {}
 
     def magnitudes(self) -> FloatArray | None:
         """Instrumental magnitudes −2.5 log₁₀ flux (N,), or None without a usable flux."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from simulator.renderer import Renderer
@@ -165,3 +166,39 @@ def test_hot_pixels_do_not_hide_the_motion_of_a_wide_field_that_turns():
     """
     case = wide_field(50_000.0)
     assert [case.outcome(index, dtype=np.uint16) for index in range(2)] == ["solved"] * 2
+
+
+def aurora(amplitude, scale):
+    """Bright ridges `scale` px wide, with their photon noise."""
+
+    def spoil(image, rng):
+        field = gaussian_filter(rng.standard_normal(image.shape), scale, mode="wrap")
+        light = amplitude * np.exp(-1.5 * np.abs(field) / field.std())
+        return np.minimum(image + light + np.sqrt(light / 3.3) * rng.standard_normal(image.shape), FULL)
+
+    return spoil
+
+
+@pytest.mark.parametrize(("amplitude", "scale"), [(300.0, 20.0), (1000.0, 40.0)])
+def test_strong_smooth_structure_does_not_hide_the_stars(amplitude, scale):
+    """75 and 250 times the noise; within tiles of 64 px it was taken for noise, and half of the frames unsolved."""
+    assert [cubesat().outcome(index, aurora(amplitude, scale)) for index in range(2)] == ["solved"] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [20.0, 40.0, 100.0])
+@pytest.mark.parametrize("amplitude", [100.0, 300.0, 1000.0])
+def test_structure_of_many_strengths_and_sizes(amplitude, scale):
+    """Nine of ten at least: of the narrowest and brightest ridges, 250 times the noise, one hid its frame's stars."""
+    outcomes = [cubesat().outcome(index, aurora(amplitude, scale)) for index in range(10)]
+    assert outcomes.count("solved") >= 9
+    assert "wrong" not in outcomes
+
+
+def test_a_steep_gradient_is_no_noise():
+    def spoil(image, rng):
+        return np.minimum(image + 2.0 * np.arange(image.shape[1]) + 0.5 * np.arange(len(image))[:, None], FULL)
+
+    case = cubesat()
+    assert [case.outcome(index, spoil) for index in range(2)] == ["solved"] * 2
+    assert len(case.solution.stars) >= 15

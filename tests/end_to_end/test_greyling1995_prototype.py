@@ -48,7 +48,7 @@ def test_rows(section):
 
 
 def test_every_figure_draws(section):
-    assert len(section.figures) == 6
+    assert len(section.figures) == 10
     for name in section.figures:
         figure = section.figure(name)
         assert all(ax.get_xlabel() for ax in figure.axes)

@@ -29,6 +29,27 @@ def test_shipped_scenario(path, tmp_path):
             assert entry["p997_deg"] < entry["specified_deg"]
 
 
+def test_the_faithful_scenario_has_the_rules_of_the_thesis():
+    scenario, sunsat = Scenario.load("greyling1995"), Scenario.load("sunsat")
+    assert (scenario.orbit, scenario.optics, scenario.detector) == (sunsat.orbit, sunsat.optics, sunsat.detector)
+    assert scenario.allow_unphysical
+    found = scenario.tracker.detection
+    assert (found.min_pixels, found.max_pixels, found.max_axis_ratio, found.max_stars) == (7, 36, 1.3, 8)
+    assert (found.matched_filter, found.reject_hits, found.isolation) == (False, False, 0.0)
+    assert (scenario.tracker.detector, scenario.tracker.estimator) == ("round_regions", "star_pair")
+    # a star that just reaches full scale has 36 pixels above it: 2πσ² ln(I₀/T); 49 DN of offset, dark and sky
+    assert found.threshold_dn == pytest.approx(49 + (8191 - 20) * np.exp(-36 / (2 * np.pi * 1.23**2)), abs=1.0)
+
+
+def test_the_first_eight_objects_are_not_the_eight_brightest():
+    """The thesis stops at the eighth star. This camera sees a hundred, most too faint for its catalogue of V ≤ 6.5."""
+    first = Scenario.load("greyling1995", overrides=["tracker.detector=first_regions"])
+    columns = run(first, trials=12).columns
+    assert not columns["wrong"].any()
+    # 3 of 100 are solved: of 12 more than 3 have a probability of 5e-4
+    assert np.sum(columns["status"] == "solved") <= 3
+
+
 def test_sunsat_looks_where_the_thesis_says():
     """Dec +8.6°, RA = Ω + 90° (thesis, section 3.2): exact in the equator of date, to precession's 0.03° in ICRS."""
     scenario = Scenario.load("sunsat")

@@ -193,7 +193,7 @@ def test_mp4_by_ffmpeg(monkeypatch, tmp_path):
     assert int(count) == 2 * width * height * 3
     program.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such codec')\n")
     with pytest.raises(BoresightError, match="no such codec"):
-        run_sequence(small("sequence.frames=1"), out=tmp_path / "out", animate=True)
+        run_sequence(small("sequence.frames=1"), out=tmp_path / "other", animate=True)
 
 
 @pytest.mark.parametrize("name", ["orbit", "slew"])

@@ -218,6 +218,52 @@ def test_counts_of_the_sky(hipparcos, limit, published):
     assert 0.91 * published < count < published
 
 
+@pytest.mark.parametrize(
+    ("hip", "v"),
+    [
+        *((91262, 0.03), (71681, 1.33), (71683, -0.01), (80763, 0.96), (32349, -1.46), (30438, -0.72), (63121, 5.60)),
+        *((60718, 0.76), (61941, 2.74), (26221, 5.13)),  # of both stars together: alpha Cru, gamma Vir; theta1 Ori C
+    ],
+)
+def test_v_of_bright_stars_and_doubles(hipparcos, hip, v):
+    """Johnson V (SIMBAD; Bright Star Catalogue); Vega was 0.09, α Cen B 1.09, α¹ CVn 6.12 from Hp, θ¹ Ori C 4.62."""
+    assert hipparcos.v_mag[row(hipparcos, hip)] == pytest.approx(v, abs=0.04)
+
+
+def test_v_agrees_with_the_bright_star_catalogue(hipparcos):
+    """Of stars to V = 4 that are neither variable nor one entry of several in either catalogue: 0.12 mag at most."""
+    bsc5 = load_catalog("bsc5")
+    found = match(bsc5, hipparcos)
+    several = {603, 897, 1879, 1948, 4057, 4730, 4825, 5506}  # components in BSC5, both of them in Hipparcos
+    check = (bsc5.v_mag < 4.0) & (found >= 0) & ~bsc5.variable & ~np.isin(bsc5.id, list(several))
+    difference = hipparcos.v_mag[found[check]] - bsc5.v_mag[check]
+    assert check.sum() > 300
+    assert np.abs(difference).max() < 0.15
+    assert abs(np.median(difference)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("hip", "velocity"),
+    [(87937, -110.5), (70890, -22.2), (24186, 245.2), (71683, -22.0), (104214, -64.0), (57939, -98.0)],
+)
+def test_radial_velocities_of_fast_stars(hipparcos, hip, velocity):
+    assert hipparcos.radial_velocity_km_s[row(hipparcos, hip)] == pytest.approx(velocity, abs=1.0)
+
+
+def test_perspective_acceleration_of_barnards_star(hipparcos):
+    """Proper motion against Gaia DR3's: 25 years on it is greater, by 1.28 mas a year each year (van de Kamp 1935;
+    Kürster et al. 2003 measure 4.5 m/s a year along the line of sight, which is the same geometry)."""
+    k = row(hipparcos, 87937)
+    one = hipparcos.select(np.array([k]))
+    motion = [
+        np.linalg.norm(one.directions(epoch + 0.5)[0] - one.directions(epoch - 0.5)[0]) / MAS_RAD
+        for epoch in (1991.25, 2016.0)
+    ]
+    assert (motion[1] - motion[0]) / 24.75 == pytest.approx(1.28, abs=0.03)
+    # Gaia DR3 (J2016.0): μα* −801.551, μδ 10362.394 mas a year
+    assert motion[1] == pytest.approx(np.hypot(801.551, 10362.394), abs=3.0)
+
+
 def test_what_bsc5_knows_joins_hipparcos(hipparcos):
     for hip, name, spectral_type, velocity in [(91262, "Alp Lyr", "A0Va", -14), (32349, "Alp CMa", "A1Vm", -8)]:
         k = row(hipparcos, hip)

@@ -254,6 +254,8 @@ def test_verdicts_of_region_growing():
     # the threshold is not printed: near 30 dB with the one assumed, but no agreement
     (knee,) = [row for row in section.rows if row.printed == "30 dB"]
     assert knee.verdict == "input missing"
+    assert {row.verdict for row in section.rows if row.printed == "100 %"} == {"input missing"}
+    assert all(row.computed.startswith("100 %") for row in section.rows if row.printed == "100 %")
     assert float(knee.computed.split()[2]) == pytest.approx(30.0, abs=3.0)
 
 

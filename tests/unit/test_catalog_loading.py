@@ -184,9 +184,13 @@ def test_companions_in_one_entry_are_not_added_twice():
     assert complete(small([6.0], [0.0]), small([6.0, 6.0], [0.0, 9.0])).id.tolist() == [1]
 
 
-def test_saturated_stars_take_the_other_brightness():
-    joined = complete(small([-1.0, 0.2], [0.0, 900.0]), small([-1.5, 0.1], [0.0, 900.0]), saturated_mag=-0.1)
-    assert joined.v_mag.tolist() == [-1.5, 0.2]
+def test_corrections_replace_what_they_name():
+    catalog = replace(load_catalog("hipparcos"), v_mag=np.full(len(load_catalog("hipparcos")), 9.0))
+    found = hipparcos.corrected(catalog, "v_mag")
+    changed = found.v_mag != 9.0
+    assert dict(zip(found.id[changed].tolist(), found.v_mag[changed].tolist(), strict=True))[91262] == 0.03
+    assert changed.sum() == 9
+    assert catalog.v_mag.tolist() == [9.0] * len(catalog)
 
 
 def test_a_catalogue_that_says_nothing_of_variability_has_no_variables():

@@ -13,7 +13,11 @@ from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import FixedPointOverflow, integers
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import FloatArithmetic
-from startracker.identification.integer_solution import integer_tables, solve_integers
+from startracker.identification.integer_solution import (
+    IntegerCamera,
+    IntegerTracker,
+    solve_integers,
+)
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
@@ -150,15 +154,18 @@ def test_floating_point_is_refused(sky):
 
 def test_overflow_is_reported():
     stars = sub_catalog(5, 4.5)
-    tables = integer_tables(stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, 12.0)
-    scale = (0.0211, 0.0216)
-    far = solve_integers(tables, [[-500.0, 0.0], [500.0, 400.0], [0.0, -400.0]], (0.04, 0.04))
+    columns = (stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag)
+    tracker = IntegerTracker.build(IntegerCamera((1022, 1022), (40.0, 40.0)), *columns, 12.0)
+    far = solve_integers(tracker, [[-500.0, 0.0], [500.0, 400.0], [0.0, -400.0]])
     assert (far.status, far.attitude) == ("overflow", None)
     assert "6.10" in far.reason
-    outside = solve_integers(tables, [[512.0, 0.0], [1.0, 1.0], [2.0, 2.0]], scale)
+    outside = solve_integers(tracker, [[512.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
     assert outside.status == "overflow"
     assert "10.22" in outside.reason
-    assert solve_integers(tables, [[0.0, 0.0], [1.0, 1.0]], scale).status == "too_few_stars"
+    small = IntegerTracker.build(IntegerCamera((1000, 800), (20.0, 16.0)), *columns, 12.0)
+    assert solve_integers(small, [[501.0, 0.0], [1.0, 1.0], [2.0, 2.0]]).status == "outside_image"
+    assert solve_integers(small, [[1.0, -401.0], [1.0, 1.0], [2.0, 2.0]]).status == "outside_image"
+    assert solve_integers(small, [[0.0, 0.0], [1.0, 1.0]]).status == "too_few_stars"
     with pytest.raises(FixedPointOverflow, match="tangent"):
         WideArithmetic().image([[1e6, 0.0]], (0.001, 0.001))
 

@@ -236,3 +236,8 @@ def test_report_command_writes_both_again_and_refuses_what_is_no_run(tmp_path, c
         capsys.readouterr()
         assert boresight("report", *arguments) == 2
         assert told in capsys.readouterr().err
+    damaged = bytearray((tmp_path / "out" / "trials.parquet").read_bytes())
+    damaged[len(damaged) // 2] ^= 8
+    (tmp_path / "out" / "trials.parquet").write_bytes(damaged)
+    assert boresight("report", tmp_path / "out") == 2
+    assert "trials.parquet: is damaged: its contents do not match its checksum" in capsys.readouterr().err

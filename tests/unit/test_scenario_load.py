@@ -133,6 +133,27 @@ def test_base_in_another_folder(tmp_path, monkeypatch):
     assert Scenario.load(tmp_path / "high.yaml").optics.transmission == str(tmp_path / "bases/glass.csv")
 
 
+def test_every_file_that_a_scenario_names_is_found_from_elsewhere(tmp_path, monkeypatch):
+    """A resolved scenario stands in another folder than its baffle's and its jitter's tables."""
+    (tmp_path / "tables").mkdir()
+    for name in ("pst", "psd"):
+        (tmp_path / "tables" / f"{name}.csv").write_text("0,1\n90,1\n")
+    (tmp_path / "s.yaml").write_text(
+        GOOD.replace("aperture_mm: 25", "aperture_mm: 25, baffle: {pst: tables/pst.csv}")
+        + "pointing: {jitter: {psd: table, table: tables/psd.csv}}\n"
+    )
+    scenario = Scenario.load(tmp_path / "s.yaml")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "resolved.yaml").write_text(scenario.to_yaml())
+    again = Scenario.load(tmp_path / "out" / "resolved.yaml")
+    assert again == scenario
+    assert again.optics.baffle.pst == str(tmp_path / "tables/pst.csv")
+    assert again.files() == {
+        "optics.baffle.pst": tmp_path / "tables/pst.csv",
+        "pointing.jitter.table": tmp_path / "tables/psd.csv",
+    }
+
+
 def test_a_file_of_a_shipped_name_goes_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("sunsat").write_text(GOOD)

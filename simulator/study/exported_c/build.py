@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import CExport
+from startracker.fixed_point.export_c import MODULES, CExport
 
 __all__ = ["FLAGS", "HOST", "M68K", "Build", "Target", "compile_export", "native_compiler"]
 
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror")
-_SOLVER = ("tables", "integers", "attitude", "triads")
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")
 
 
@@ -93,7 +92,9 @@ class Build:
     code_bytes : int
         Instructions of the solver, without the tables, the C library and ``main``.
     static_bytes : int
-        Its fixed buffers.
+        Its writable variables: none.
+    context_bytes : int
+        Working memory that the caller gives it.
     stack_bytes : int
         At most: all its functions' frames together (``-fstack-usage``), as none calls itself.
     heap_calls : tuple of str
@@ -105,6 +106,7 @@ class Build:
     table_bytes: int
     code_bytes: int
     static_bytes: int
+    context_bytes: int
     stack_bytes: int
     heap_calls: tuple[str, ...]
 
@@ -155,23 +157,26 @@ def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: 
     for name, text in export.files.items():
         (folder / name).write_text(text, encoding="utf-8")
     objects = []
-    for name in (*_SOLVER, "main"):
+    solver = [f"{export.prefix}_{module}" for module in ("tables", *MODULES)]
+    for name in (*solver, "main"):
         objects.append(str(folder / f"{name}.o"))
         source = ["-fstack-usage", "-c", "-o", objects[-1], str(folder / f"{name}.c")]
         _run([target.compiler, *FLAGS, *target.flags, *extra, *source])
     program = folder / "solve"
     _run([target.compiler, *(("-static",) if target.runner else ()), *extra, "-o", str(program), *objects])
-    text, data, bss = (sum(column) for column in zip(*(_sizes(target, path) for path in objects[1:4]), strict=True))
+    text, data, bss = (sum(column) for column in zip(*(_sizes(target, path) for path in objects[1:-1]), strict=True))
     tables = sum(export.table_bytes.values())
-    undefined = _run([target.symbols, "-u", *objects[:4]]).stdout.split()
+    undefined = _run([target.symbols, "-u", *objects[:-1]]).stdout.split()
     heap = tuple(sorted({name for name in undefined if _HEAP.match(name)}))
+    variables = _run([target.symbols, "-S", objects[-1]]).stdout.splitlines()
+    context = next(int(line.split()[1], 16) for line in variables if line.split()[-1].startswith("context"))
     stack = sum(
         int(line.split("\t")[1])
-        for name in _SOLVER
+        for name in solver
         if (folder / f"{name}.su").exists()
         for line in (folder / f"{name}.su").read_text(encoding="utf-8").splitlines()
     )
-    return Build(target, program, tables, text, data + bss, stack, heap)
+    return Build(target, program, tables, text, data + bss, context, stack, heap)
 
 
 def _sizes(target: Target, path: str) -> tuple[int, int, int]:

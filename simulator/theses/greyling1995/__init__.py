@@ -19,6 +19,8 @@ from simulator.theses.greyling1995.path import section as path_section
 from simulator.theses.greyling1995.photometry import section as photometry_section
 from simulator.theses.greyling1995.pitch import section as pitch_section
 from simulator.theses.greyling1995.prototype import section as prototype_section
+from simulator.theses.greyling1995.recommendations import section as recommendations_section
+from simulator.theses.greyling1995.review import section as review_section
 from simulator.theses.greyling1995.segmentation import section as segmentation_section
 from simulator.theses.printed import PrintedStudy, Section, run_sections
 
@@ -39,8 +41,10 @@ SECTIONS: dict[str, Callable[[], Section]] = {
     "centroiding": centroiding_section,
     "guide_stars": guide_stars_section,
     "identification": identification_section,
+    "review": review_section,
     "pitch": pitch_section,
     "prototype": prototype_section,
+    "recommendations": recommendations_section,
 }
 """Name of a section to the function that computes it, in the order of the thesis."""
 

@@ -191,7 +191,7 @@ def _table_rows() -> list[Row]:
         )  # fmt: skip
         why = f"guide.m: each star with the next {PARTNERS} in right ascension, no cos δ, shorter than 14.14°"
         if printed * PARTNERS < int(pairs):
-            why += f"; {printed} stars make {printed * PARTNERS} lines at most so: {pairs} is not from this listing"
+            why += f"; {printed} stars make {printed * PARTNERS} lines at most: {pairs} is not from this listing"
         rows.append(
             compare(
                 "Table 5.1", f"lines, V ≤ {limit:g}", pairs, found,

@@ -40,6 +40,7 @@ __all__ = [
     "Outcome",
     "draw_field",
     "guide_database",
+    "judge",
     "region",
     "section",
     "thesis_identification",
@@ -166,7 +167,7 @@ def region(
             answer = match_groups(observed, guide, settings, prior)
             times.append(1e3 * (time.perf_counter() - start))
             stars.append(len(observed))
-            results.append(_judge(answer, truth))
+            results.append(judge(answer, truth))
     return Outcome(
         trials=trials * len(limits),
         solved=results.count(True),
@@ -204,7 +205,7 @@ def draw_field(
     return Prior(nominal, math.radians(math.sqrt(3.0) * POINTING_ERROR_DEG)), observed, index[order]
 
 
-def _judge(answer: Identification, truth: IntArray) -> bool | None:
+def judge(answer: Identification, truth: IntArray) -> bool | None:
     """Whether every pair of a solved field is right; None where it is not solved."""
     if answer.status is not Status.SOLVED:
         return None

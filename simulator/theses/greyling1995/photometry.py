@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from simulator.scenario.physics import violations
 from simulator.sky.colours import spectral_coordinates
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.greyling1995 import spectral
 from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V
 from simulator.theses.greyling1995.starlight import (
     BANDS_UM,
@@ -50,12 +51,13 @@ STARS = (
 def section() -> Section:
     """Irradiances, output voltages, and the lens they were computed for."""
     figures: dict[str, Callable[[], Figure]] = {
+        **spectral.FIGURES,
         "fig_3_12_irradiances": irradiance_figure,
         "fig_3_13_voltage_V6.5": functools.partial(voltage_figure, FAINTEST_V),
         "fig_3_14_voltage_V-1.47": functools.partial(voltage_figure, BRIGHTEST_V),
         "fig_3_15_voltage_magnitude": magnitude_figure,
     }
-    rows = [*_magnitude_rows(), *_irradiance_rows(), *_voltage_rows(), *_lens_rows()]
+    rows = [*spectral.rows(), *_magnitude_rows(), *_irradiance_rows(), *_voltage_rows(), *_lens_rows()]
     return Section("Chapter 3.4: starlight, output voltage and the lens", rows, figures)
 
 

@@ -28,6 +28,7 @@ from simulator.optics.psf import build_psf
 from simulator.optics.shutter import frame_transfer_smear
 from simulator.optics.splat import render_stars
 from simulator.scenario.schema import DetectorSection, PsfSection
+from simulator.theses.greyling1995 import signals
 from simulator.theses.greyling1995.converter import converter_trials
 from simulator.theses.greyling1995.holes import SLOW_CLOCK_HZ, camera, scene, smear_share
 from simulator.theses.greyling1995.prototype_figures import FIGURES, POSITION_PX
@@ -48,8 +49,16 @@ def section() -> Section:
     """Chapter 6 against the models of the product."""
     return Section(
         "Chapter 6: the prototype camera with the TC211",
-        [*_device_rows(), *_state_rows(), *_clock_rows(), *_smear_rows(), _focus_row(), *_converter_rows()],
-        FIGURES,
+        [
+            *_device_rows(),
+            *_state_rows(),
+            *_clock_rows(),
+            *_smear_rows(),
+            _focus_row(),
+            *_converter_rows(),
+            *signals.rows(),
+        ],
+        signals.FIGURES | FIGURES,
     )
 
 

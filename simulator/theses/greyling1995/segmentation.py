@@ -229,7 +229,7 @@ def _success_rows(rates: list[Success], ours: list[Success], frames: int) -> lis
     return [
         Row(
             "§ 4.2.3", "success at low noise", "100 %", f"{100 * quiet:.0f} % of {frames} frames at each SNR ≥ 40 dB",
-            "exact" if quiet == 1.0 else "differs", "eight objects found, all of them stars",
+            "input missing", "eight objects found, all of them stars; at an assumed threshold: none is printed",
         ),
         Row(
             "§ 4.2.3", "SNR below which the performance deteriorates rapidly", "30 dB", f"half at {knee:.1f} dB",
@@ -242,8 +242,8 @@ def _success_rows(rates: list[Success], ours: list[Success], frames: int) -> lis
         Row(
             "§ 4.2.3", "success with alien objects below 7 and above 36 pixels", "100 %",
             f"{100 * odd.clean:.0f} %, {odd.false_objects:g} false objects a frame",
-            "exact" if odd.clean == 1.0 else "differs",
-            "hot pixels, tracks of 2 to 6 pixels and the Moon in every frame",
+            "input missing",
+            "hot pixels, tracks of 2 to 6 pixels and the Moon in every frame; at the assumed threshold",
         ),
     ]  # fmt: skip
 

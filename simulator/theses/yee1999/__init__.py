@@ -16,6 +16,7 @@ from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse
 from simulator.theses.yee1999.rendered_flight import section as rendered_flight_section
 from simulator.theses.yee1999.rendered_vega import section as rendered_vega_section
 from simulator.theses.yee1999.rotations import rotation_example
+from simulator.theses.yee1999.run_times import run_times
 from simulator.theses.yee1999.subsets import three_star_subsets
 from simulator.theses.yee1999.threshold_sweep import section as threshold_sweep_section
 from simulator.theses.yee1999.vega_tables import vega_tables
@@ -30,6 +31,7 @@ SECTIONS: dict[str, Callable[[], Section]] = {
     "databases": cassiopeia,
     "integers": integers,
     "build": integer_build,
+    "times": run_times,
     "vega": vega_tables,
     "deneb": deneb_tables,
     "sadr": sadr_tables,

@@ -108,8 +108,7 @@ def centred(xy: ArrayLike, size_px: tuple[int, int], origin: str = "auto") -> Fl
 
 def vega() -> Picture:
     """The Vega image: the five centroids of Table 4.14."""
-    xy = [(float(row["x"]), float(row["y"])) for row in printed_rows("vega_centroids")]
-    return Picture(np.array(xy), VEGA_SIZE_PX, VEGA_FOV_DEG)
+    return _printed_picture("table_4_14", VEGA_SIZE_PX)
 
 
 def deneb() -> Picture:

@@ -1,10 +1,11 @@
 /* Solves lists of centroids from standard input, a line "x y" for each star in pixels (x right, y up, from the image's
  * centre, brightest first; up to nine decimals), an empty line after each list. Prints a line for each list:
  *
- *     status numbers=HR,HR,... triads=N ra=R dec=D roll=P matrix=M11,...,M33
+ *     status reason numbers=HR,HR,... triads=N matched=M evidence=E ra=R dec=D roll=P matrix=M11,...,M33
  *
- * all integers; ra, dec and roll of 10.22 degrees, the matrix of 2.30. With an argument each list is solved that many
- * times, to take the time. */
+ * all integers, the last four where it is solved; evidence is log2 of the Bayes factor with 12 bits of fraction, ra, dec
+ * and roll are degrees of 10.22, the matrix is of 2.30. With an argument each list is solved that many times, to take
+ * the time. Coordinates beyond 10.22 are an overflow. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,8 +14,11 @@
 
 #define LINE 256
 
-static const char *const names[] = {"solved", "too_few_stars", "no_match", "no_attitude", "overflow",
-                                    "too_many_triads"};
+static const char *const statuses[] = {"solved",        "too_few_stars", "no_match",    "ambiguous",
+                                       "outside_image", "overflow",      "search_limit"};
+static const char *const reasons[] = {"accepted",    "fewer_than_three", "no_triads",  "no_group",
+                                      "no_attitude", "few_fit",          "not_spread", "weak_evidence",
+                                      "rival",       "outside_image",    "overflow",   "too_many_triads"};
 
 /* A decimal number to 10.22, truncated towards zero; 1: good, 0: does not fit, -1: no number. */
 static int parse(const char **text, int32_t *value)
@@ -49,15 +53,15 @@ static int parse(const char **text, int32_t *value)
     return 1;
 }
 
-static void print(const struct answer *answer)
+static void print(const struct tracker_answer *answer)
 {
     int k;
 
-    printf("%s numbers=", names[answer->status]);
-    for (k = 0; k < answer->stars; k++)
+    printf("%s %s numbers=", statuses[answer->status], reasons[answer->reason]);
+    for (k = 0; k < answer->points; k++)
         printf("%s%ld", k ? "," : "", (long)answer->number[k]);
-    printf(" triads=%d", answer->triads);
-    if (answer->status == SOLVED) {
+    printf(" triads=%d matched=%d evidence=%ld", answer->triads, answer->matched, (long)answer->evidence);
+    if (answer->status == TRACKER_SOLVED) {
         printf(" ra=%ld dec=%ld roll=%ld matrix=", (long)answer->attitude.ra, (long)answer->attitude.dec,
                (long)answer->attitude.roll);
         for (k = 0; k < 9; k++)
@@ -68,8 +72,9 @@ static void print(const struct answer *answer)
 
 int main(int argc, char **argv)
 {
-    static int32_t xy[MAX_STARS][2];
-    static struct answer answer;
+    static int32_t xy[TRACKER_MAX_POINTS][2];
+    static struct tracker_context context;
+    static struct tracker_answer answer;
     static char line[LINE];
     const long times = argc > 1 ? atol(argv[1]) : 1;
     int count = 0, outside = 0, open = 0, more = 1;
@@ -88,10 +93,10 @@ int main(int argc, char **argv)
                     fprintf(stderr, "no star: %s", line);
                     return 2;
                 }
-                if (!good && count < MAX_STARS)
+                if (!good && count < TRACKER_MAX_POINTS)
                     outside = 1;
             }
-            if (count < MAX_STARS) {
+            if (count < TRACKER_MAX_POINTS) {
                 xy[count][0] = value[0];
                 xy[count++][1] = value[1];
             }
@@ -101,11 +106,12 @@ int main(int argc, char **argv)
             break;
         if (outside && count >= 3) {
             memset(&answer, 0, sizeof answer);
-            answer.status = OVERFLOW_STATUS;
-            answer.stars = count;
+            answer.status = TRACKER_OVERFLOW;
+            answer.reason = TRACKER_SEPARATION_OVERFLOW;
+            answer.points = count;
         } else
             for (n = 0; n < times; n++)
-                solve((const int32_t(*)[2])xy, count, &answer);
+                tracker_solve(&context, (const int32_t(*)[2])xy, count, &answer);
         print(&answer);
         count = outside = open = 0;
     }

@@ -1,5 +1,5 @@
 /* Plate constants in 64 bits: the same operations in the same order as startracker/fixed_point/attitude.py. */
-#include "tracker.h"
+#include "tracker_internal.h"
 
 #define ONE ((int64_t)1 << 30)
 #define MAP_BITS 24
@@ -14,8 +14,6 @@ struct fit {
     int64_t xx, xy, yy, divisor;
     int shift, full;
 };
-
-static int64_t image[MAX_STARS][2], left[MAX_STARS][2];
 
 static int64_t magnitude(int64_t value)
 {
@@ -45,10 +43,10 @@ static int unit(const int64_t vector[3], int64_t out[3])
         v[k] = vector[k];
     while (largest >= ONE) {
         for (k = 0; k < 3; k++)
-            v[k] = shift_right(v[k], 1);
+            v[k] = tracker_shift_right(v[k], 1);
         largest >>= 1;
     }
-    length = square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    length = tracker_square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
     for (k = 0; k < 3; k++)
         out[k] = v[k] * ONE / length;
     return 1;
@@ -59,7 +57,7 @@ static void cross(const int64_t a[3], const int64_t b[3], int64_t out[3])
     int k;
 
     for (k = 0; k < 3; k++)
-        out[k] = shift_right(a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3], 30);
+        out[k] = tracker_shift_right(a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3], 30);
 }
 
 static int axes(const int64_t center[3], int smallest, int64_t east[3], int64_t north[3])
@@ -68,7 +66,7 @@ static int axes(const int64_t center[3], int smallest, int64_t east[3], int64_t 
     int k;
 
     for (k = 0; k < 3; k++)
-        first[k] = -shift_right(center[smallest] * center[k], 30);
+        first[k] = -tracker_shift_right(center[smallest] * center[k], 30);
     first[smallest] += ONE;
     if (!unit(first, east))
         return 0;
@@ -87,19 +85,19 @@ static int thirty_bits(int64_t *sums, int count)
         shift++;
     }
     for (k = 0; k < count; k++)
-        sums[k] = shift_right(sums[k], shift);
+        sums[k] = tracker_shift_right(sums[k], shift);
     return shift;
 }
 
-static int make_fit(struct fit *fit, int count)
+static int make_fit(struct tracker_context *context, struct fit *fit, int count)
 {
     int64_t sums[3] = {0, 0, 0}, total, determinant;
     int n;
 
     for (n = 0; n < count; n++) {
-        sums[0] += image[n][0] * image[n][0];
-        sums[1] += image[n][0] * image[n][1];
-        sums[2] += image[n][1] * image[n][1];
+        sums[0] += context->image[n][0] * context->image[n][0];
+        sums[1] += context->image[n][0] * context->image[n][1];
+        sums[2] += context->image[n][1] * context->image[n][1];
     }
     fit->shift = thirty_bits(sums, 3);
     fit->xx = sums[0];
@@ -107,15 +105,15 @@ static int make_fit(struct fit *fit, int count)
     fit->yy = sums[2];
     total = fit->xx + fit->yy;
     determinant = fit->xx * fit->yy - fit->xy * fit->xy;
-    fit->full = determinant > shift_right(total * total, SLENDER_SHIFT);
-    fit->divisor = fit->full ? shift_right(determinant, 30) : total;
+    fit->full = determinant > tracker_shift_right(total * total, SLENDER_SHIFT);
+    fit->divisor = fit->full ? tracker_shift_right(determinant, 30) : total;
     return fit->divisor >= 1 << 12;
 }
 
 static int add_shifted(int64_t value, int power, int64_t *to)
 {
     if (power <= 0) {
-        *to += shift_right(value, -power);
+        *to += tracker_shift_right(value, -power);
         return 1;
     }
     if (magnitude(value) >> (power < 33 ? 33 - power : 0))
@@ -125,14 +123,14 @@ static int add_shifted(int64_t value, int power, int64_t *to)
 }
 
 /* Adds to the map what fits what is left over. */
-static int add_fit(const struct fit *fit, int count, int64_t plate[2][2])
+static int add_fit(struct tracker_context *context, const struct fit *fit, int count, int64_t plate[2][2])
 {
     int64_t sums[4] = {0, 0, 0, 0}, numerator[4];
     int power, n, k;
 
     for (n = 0; n < count; n++)
         for (k = 0; k < 4; k++)
-            sums[k] += left[n][k / 2] * image[n][k % 2];
+            sums[k] += context->left[n][k / 2] * context->image[n][k % 2];
     power = thirty_bits(sums, 4) - fit->shift;
     if (fit->full) {
         power += MAP_BITS - 30;
@@ -153,19 +151,41 @@ static int add_fit(const struct fit *fit, int count, int64_t plate[2][2])
 
 static int32_t rounded_degrees(int64_t y, int64_t x)
 {
-    int64_t angle = shift_right(fine_angle(y, x) + ((int64_t)1 << 17), 18), turn = (int64_t)360 << 22;
+    int64_t angle = tracker_shift_right(tracker_fine_angle(y, x) + ((int64_t)1 << 17), 18), turn = (int64_t)360 << 22;
 
     angle %= turn;
     return (int32_t)(angle < 0 ? angle + turn : angle);
 }
 
-static int finish(const int64_t center[3], const int64_t east[3], const int64_t north[3], const int64_t plate[2][2],
-                  struct attitude *attitude)
+void tracker_angles(const int64_t matrix[3][3], struct tracker_attitude *attitude)
 {
-    int64_t vector[3], turn[3], up[3], level, to_east, to_north;
+    const int64_t *center = matrix[2];
+    int64_t up[3], level, to_east, to_north;
     int k;
 
-    if (plate[0][0] * shift_right(plate[1][1], 4) - plate[0][1] * shift_right(plate[1][0], 4) <= 0)
+    for (k = 0; k < 3; k++)
+        up[k] = -matrix[1][k];
+    level = tracker_square_root(center[0] * center[0] + center[1] * center[1]);
+    to_east = tracker_shift_right(center[0] * up[1] - center[1] * up[0], 30);
+    to_north = tracker_shift_right(tracker_shift_right(up[2] * level, 30) * level
+                                       - tracker_shift_right(center[0] * up[0] + center[1] * up[1], 30) * center[2],
+                                   30);
+    for (k = 0; k < 9; k++)
+        attitude->matrix[k / 3][k % 3] = (int32_t)matrix[k / 3][k % 3];
+    attitude->ra = rounded_degrees(center[1], center[0]);
+    attitude->dec = rounded_degrees(center[2], level);
+    if (attitude->dec > (int32_t)180 << 22)
+        attitude->dec -= (int32_t)360 << 22;
+    attitude->roll = rounded_degrees(to_east, to_north);
+}
+
+static int finish(const int64_t center[3], const int64_t east[3], const int64_t north[3], int64_t plate[2][2],
+                  int64_t matrix[3][3])
+{
+    int64_t vector[3], turn[3];
+    int k;
+
+    if (plate[0][0] * tracker_shift_right(plate[1][1], 4) - plate[0][1] * tracker_shift_right(plate[1][0], 4) <= 0)
         return 0;
     vector[0] = plate[0][0] + plate[1][1];
     vector[1] = plate[1][0] - plate[0][1];
@@ -177,25 +197,14 @@ static int finish(const int64_t center[3], const int64_t east[3], const int64_t 
     if (!unit(vector, turn))
         return 0;
     for (k = 0; k < 3; k++) {
-        attitude->matrix[0][k] = (int32_t)shift_right(turn[0] * east[k] + turn[1] * north[k], 30);
-        attitude->matrix[1][k] = (int32_t)shift_right(turn[0] * north[k] - turn[1] * east[k], 30);
-        attitude->matrix[2][k] = (int32_t)center[k];
-        up[k] = -(int64_t)attitude->matrix[1][k];
+        matrix[0][k] = tracker_shift_right(turn[0] * east[k] + turn[1] * north[k], 30);
+        matrix[1][k] = tracker_shift_right(turn[0] * north[k] - turn[1] * east[k], 30);
+        matrix[2][k] = center[k];
     }
-    level = square_root(center[0] * center[0] + center[1] * center[1]);
-    to_east = shift_right(center[0] * up[1] - center[1] * up[0], 30);
-    to_north = shift_right(shift_right(up[2] * level, 30) * level
-                               - shift_right(center[0] * up[0] + center[1] * up[1], 30) * center[2],
-                           30);
-    attitude->ra = rounded_degrees(center[1], center[0]);
-    attitude->dec = rounded_degrees(center[2], level);
-    if (attitude->dec > (int32_t)180 << 22)
-        attitude->dec -= (int32_t)360 << 22;
-    attitude->roll = rounded_degrees(to_east, to_north);
     return 1;
 }
 
-int plate_attitude(const int32_t xy[][2], const uint16_t *catalog, int count, struct attitude *attitude)
+int tracker_plate_attitude(struct tracker_context *context, int count, int64_t matrix[3][3])
 {
     int64_t middle[2] = {0, 0}, sum[3] = {0, 0, 0}, center[3], east[3], north[3], plate[2][2] = {{0, 0}, {0, 0}};
     int64_t mean[2], offset[2], depth, along[2];
@@ -203,19 +212,19 @@ int plate_attitude(const int32_t xy[][2], const uint16_t *catalog, int count, st
     int smallest = 0, round, n, k;
 
     for (n = 0; n < count; n++) {
-        image[n][0] = shift_right(xy[n][0], 6);
-        image[n][1] = -shift_right(xy[n][1], 6);
+        context->image[n][0] = tracker_shift_right(context->seen[n][0], 6);
+        context->image[n][1] = -tracker_shift_right(context->seen[n][1], 6);
         for (k = 0; k < 2; k++)
-            middle[k] += image[n][k];
+            middle[k] += context->image[n][k];
         for (k = 0; k < 3; k++)
-            sum[k] += star_direction[catalog[n]][k];
+            sum[k] += tracker_star_direction[context->catalog[n]][k];
     }
     for (k = 0; k < 2; k++) {
-        middle[k] = floor_quotient(middle[k], count);
+        middle[k] = tracker_floor_quotient(middle[k], count);
         for (n = 0; n < count; n++)
-            image[n][k] -= middle[k];
+            context->image[n][k] -= middle[k];
     }
-    if (!make_fit(&fit, count) || !unit(sum, center))
+    if (!make_fit(context, &fit, count) || !unit(sum, center))
         return 0;
     for (k = 1; k < 3; k++)
         if (magnitude(center[k]) < magnitude(center[smallest]))
@@ -227,37 +236,37 @@ int plate_attitude(const int32_t xy[][2], const uint16_t *catalog, int count, st
         for (n = 0; n < count; n++) {
             depth = along[0] = along[1] = 0;
             for (k = 0; k < 3; k++) {
-                const int64_t component = star_direction[catalog[n]][k];
+                const int64_t component = tracker_star_direction[context->catalog[n]][k];
                 depth += component * center[k];
                 along[0] += component * east[k];
                 along[1] += component * north[k];
             }
-            depth = shift_right(depth, 30);
+            depth = tracker_shift_right(depth, 30);
             if (depth < ONE / 2)
                 return 0;
             for (k = 0; k < 2; k++) {
-                left[n][k] = along[k] / depth
-                             - shift_right(plate[k][0] * image[n][0] + plate[k][1] * image[n][1], MAP_BITS);
-                if (magnitude(left[n][k]) >= LARGEST_LEFT)
+                context->left[n][k] = along[k] / depth
+                             - tracker_shift_right(plate[k][0] * context->image[n][0] + plate[k][1] * context->image[n][1], MAP_BITS);
+                if (magnitude(context->left[n][k]) >= LARGEST_LEFT)
                     return 0;
-                mean[k] += left[n][k];
+                mean[k] += context->left[n][k];
             }
         }
         for (k = 0; k < 2; k++) {
-            mean[k] = floor_quotient(mean[k], count);
+            mean[k] = tracker_floor_quotient(mean[k], count);
             for (n = 0; n < count; n++)
-                left[n][k] -= mean[k];
+                context->left[n][k] -= mean[k];
         }
-        if (!add_fit(&fit, count, plate) || largest_of(&plate[0][0], 4) >= LARGEST_MAP)
+        if (!add_fit(context, &fit, count, plate) || largest_of(&plate[0][0], 4) >= LARGEST_MAP)
             return 0;
         for (k = 0; k < 2; k++)
-            offset[k] = mean[k] - shift_right(plate[k][0] * middle[0] + plate[k][1] * middle[1], MAP_BITS);
+            offset[k] = mean[k] - tracker_shift_right(plate[k][0] * middle[0] + plate[k][1] * middle[1], MAP_BITS);
         if (largest_of(offset, 2) >= ONE)
             return 0;
         if (round >= LEAST_ROUNDS && largest_of(offset, 2) <= SETTLED)
-            return finish(center, east, north, (const int64_t(*)[2])plate, attitude);
+            return finish(center, east, north, plate, matrix);
         for (k = 0; k < 3; k++)
-            sum[k] = center[k] + shift_right(offset[0] * east[k] + offset[1] * north[k], 30);
+            sum[k] = center[k] + tracker_shift_right(offset[0] * east[k] + offset[1] * north[k], 30);
         if (!unit(sum, center))
             return 0;
     }

@@ -1,0 +1,178 @@
+"""The exported C under attack: simulated fields with all that goes wrong in them, and lists that show no sky.
+
+python -m benchmarks.integer_tracker [--n 12500] [--seed 1]
+
+Eight kinds of fields and eight of lists, `n` of each; a line for each with what was solved, what was wrong, the largest
+errors and the strongest evidence that was refused (fields) or found (lists). Exit status 1 where anything was wrong.
+
+An answer is wrong where the corners of the image move by more than WRONG_CORNER_PX between its attitude and the true
+one, or where a named star stands further from the point than that, or than her τ of 8 px for stars that are one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.randomness import stream
+from simulator.study.exported_c.attacks import PATTERNS, Answer, Camera, Pattern, errors_px, pattern_list, scene
+from simulator.study.exported_c.build import Build, compile_export
+from simulator.study.exported_c.centroid_lists import list_text
+from simulator.theses.yee1999.catalogue import sub_catalog
+from startracker.fixed_point.export_c import export_c
+from startracker.identification.integer_solution import (
+    MAX_GROUPS,
+    MAX_STARS,
+    MAX_TRIADS,
+    IntegerCamera,
+    IntegerTracker,
+)
+from startracker.identification.triad_search import TriadLimits
+
+WRONG_CORNER_PX = 4.0
+"""Noise of 0.5 px, extrapolated from few stars to the corners, moves these by 2.1 px at most in 25,000 fields."""
+COMBINED_PX = 8.0
+_CHUNK = 2_000
+_NORTH, _OUTSIDE, _BORDER = (31.0, 90.0), (-90.0, 24.0), (24.0, 31.0)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Fields: boresights between two declinations, most false stars (at least one), missing share, greatest noise."""
+
+    declination_deg: tuple[float, float]
+    most_false: int = 0
+    missing: float = 0.0
+    noise_px: tuple[float, float] = (0.1, 0.1)
+
+
+FIELDS = {
+    "perfect": Kind(_NORTH),
+    "noise": Kind(_NORTH, noise_px=(0.1, 0.5)),
+    "false stars": Kind(_NORTH, 5, noise_px=(0.1, 0.5)),
+    "missing stars": Kind(_NORTH, 0, 0.3, (0.1, 0.5)),
+    "everything": Kind(_NORTH, 5, 0.2, (0.1, 0.5)),
+    "outside": Kind(_OUTSIDE),
+    "outside, false stars": Kind(_OUTSIDE, 5, noise_px=(0.1, 0.5)),
+    "border": Kind(_BORDER, 5, noise_px=(0.1, 0.5)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A compiled export, and the whole sky: brightest first."""
+
+    build: Build
+    camera: Camera
+    star_id: NDArray[np.int64]
+    directions: NDArray[np.float64]
+    v_mag: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of `lists`: how many were solved and wrong, the largest error of a corner, the strongest evidence refused."""
+
+    lists: int
+    solved: int
+    wrong: int
+    corner_px: float
+    strongest: float
+
+
+def vega_camera(folder: Path) -> Target:
+    """Yee's Vega camera with the stars north of +30°, compiled in `folder`."""
+    camera = Camera((9.0130, 6.9049), (427, 319))
+    stars, every = sub_catalog(5, 6.0, 30.0, 90.0), sub_catalog(5, 6.0, -90.0, 90.0)
+    tracker = IntegerTracker.build(
+        IntegerCamera(camera.size_px, camera.fov_deg), stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, 12.0
+    )
+    export = export_c(tracker, TriadLimits(three_stars=True), MAX_STARS, MAX_TRIADS, MAX_GROUPS)
+    ra, dec = np.radians(every.sky_deg).T
+    directions = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    order = np.argsort(every.v_mag, kind="stable")
+    return Target(compile_export(export, folder), camera, every.hr[order], directions[order], every.v_mag[order])
+
+
+def attack_fields(target: Target, kind: str, count: int, seed: int) -> Result:
+    """Solve fields of one kind."""
+    what, solved, wrong, corner, refused = FIELDS[kind], 0, 0, 0.0, -np.inf
+    rng = stream(seed, "fields", list(FIELDS).index(kind))
+    for begin in range(0, count, _CHUNK):
+        truths = [
+            scene(
+                target.directions,
+                target.v_mag,
+                target.camera,
+                rng,
+                what.declination_deg,
+                int(rng.integers(1, what.most_false + 1)) if what.most_false else 0,
+                what.missing,
+                float(rng.uniform(*what.noise_px)),
+                max_stars=20,
+            )
+            for _ in range(min(_CHUNK, count - begin))
+        ]
+        lines = target.build.solve("".join(list_text(truth.xy) for truth in truths))
+        for truth, answer in zip(truths, map(Answer.of_line, lines), strict=True):
+            if answer.status != "solved":
+                refused = max(refused, answer.evidence)
+                continue
+            off = errors_px(answer, truth, target.camera, target.star_id, target.directions)
+            several = bool((answer.number > 10_000).any())
+            solved += 1
+            corner = max(corner, float(off[0]))
+            wrong += bool(off[0] > WRONG_CORNER_PX or off[1] > WRONG_CORNER_PX + (COMBINED_PX if several else 0.0))
+    return Result(count, solved, wrong, corner, refused)
+
+
+def attack_patterns(target: Target, pattern: Pattern, count: int, seed: int) -> Result:
+    """Solve lists of 4 to 24 points that show no sky; whatever is solved is wrong."""
+    solved, strongest = 0, -np.inf
+    rng = stream(seed, "patterns", PATTERNS.index(pattern))
+    for begin in range(0, count, _CHUNK):
+        lists = [
+            pattern_list(pattern, target.camera, rng, int(rng.integers(4, 25)))
+            for _ in range(min(_CHUNK, count - begin))
+        ]
+        for answer in map(Answer.of_line, target.build.solve("".join(map(list_text, lists)))):
+            solved += answer.status == "solved"
+            strongest = max(strongest, answer.evidence)
+    return Result(count, solved, solved, 0.0, strongest)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run all kinds; 1 where anything was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=12_500, help="lists of each kind")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        target = vega_camera(Path(folder))
+        print("kind                   lists   solved  wrong  corner px  log2 B  seconds")
+        for kind in (*FIELDS, *PATTERNS):
+            start = time.perf_counter()
+            if kind in FIELDS:
+                result = attack_fields(target, kind, options.n, options.seed)
+            else:
+                result = attack_patterns(target, kind, options.n, options.seed)  # type: ignore[arg-type]  # a Pattern
+            wrong += result.wrong
+            print(
+                f"{kind:20} {result.lists:7} {result.solved:8} {result.wrong:6} {result.corner_px:10.2f} "
+                f"{result.strongest:7.1f} {time.perf_counter() - start:8.0f}",
+                flush=True,
+            )
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,306 @@
+"""What the thesis recommends (sections 4.2.2, 4.3.2 and 7.2), built: planet or star, raw pixels first, equal pixels."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.greyling1995.blur import THESIS_SIGMA
+from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
+from simulator.theses.greyling1995.star_images import star_stamps
+from simulator.theses.printed import NOTHING, Row, Section, new_figure
+from startracker.attitude import Attitude
+from startracker.catalog import load_catalog
+from startracker.catalog.guide import GuideDatabase
+from startracker.centroid import METHODS as CENTROIDERS
+from startracker.detection import Spots, estimate, find_round_regions
+from startracker.estimation import METHODS as ESTIMATORS
+from startracker.identification import match_groups
+from startracker.identification.observed import Identification, Observed, Prior
+from startracker.solution import Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Order", "disk_stamp", "is_planet_score", "planet_detectability", "raw_pixels_first", "section"]
+
+FloatArray = NDArray[np.float64]
+
+PIXEL_ARCSEC = 10.0 / 512 * 3600.0
+FALSE_PLANETS = 0.01
+"""Share of the stars that the test may call planets."""
+PRNU = 0.03
+""""Several percent of the peak response", section 4.3.2."""
+_RAW_SIGMA_PX = 1.0 / math.sqrt(6.0)
+"""Of a brightest pixel on one axis: within half a pixel, and the peak of a noisy star one pixel off now and then."""
+_STEP_PX = 1e-4
+
+
+# ---------------------------------------------------------------------- a planet or a star
+def disk_stamp(diameter_px: float, offset_px: float = 0.0, sigma_px: float = THESIS_SIGMA) -> FloatArray:
+    """Image (5, 5) of an even disk through the defocused lens, integrated over the pixels; sum of a star's stamp alike.
+
+    Parameters
+    ----------
+    diameter_px : float
+        Of the disk; 0: a star.
+    offset_px : float
+        Along x from the middle of the central pixel.
+    sigma_px : float
+        Of the lens' Gaussian.
+    """
+    if diameter_px == 0.0:
+        return np.asarray(star_stamps([offset_px], sigma_px, integrated=True)[0])
+    rings, turns = 6, 24
+    radius = 0.5 * diameter_px * np.sqrt((np.arange(rings) + 0.5) / rings)
+    angle = 2.0 * np.pi * (np.arange(turns) + 0.5) / turns
+    way = np.stack([np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()], axis=1)
+    path = (way, np.full(len(way), 1.0 / len(way)))
+    return np.asarray(star_stamps([offset_px], sigma_px, path=path, integrated=True)[0])
+
+
+def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> FloatArray:
+    """What distinguishes a disk from a star, (5, 5): their difference, less all that a star's unknowns can make of it.
+
+    Unknown are the brightness, the position, the background and, where it is not known, the lens' σ.
+    """
+    star = disk_stamp(0.0, 0.0, sigma_px)
+    shift = (disk_stamp(0.0, _STEP_PX, sigma_px) - disk_stamp(0.0, -_STEP_PX, sigma_px)) / (2 * _STEP_PX)
+    unknown = [star, shift, shift.T, np.ones_like(star)]
+    if not sigma_known:
+        unknown.append(disk_stamp(0.0, 0.0, sigma_px + _STEP_PX) - disk_stamp(0.0, 0.0, sigma_px - _STEP_PX))
+    basis, _ = np.linalg.qr(np.stack([u.ravel() for u in unknown], axis=1))
+    difference = (disk_stamp(diameter_px, 0.0, sigma_px) - star).ravel()
+    return np.asarray(difference - basis @ (basis.T @ difference)).reshape(star.shape)
+
+
+def is_planet_score(stamp: FloatArray, noise: float, sigma_px: float = THESIS_SIGMA) -> float:
+    """Correlation of a 5 × 5 image with what makes a disk, in standard deviations of the noise: 0 ± 1 for a star.
+
+    The thesis' two-dimensional correlation, of what a star's brightness, position and background cannot explain.
+
+    Parameters
+    ----------
+    stamp : (5, 5) array
+        Image, any unit, centred within a small part of a pixel.
+    noise : float
+        Standard deviation of a pixel, same unit.
+    sigma_px : float
+        Of the lens' Gaussian, as calibrated.
+    """
+    direction = _direction(0.5, sigma_px, sigma_known=True)
+    return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
+
+
+def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool = True) -> float:
+    """Share of the planets found where 1 % of the stars are called planets: Φ(d' − z₀.₉₉), d' = |difference| / noise.
+
+    Parameters
+    ----------
+    diameter_px : float
+        Of the disk.
+    snr_db : float
+        Brightest pixel of a star over the standard deviation of a pixel, 20 log₁₀.
+    sigma_known : bool
+        Whether the lens' σ is calibrated; else it is another unknown of the image.
+    """
+    direction = _direction(diameter_px, THESIS_SIGMA, sigma_known=sigma_known)
+    separation = float(np.linalg.norm(direction)) / 10.0 ** (-snr_db / 20.0)
+    return float(norm.cdf(separation - norm.isf(FALSE_PLANETS)))
+
+
+def least_snr_db(diameter_px: float, share: float = 0.99, *, sigma_known: bool = True) -> float:
+    """SNR, dB, from which on that share of the planets is found."""
+    length = float(np.linalg.norm(_direction(diameter_px, THESIS_SIGMA, sigma_known=sigma_known)))
+    return 20.0 * math.log10((norm.ppf(share) + norm.isf(FALSE_PLANETS)) / length)
+
+
+# ---------------------------------------------------------------------- raw pixels first
+@dataclass(frozen=True, eq=False)
+class Order:
+    """What one order of the stages makes of the frames.
+
+    Parameters
+    ----------
+    frames, solved, wrong : int
+        All, identified, and those whose boresight is more than a minute of arc off.
+    centroids : float
+        Centroids computed a frame.
+    centroid_ms : float
+        Their time, median.
+    errors_arcsec : (S,)
+        Of the boresight, solved frames.
+    """
+
+    frames: int
+    solved: int
+    wrong: int
+    centroids: float
+    centroid_ms: float
+    errors_arcsec: FloatArray
+
+
+@cache
+def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
+    """The scenario of the thesis' rules solved in both orders: centroids first, or brightest pixels first.
+
+    With raw pixels the stars are identified by their brightest pixels, and centroids computed of the matched ones only.
+    """
+    scenario = Scenario.load("greyling1995")
+    renderer = Renderer(scenario)
+    settings = scenario.tracker
+    stars_of = load_catalog("bsc5")
+    guide = GuideDatabase.build(stars_of, renderer.camera, settings.magnitude_limit, settings.identification)
+    measure, estimate_attitude = CENTROIDERS["moment"], ESTIMATORS["svd"]
+    rows: dict[str, list[tuple[Any, ...]]] = {"centroids first": [], "raw pixels first": []}
+    for index in range(frames):
+        frame, truth = renderer.frame(index)
+        image = np.asarray(frame.image, dtype=np.float32)
+        background = estimate(image, settings.detection.background_tile_px)
+        spots = find_round_regions(image, background, settings.detection)
+        prior = None
+        if frame.prior is not None:
+            prior = Prior(frame.prior, math.radians(math.sqrt(3.0) * frame.prior_deg))
+        sky = guide.seen_by(frame.observer)
+        for name, raw in (("centroids first", False), ("raw pixels first", True)):
+            start = time.perf_counter()
+            if raw:
+                xy = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
+                sigma = np.full(len(spots), _RAW_SIGMA_PX)
+                flux = spots.flux
+            else:
+                found = measure(image, background, spots, settings.centroid, None)
+                xy, flux = found.xy, found.flux
+                sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
+            spent = 1e3 * (time.perf_counter() - start)
+            answer = match_groups(
+                Observed(renderer.camera.unproject(xy), flux, sigma * renderer.camera.pixel_rad),
+                sky, settings.identification, prior,
+            )  # fmt: skip
+            error, count = math.nan, len(spots)
+            if answer.status is Status.SOLVED:
+                seen, stars = answer.pairs.T
+                if raw:
+                    start, count = time.perf_counter(), len(seen)
+                    found = measure(image, background, _of(spots, seen), settings.centroid, None)
+                    spent = 1e3 * (time.perf_counter() - start)
+                    xy = xy.copy()
+                    xy[seen] = found.xy
+                turned = estimate_attitude(
+                    renderer.camera.unproject(xy[seen]), sky.directions[stars], np.full(len(seen), 1e-5)
+                )
+                error = 3600.0 * _apart_deg(Attitude.from_matrix(turned.matrix), truth.attitude)
+            rows[name].append((answer, error, count, spent))
+    return {name: _order(results) for name, results in rows.items()}
+
+
+def _of(spots: Spots, index: NDArray[np.int64]) -> Spots:
+    """Some of the candidates."""
+    columns = {
+        f.name: getattr(spots, f.name)[index]
+        for f in fields(spots)
+        if f.name != "rejected" and getattr(spots, f.name) is not None
+    }
+    return replace(spots, **columns)
+
+
+def _apart_deg(one: Attitude, other: Attitude) -> float:
+    return math.degrees(math.acos(min(1.0, float(one.boresight @ other.boresight))))
+
+
+def _order(results: list[tuple[Identification, float, int, float]]) -> Order:
+    errors = np.array([error for _, error, _, _ in results])
+    solved = np.isfinite(errors)
+    return Order(
+        frames=len(results),
+        solved=int(solved.sum()),
+        wrong=int(np.count_nonzero(errors[solved] > 60.0)),
+        centroids=float(np.mean([count for _, _, count, _ in results])),
+        centroid_ms=float(np.median([spent for *_, spent in results])),
+        errors_arcsec=errors[solved],
+    )
+
+
+# ---------------------------------------------------------------------- equal pixels
+def prnu_error_px(prnu: float = PRNU, sigma_px: float = THESIS_SIGMA, offset_px: float = 0.0) -> float:
+    """Standard deviation of a first moment over 5 × 5, pixels, by unequal pixels: p √(Σ (i − m)² f²) / Σ f."""
+    stamp = star_stamps([offset_px], sigma_px, integrated=True)[0]
+    steps = np.arange(-2.0, 3.0)
+    mean = (stamp * steps).sum() / stamp.sum()
+    return float(prnu * np.sqrt(((steps - mean) ** 2 * stamp**2).sum()) / stamp.sum())
+
+
+# ---------------------------------------------------------------------- the section
+def section(frames: int = 12) -> Section:
+    """Rows of the three recommendations, and the planet test's figure."""
+    mars = mars_diameters_arcsec()[1] / PIXEL_ARCSEC
+    orders = raw_pixels_first(frames)
+    first, raw = orders["centroids first"], orders["raw pixels first"]
+    planets = {"Mars, 25″": mars, "Jupiter, 50″": 50.0 / PIXEL_ARCSEC, "Venus, 64″": 64.0 / PIXEL_ARCSEC}
+    rows = [
+        Row(
+            "§ 7.2", f"planet or star by correlation over 5 × 5: {name} ({size:.2f} px)", "left open",
+            f"{100 * planet_detectability(size, 40.0):.0f} % found at 40 dB, 99 % from {least_snr_db(size):.0f} dB on",
+            "open",
+            "1 % of the stars called planets; brightness, position and background unknown, the lens' σ known. Where "
+            f"σ is unknown, 99 % need {least_snr_db(size, sigma_known=False):.0f} dB: a disk is like a wide star",
+        )
+        for name, size in planets.items()
+    ]  # fmt: skip
+    rows.append(
+        Row(
+            "§ 7.2", "identification from raw pixels, centroids of the matched stars only", "left open",
+            f"{raw.solved} of {raw.frames} frames, {raw.wrong} wrong, {raw.centroids:.1f} centroids a frame; with "
+            f"centroids first {first.solved}, {first.wrong} wrong, {first.centroids:.1f}",
+            "open",
+            f"scenarios/greyling1995.yaml; boresights off by {np.median(raw.errors_arcsec):.2f}″ and "
+            f"{np.median(first.errors_arcsec):.2f}″ on the median. With eight stars a frame there is little to "
+            "save, with a hundred objects there is",
+        )
+    )  # fmt: skip
+    rows.append(
+        Row(
+            "§ 4.3.2", "error of the centroid by unequal pixels of 3 %, left and corrected", NOTHING,
+            f"{prnu_error_px():.4f} px; corrected by a map from 16 frames of 40,000 electrons "
+            f"{prnu_error_px(1.0 / math.sqrt(16 * 40_000)):.5f} px", "not printed",
+            "\"several percent of the peak response\" in the thesis; p √(Σ (i − m)² f²) / Σ f, and the map is good "
+            "to 1/√(N S) (startracker.detection.sensitivity)",
+        )
+    )  # fmt: skip
+    figures: dict[str, Callable[[], Figure]] = {"sec_7_2_planets": partial(_planet_figure, planets)}
+    return Section("Chapter 7.2: what the thesis recommends", rows, figures)
+
+
+def _planet_figure(planets: dict[str, float]) -> Figure:
+    figure, (left, right) = new_figure(1, 2, (8.6, 3.9))
+    snr = np.arange(20.0, 101.0, 2.0)
+    for (name, size), colour, line in zip(planets.items(), (VERMILION, ORANGE, BLUE), ("-", "--", "-."), strict=True):
+        left.plot(snr, [100 * planet_detectability(size, s) for s in snr], color=colour, linestyle=line, label=name)
+        unknown = [100 * planet_detectability(size, s, sigma_known=False) for s in snr]
+        left.plot(snr, unknown, color=colour, linestyle=":", linewidth=1.0)
+    left.plot([], [], color=INK, linestyle=":", label="σ of the lens unknown")
+    left.set_xlabel("brightest pixel over noise [dB]")
+    left.set_ylabel("planets found, 1 % of the stars lost [%]")
+    left.set_ylim(-3, 135)
+    left.set_yticks(range(0, 101, 20))
+    left.legend(loc="upper left", ncols=2, fontsize=7)
+    sizes = np.geomspace(0.1, 4.0, 30)
+    for known, colour, line, name in ((True, GREEN, "-", "σ known"), (False, INK, ":", "σ unknown")):
+        right.plot(sizes, [least_snr_db(s, sigma_known=known) for s in sizes], color=colour, linestyle=line, label=name)
+    right.set_xscale("log")
+    right.set_xlabel("diameter of the disk [pixels]")
+    right.set_ylabel("brightest pixel over noise for 99 % [dB]")
+    right.legend(loc="upper right")
+    figure.suptitle("Section 7.2  Planet or star by correlation over 5 × 5 pixels", fontsize=10)
+    return figure

@@ -1,0 +1,156 @@
+"""Section 5.1.2, the review of recognition algorithms, run: every identifier of the tracker on the same fields.
+
+The thesis names three techniques and chooses angular separations, of which it ranks three by the information that they
+need: lines (Van Bezooijen), angles (Anderson) and triangles (Cox); Yee's triads are a fourth. Here each identifier that
+the product has is given the same simulated fields, with the other sensors' attitude and without, and with false stars.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simulator.randomness import stream
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.greyling1995.identification import (
+    TABLE_5_2,
+    draw_field,
+    guide_database,
+    judge,
+    thesis_identification,
+)
+from simulator.theses.printed import NOTHING, Row, Section, new_figure
+from startracker.identification import METHODS
+from startracker.settings import IdentificationSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["CASES", "Result", "review", "section"]
+
+LIMIT = 6.2
+"""Faintest guide star, V."""
+
+CASES: dict[str, tuple[int, bool]] = {
+    "prior of 1°": (0, True),
+    "prior, 8 false": (8, True),
+    "prior, 30 false": (30, True),
+    "lost in space": (0, False),
+    "lost, 12 false": (12, False),
+}
+"""Name to the false stars in the field, and whether the other sensors' attitude is given."""
+
+TECHNIQUES = {
+    "adaptive": "lines, bounded triangles and a Bayes factor, chosen by the field",
+    "match_groups": "lines: Van Bezooijen's groups with the settings of the thesis' program",
+    "pyramid": "triangles and a fourth star: Mortari",
+    "pattern_hash": "hashed shapes of four stars",
+    "triads": "two separations and their rotations: Yee",
+    "triads_integer": "the same in integers",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an identifier makes of the fields of one case.
+
+    Parameters
+    ----------
+    right, wrong, fields : int
+        Fields identified without a false pair; accepted with one; all.
+    time_ms : float
+        Median.
+    """
+
+    right: int
+    wrong: int
+    fields: int
+    time_ms: float
+
+
+def _settings(name: str) -> IdentificationSettings:
+    return thesis_identification() if name == "match_groups" else IdentificationSettings()
+
+
+@cache
+def review(fields: int = 2, names: Sequence[str] = tuple(METHODS)) -> dict[tuple[str, str], Result]:
+    """Results by identifier and case, each on the same fields: `fields` in each of Table 5.2's six regions."""
+    guide = guide_database(LIMIT)
+    found = {}
+    for case, (false, has_prior) in CASES.items():
+        drawn = [
+            draw_field(guide, hour, false, stream(1, f"greyling1995 review {hour:g} {false}", trial))
+            for hour in TABLE_5_2
+            for trial in range(fields)
+        ]
+        for name in names:
+            settings = _settings(name)
+            times, verdicts = [], []
+            for k, (prior, observed, truth) in enumerate([drawn[0], *drawn]):  # the first twice: it compiles
+                start = time.perf_counter()
+                answer = METHODS[name](observed, guide, settings, prior if has_prior else None)
+                if k:
+                    times.append(1e3 * (time.perf_counter() - start))
+                    verdicts.append(judge(answer, truth))
+            found[name, case] = Result(verdicts.count(True), verdicts.count(False), len(drawn), float(np.median(times)))
+    return found
+
+
+def section(fields: int = 2) -> Section:
+    """A row for each identifier, and the figure of all cases."""
+    found = review(fields)
+    rows = []
+    for name in METHODS:
+        cells = [
+            f"{case}: {100 * result.right / result.fields:.0f} %, {result.wrong} wrong, {result.time_ms:.2g} ms"
+            for case, result in ((case, found[name, case]) for case in CASES)
+        ]
+        why = TECHNIQUES.get(name, "an identifier of another package")
+        rows.append(Row("§ 5.1.2", f"identifier {name}", NOTHING, "; ".join(cells), "not printed", why))
+    rows.append(
+        Row(
+            "§ 5.1.2", "direct match: mean distance of a position from the nearest guide star", NOTHING,
+            f"{_mean_distance_deg():.2f}°, the other sensors' error being 1° about each axis", "not printed",
+            f"1/(2√n), stars to V = {LIMIT}: the nearest star is often another one; the thesis leaves the "
+            "technique out for the other sensors' errors",
+        )
+    )  # fmt: skip
+    return Section("Chapter 5.1.2: recognition algorithms", rows, {"sec_5_1_2_review": lambda: _figure(found)})
+
+
+def _mean_distance_deg() -> float:
+    """Mean distance of the nearest star of a random field: 1 / (2 √n), n stars a square degree."""
+    guide = guide_database(LIMIT)
+    return 0.5 / math.sqrt(len(guide) / 41_252.96)
+
+
+def _figure(found: dict[tuple[str, str], Result]) -> Figure:
+    figure, (left, right) = new_figure(1, 2, (9.6, 4.2))
+    place = np.arange(len(CASES))
+    colours = (BLUE, ORANGE, GREEN, VERMILION, SOFT, INK)
+    for k, name in enumerate(METHODS):
+        results = [found[name, case] for case in CASES]
+        style = {"color": colours[k % 6], "marker": "osD^vX"[k % 6], "markersize": 5, "linewidth": 0.8}
+        left.plot(place, [100 * r.right / r.fields for r in results], label=name, **style)
+        right.plot(place, [r.time_ms for r in results], label=name, **style)
+        for p, r in zip(place, results, strict=True):
+            if r.wrong:
+                left.annotate(f"{r.wrong} wrong", (p, 100 * r.right / r.fields), fontsize=7, xytext=(4, 4),
+                              textcoords="offset points")  # fmt: skip
+    for axes in (left, right):
+        axes.set_xticks(place, list(CASES), rotation=20)
+        axes.set_xlabel("case")
+    left.set_ylabel("fields identified rightly [%]")
+    left.set_ylim(-4, 105)
+    right.set_yscale("log")
+    right.set_ylabel("median time [ms]")
+    fields = next(iter(found.values())).fields
+    figure.suptitle(f"Section 5.1.2  Every identifier on the same {fields} fields of 10°, V ≤ {LIMIT}", fontsize=10)
+    left.legend(loc="lower left", fontsize=7)
+    return figure

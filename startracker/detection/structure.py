@@ -1,0 +1,139 @@
+"""Background of frames with strong smooth structure (aurora, stray light, nebulae), which tiles are too coarse for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from startracker.detection.background import Background, noise_floor
+from startracker.detection.plane import Plane
+from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles, tile_statistics
+from startracker.detection.values import Image, is_value
+
+__all__ = ["follow_structure", "has_structure"]
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+_LAG_PX = 5
+"""Distance of the pixels whose difference tells the noise: beyond a star image and the correlation of photographs."""
+_ROWS, _COLUMNS = 16, 64
+"""Where differences are taken: along few rows, as every row of an image must be fetched anew."""
+_MEDIAN_ABSOLUTE = 0.67449
+"""Median of a unit normal deviate's absolute value."""
+_NOISE_TIMES = 1.5
+"""Noise of the tiles over the noise of the pixels above which there is structure in the tiles, a loss of 0.4 mag; it is
+0.8 to 1.15 in photographs of the sky and in frames without structure."""
+_BIN_PX = 4
+_REACH_BINS = 2
+"""The background is a median of 5 × 5 bins: 20 px, of which a star takes 4 bins of 25, a long trail 5 to 10."""
+
+
+def has_structure(image: Image, background: Background) -> bool:
+    """Whether the background's noise is more than 1.5 times the noise of the pixels.
+
+    The latter is told by differences of a pixel to the mean of two at 5 px on either side, along x or y, whichever are
+    larger, in units of the background's noise: slopes do not count in them.
+    """
+    if min(image.shape) <= 2 * _LAG_PX:
+        return False
+    spread = _spread(image, background.noise_plane)
+    return bool(0.0 < spread * _NOISE_TIMES < 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _spread(image: Image, noise: Plane) -> float:
+    """Robust standard deviation of the differences of a thousand pixels, in units of the background's noise."""
+    height, width = image.shape
+    down, right = max(1, height // _ROWS), max(1, width // _COLUMNS)
+    size = ((height - 2 * _LAG_PX) // down + 1) * ((width - 2 * _LAG_PX) // right + 1)
+    values, largest = np.empty(size, np.float32), 0.0
+    for dy, dx in ((0, _LAG_PX), (_LAG_PX, 0)):
+        count = 0
+        for y in range(_LAG_PX, height - _LAG_PX, down):
+            for x in range(_LAG_PX, width - _LAG_PX, right):
+                one, before, after = image[y, x], image[y - dy, x - dx], image[y + dy, x + dx]
+                if is_value(one) and is_value(before) and is_value(after):
+                    mean = 0.5 * (np.float64(before) + np.float64(after))
+                    values[count] = abs(np.float64(one) - mean) / noise[y, x]
+                    count += 1
+        if count > 0:
+            largest = max(largest, select_kth(values, 0, count, count // 2))
+    return largest / (_MEDIAN_ABSOLUTE * math.sqrt(1.5))
+
+
+def follow_structure(image: Image, tile_px: int = 64) -> Background:
+    """Background that follows structure of some 20 px and more.
+
+    Means of bins of 4 px, without the highest and the lowest pixel of each, pass a 5 × 5 median, which a slope passes
+    unchanged and a star does not; the median of what is left is added once more (Tukey's twicing), so that a ridge is
+    not cut off by its curvature. The noise is that of what remains, from tiles as in `estimate`.
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        DN; not finite: left out.
+    tile_px : int
+        Side of the tiles of the noise.
+    """
+    height, width = image.shape
+    floor = noise_floor(image)[1]
+    bins = _bin_means(image, max(1, round(height / _BIN_PX)), max(1, round(width / _BIN_PX)))
+    gaps = ~np.isfinite(bins)
+    bins[gaps] = np.median(bins[~gaps]) if not gaps.all() else 0.0
+    level = _medians(bins)
+    level += _medians(bins - level)
+    plane = interpolate_tiles(level, height, width, True)
+    made = Background(plane, plane)
+    residual = np.asarray(image, np.float32) - made.level
+    rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
+    _, noise = tile_statistics(residual, rows, columns, 0.0)
+    known = np.isfinite(noise)
+    noise[~known] = np.median(noise[known]) if known.any() else 1.0
+    return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
+
+
+@njit(cache=True, error_model="numpy")
+def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
+    """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
+    height, width = image.shape
+    out = np.empty((rows, columns))
+    for row in range(rows):
+        y0, y1 = row * height // rows, (row + 1) * height // rows
+        for column in range(columns):
+            x0, x1 = column * width // columns, (column + 1) * width // columns
+            total, low, high, count = 0.0, np.inf, -np.inf, 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    value = np.float64(image[y, x])
+                    if is_value(image[y, x]):
+                        total, low, high, count = total + value, min(low, value), max(high, value), count + 1
+            if count > 2:
+                total, count = total - low - high, count - 2
+            out[row, column] = total / count if count > 0 else np.nan
+    return out
+
+
+def _medians(bins: FloatArray) -> FloatArray:
+    """Medians of 5 × 5; outside, the map goes on point-symmetrically about its border, so that a slope stays one."""
+    reach = min(_REACH_BINS, min(bins.shape) - 1)
+    padded = np.pad(bins, reach, mode="reflect", reflect_type="odd") if reach > 0 else bins
+    return np.asarray(_median_filter(padded.astype(np.float32), reach))
+
+
+@njit(cache=True, error_model="numpy")
+def _median_filter(padded: FloatImage, reach: int) -> FloatArray:
+    height, width, side = padded.shape[0] - 2 * reach, padded.shape[1] - 2 * reach, 2 * reach + 1
+    out, sample = np.empty((height, width)), np.empty(side * side, np.float32)
+    for y in range(height):
+        for x in range(width):
+            n = 0
+            for j in range(side):
+                for i in range(side):
+                    sample[n] = padded[y + j, x + i]
+                    n += 1
+            out[y, x] = select_kth(sample, 0, n, n // 2)
+    return out

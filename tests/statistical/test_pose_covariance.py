@@ -1,0 +1,170 @@
+"""Whether the covariance of an attitude is true where the tracker's model of the frame is not.
+
+The normalised error squared of an attitude is χ² of 3 degrees of freedom where the covariance is true: mean 3, variance
+6. Its mean over n trials lies within 3 ± 1.96 √(6/n) in 95 % of cases; quick versions allow four standard deviations.
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from simulator import Scenario
+from simulator.study.intervals import mean_chi_square_bounds
+from simulator.study.trials.trial import TrialRunner, solve_frame
+from startracker import Attitude, Camera, StarTracker
+from startracker.constants import ARCSEC_RAD
+from startracker.estimation import wahba_svd
+from startracker.observer import Observer
+from startracker.refine import refine
+
+DIFFRACTION = ("optics.psf.model=diffraction", "optics.psf.sigma_px=null")
+ROLLING = ("detector.kind=cmos", "detector.shutter=rolling")
+MISMATCHES = {
+    "none": (),
+    "defocus of 12 um": (*DIFFRACTION, "optics.psf.defocus_um=12"),
+    "focal length 400 ppm off": ("optics.thermal.expansion_ppm_k=20", "optics.thermal.temperature_c=40"),
+    "coma over the field": (*DIFFRACTION, "optics.psf.field.coma_waves=0.1"),
+    "moment on astigmatic images": (
+        "tracker.centroider=moment",
+        *DIFFRACTION,
+        "optics.psf.zernike_waves.astigmatism=0.15",
+    ),
+    "rolling shutter, about the boresight": (*ROLLING, "pointing.rate_deg_s=[0,0.7,0]"),
+    "rolling shutter, along the columns": (*ROLLING, "pointing.rate_deg_s=[0.7,0,0]"),
+    "rolling shutter, along the rows": (*ROLLING, "pointing.rate_deg_s=[0,0,0.7]"),
+}
+STREAKED = {"rolling shutter, along the columns", "rolling shutter, along the rows"}
+
+
+def normalised_errors(overrides, trials, seed):
+    """NEES (n,) of trials of cubesat.yaml."""
+    runner = TrialRunner(Scenario.load("scenarios/cubesat.yaml", overrides=[*overrides, f"seed={seed}"]))
+    return np.array([runner.run(k)["nees"] for k in range(trials)])
+
+
+@pytest.mark.parametrize(
+    "name", ["defocus of 12 um", "focal length 400 ppm off", "rolling shutter, about the boresight"]
+)
+def test_the_covariance_has_what_the_frame_shows(name):
+    nees = normalised_errors(MISMATCHES[name], 40, 77)
+    # four standard deviations of the mean of 40: 1.55; without what the frame shows it was 4 to 14
+    assert nees.mean() == pytest.approx(3.0, abs=4.0 * np.sqrt(6.0 / 40))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(MISMATCHES))
+def test_the_covariance_is_inside_its_bounds(name):
+    trials = 300 if name in STREAKED else 600
+    nees = normalised_errors(MISMATCHES[name], trials, 77)
+    nees = nees[np.isfinite(nees)]
+    low, high = mean_chi_square_bounds(len(nees), 3)
+    assert low <= nees.mean() <= high
+
+
+@pytest.fixture(scope="module")
+def tracker():
+    return StarTracker(Camera.from_fov(12.0, 1024, 1024), magnitude_limit=6.5)
+
+
+def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, told=None):
+    """NEES of fits of so many stars at random attitudes, positions off by Gaussian errors of `sigma_px` (a function
+    of the random numbers and the number of stars), seen by an observer and refined with what `told` says of him."""
+    rng, nees = np.random.default_rng(seed), []
+    told = Observer(tracker.guide.epoch_jyear) if told == "barycentre" else told
+    while len(nees) < trials:
+        observer = seen_by(rng) if seen_by is not None else None
+        guide = tracker.guide.seen_by(observer)
+        attitude = Attitude(rng.normal(size=4))
+        index, _, xy = guide.in_field(attitude.as_matrix(), -2.0)
+        if len(index) < stars:
+            continue
+        chosen = np.sort(rng.choice(len(index), stars, replace=False))
+        sigma = sigma_px(rng, stars)
+        seen = xy[chosen] + sigma[:, None] * rng.normal(size=(stars, 2))
+        pairs = np.stack([np.arange(stars), index[chosen]], axis=1)
+        variance = sigma**2 if known else None
+        found = refine(pairs, seen, variance, tracker.camera, tracker.guide.seen_by(told), wahba_svd, observer=told)
+        error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
+        nees.append(error @ np.linalg.solve(found.covariance, error))
+    return np.array(nees)
+
+
+@pytest.mark.parametrize("stars", [3, 4, 5, 8])
+def test_few_stars_without_errors_stay_within_the_99_per_cent_limit(tracker, stars):
+    nees = lists(tracker, stars, 1500, stars, lambda rng, n: np.full(n, 0.2), told="barycentre")
+    beyond = np.mean(nees > chi2.isf(0.01, 3))
+    # three binomial standard deviations of 1 % in 1500: 0.8 %
+    assert beyond < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1500)
+
+
+@pytest.mark.parametrize(("stars", "least"), [(3, 1.5), (5, 2.1), (20, 2.7)])
+def test_stated_errors_are_believed(tracker, stars, least):
+    """Errors of stars that differ by a factor of ten, each stated."""
+    nees = lists(
+        tracker, stars, 600, stars, lambda rng, n: 0.03 * 10.0 ** rng.uniform(0, 1, n), known=True, told="barycentre"
+    )
+    # what so few stars cannot rule out, a systematic error of the size of the noise, widens the covariance
+    assert least < nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / 600)
+
+
+def earthly(rng):
+    """Observer on the Earth's orbit in 1991 to 2051, and in a low orbit about the Earth."""
+    angle, speed = rng.uniform(0, 2 * np.pi), 29.78
+    tilt = np.radians(23.4393)
+    earth = speed * np.array([np.cos(angle), np.sin(angle) * np.cos(tilt), np.sin(angle) * np.sin(tilt)])
+    orbit = rng.normal(size=3)
+    return Observer(rng.normal(1991.25, 30.0), earth + 7.6 * orbit / np.linalg.norm(orbit))
+
+
+def test_without_an_observer_the_covariance_has_aberration_and_epoch(tracker):
+    nees = lists(tracker, 12, 600, 5, lambda rng, n: np.full(n, 0.05), seen_by=earthly, known=True)
+    # across the boresight the error is that of one velocity of known size: its square varies by less than χ²'s
+    assert 2.5 < nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / 600)
+    assert np.mean(nees > chi2.isf(0.01, 3)) < 0.02
+
+
+def test_an_unknown_observer_costs_twenty_arcseconds(tracker):
+    attitude = Attitude.from_radec_roll(85.0, -2.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    unknown = tracker.solve_centroids(xy, sigma_px=0.05)
+    known = tracker.solve_centroids(xy, sigma_px=0.05, observer=Observer(tracker.guide.epoch_jyear))
+    sigma = [np.sqrt(np.diag(s.covariance)[:2]) / ARCSEC_RAD for s in (unknown, known)]
+    assert sigma[0].max() == pytest.approx(14.5, rel=0.1)  # 20.5″/√2
+    assert sigma[1].max() < 1.0
+
+
+def test_each_star_given_twice(tracker):
+    """Duplicates of a star, 1 to 2 px apart with errors of their own, are one star."""
+    rng, nees = np.random.default_rng(8), []
+    observer = Observer(tracker.guide.epoch_jyear)
+    for _ in range(150):
+        attitude = Attitude(rng.normal(size=4))
+        _, _, xy = tracker.guide.in_field(attitude.as_matrix(), -3.0)
+        twice = np.concatenate([xy, xy])
+        solution = tracker.solve_centroids(twice + rng.normal(0.0, 0.5, twice.shape), sigma_px=0.5, observer=observer)
+        if solution.solved:
+            assert len(np.unique(solution.stars.catalog_id)) == solution.matched
+            error = attitude.rotation_vector_to(solution.attitude)
+            nees.append(error @ np.linalg.solve(solution.covariance, error))
+    assert len(nees) > 100
+    assert np.mean(nees) < 3.0 + 3.0 * np.sqrt(6.0 / len(nees))
+
+
+def test_every_detected_guide_star_is_named():
+    """One of 50 stars is a blend, pulled away by 0.3 to 2 px: named, and left out of the fit."""
+    runner = TrialRunner(
+        Scenario.load("scenarios/cubesat.yaml", overrides=["seed=78", *MISMATCHES["defocus of 12 um"]])
+    )
+    detected = named = used = 0
+    for k in range(20):
+        frame, truth = runner.renderer.frame(k)
+        solution = solve_frame(runner.tracker, frame)
+        index, _, xy = runner.tracker.guide.seen_by(frame.observer).in_field(truth.attitude.as_matrix())
+        near = np.hypot(*(xy[:, None] - solution.centroids[None]).transpose(2, 0, 1)).min(axis=1) < 3.0
+        detected += np.count_nonzero(near)
+        ids = runner.tracker.guide.catalog.id[index[near]]
+        named += np.count_nonzero(np.isin(ids, solution.stars.catalog_id))
+        used += len(solution.stars.fitted)
+    assert detected > 400
+    assert named >= 0.995 * detected
+    assert 0.9 * detected < used <= named

@@ -1,0 +1,105 @@
+"""Of several looks at a frame the one with the most evidence is answered, and none beyond doubt is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from startracker import Attitude, Camera, StarTracker, Status
+from startracker import tracker as module
+from startracker.front_end import Clock, FoundStars
+from startracker.identification import Identification
+
+CAMERA = Camera.from_fov(15.0, 1024, 1024)
+ATTITUDE = Attitude.from_radec_roll(85.0, 10.0, 30.0)
+
+
+@pytest.fixture(scope="module")
+def tracker():
+    return StarTracker(CAMERA, magnitude_limit=7.0)
+
+
+def field(tracker, skip, count):
+    """Positions and fluxes of guide stars of the field, the brightest left out: no whole field by the rule for that."""
+    index, _, xy = tracker.guide.in_field(ATTITUDE.as_matrix(), -5.0)
+    chosen = slice(skip, skip + count)
+    return xy[chosen], 1e6 * 10.0 ** (-0.4 * tracker.guide.v_mag[index[chosen]])
+
+
+def look(rng, xy, flux, false, error_px):
+    points = np.concatenate([xy + error_px * rng.standard_normal(xy.shape), rng.uniform(5.0, 1018.0, (false, 2))])
+    signal = np.concatenate([flux, rng.choice(flux, false)])
+    order = np.argsort(-signal)
+    return FoundStars(points[order], signal[order], np.full(len(points), max(error_px, 0.02) ** 2))
+
+
+def answer(tracker, monkeypatch, spots, streaks):
+    monkeypatch.setattr(module, "look_again", lambda *_, **__: streaks)
+    return tracker._solve_looks(spots, None, None, Clock(), None, None)
+
+
+@pytest.mark.parametrize("smeared", [False, True])
+def test_fifty_stars_do_not_give_way_to_eight_streaks(tracker, monkeypatch, smeared):
+    rng = np.random.default_rng(1)
+    xy, flux = field(tracker, 8, 50)
+    spots = look(rng, xy, flux, 10, 0.03)
+    object.__setattr__(spots, "smeared", smeared)
+    near = xy[:8] + np.array([1.5, 0.8])  # eight streaks that fit the same field, all off alike
+    streaks = look(rng, near, flux[:8], 38, 0.3)
+    solution, seen, steps = answer(tracker, monkeypatch, spots, streaks)
+    assert solution.solved
+    assert seen is spots
+    assert solution.matched >= 45
+    assert solution.log_false_alarm < -300.0
+    assert math.degrees(ATTITUDE.angle_to(solution.attitude)) * 3600 < 5.0
+    assert steps is not None
+
+
+def test_streaks_with_the_more_evidence_win_over_their_pieces(tracker, monkeypatch):
+    rng = np.random.default_rng(2)
+    xy, flux = field(tracker, 0, 30)
+    streaks = look(rng, xy, flux, 0, 0.2)
+    pieces = look(rng, xy[10:21] + np.array([4.0, 0.0]), flux[10:21], 19, 1.5)
+    solution, seen, _ = answer(tracker, monkeypatch, pieces, streaks)
+    assert solution.solved
+    assert seen is streaks
+    assert math.degrees(ATTITUDE.angle_to(solution.attitude)) * 3600 < 40.0
+
+
+def test_sixty_of_sixty_stars_are_answered_beside_streaks_that_are_no_sky(tracker, monkeypatch):
+    rng = np.random.default_rng(3)
+    xy, flux = field(tracker, 8, 60)
+    spots = look(rng, xy, flux, 0, 0.02)
+    train = look(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
+    solution, seen, _ = answer(tracker, monkeypatch, spots, train)
+    assert solution.solved, solution.reason
+    assert seen is spots
+    assert solution.matched >= 58
+
+
+def test_points_that_may_be_pieces_of_streaks_are_still_refused(tracker, monkeypatch):
+    """Eleven pieces of the fainter stars' streaks, all off by 60 px, among brighter pieces of others."""
+    rng = np.random.default_rng(4)
+    xy, flux = field(tracker, 12, 11)
+    bright = rng.uniform(5.0, 1018.0, (30, 2))
+    pieces = look(
+        rng, np.concatenate([xy + np.array([60.0, 0.0]), bright]), np.append(flux, np.full(30, flux.max())), 0, 0.3
+    )
+    train = look(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
+    solution, _, _ = answer(tracker, monkeypatch, pieces, train)
+    assert solution.status is Status.NO_MATCH
+    assert "pieces of streaks" in solution.reason
+
+
+@pytest.mark.parametrize("inside_is_better", [True, False])
+def test_a_doubtful_match_within_the_prior_gives_way_to_more_evidence_outside(tracker, monkeypatch, inside_is_better):
+    xy, flux = field(tracker, 0, 40)
+    index, _, _ = tracker.guide.in_field(ATTITUDE.as_matrix(), -5.0)
+    true = np.stack([np.arange(40), index[:40]], axis=1)
+    weak = Identification(Status.SOLVED, "inside", true[:3][:, [0, 1]] if inside_is_better else true[3:6], -17.0)
+    strong = Identification(Status.SOLVED, "outside", true[6:], -10.0 if inside_is_better else -500.0)
+    monkeypatch.setattr(tracker, "_identify", lambda o, g, s, prior: strong if prior is None else weak)
+    solution = tracker.solve_centroids(xy, flux, prior=Attitude.from_radec_roll(85.0, 10.0, 31.0), prior_deg=3.0)
+    assert solution.solved
+    assert solution.prior_contradicted is not inside_is_better
+    assert solution.log_false_alarm == (-17.0 if inside_is_better else -500.0)
