@@ -38,10 +38,12 @@ class InnovationWindow:
         self.noise_factor = 1.0
         self._frames: deque[_Sums] = deque()
         self._total = _NOTHING
+        self._last: tuple[Innovation, _Sums] | None = None
 
     def contradicts(self, innovation: Innovation) -> bool:
         """Whether the last frames together with one more contradict the filter."""
-        total = _add(self._total, _sums(innovation))
+        self._last = innovation, _sums(innovation)
+        total = _add(self._total, self._last[1])
         if len(self._frames) == _LENGTH:
             total = _add(total, self._frames[0], -1.0)
         distance2, freedom, number, x, y, z = total
@@ -55,8 +57,9 @@ class InnovationWindow:
         """Take in an innovation that fits."""
         if len(self._frames) == _LENGTH:
             self._total = _add(self._total, self._frames.popleft(), -1.0)
-        self._frames.append(_sums(innovation))
-        self._total = _add(self._total, self._frames[-1])
+        sums = self._last[1] if self._last is not None and self._last[0] is innovation else _sums(innovation)
+        self._frames.append(sums)
+        self._total = _add(self._total, sums)
         self.noise_factor += _FADE * (1.0 - self.noise_factor)
         full = len(self._frames) == _LENGTH
         if full and self.noise_factor > 1.0 and self._total[0] < chi_square_limit(round(self._total[1]), _TOO_SMALL):

@@ -40,16 +40,19 @@ class Followed:
     residual_px: FloatArray
     log_chance: float
 
-    def solution(self, tracker: StarTracker) -> Solution:
-        """The frame's answer: attitude and covariance of the filter, and the stars."""
+    def solution(self, tracker: StarTracker, covariance: FloatArray, note: str, times_ms: dict[str, float]) -> Solution:
+        """The frame's answer: the filter's attitude, its covariance (3, 3) as it is to be given out, and the stars.
+
+        A note is added to the reason.
+        """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
         return Solution(
             Status.SOLVED,
             f"tracked: {len(stars)} of {len(seen.xy)} stars are where predicted, {len(self.expected.index)} expected; "
-            f"by chance with probability 1e{math.floor(self.log_chance / math.log(10.0))}",
+            f"by chance with probability 1e{math.floor(self.log_chance / math.log(10.0))}" + note,
             self.filter.attitude,
-            self.filter.attitude_covariance,
+            covariance,
             MatchedStars(
                 seen.xy[stars],
                 guide.catalog.id[chosen],
@@ -61,7 +64,8 @@ class Followed:
             seen.xy,
             camera.fov_deg,
             camera.parity,
-            camera=camera,
+            times_ms,
+            camera,
         )
 
 

@@ -22,8 +22,9 @@ _FRAMES = 8
 _STARS = 16
 _HALF_PX = 3
 """About each star 7 × 7 pixels are compared; elsewhere a driver may write counters or time stamps into the image."""
-_PROBE = 7
-"""Pixels compared first, a row through the first star: it settles the matter for nearly every new frame."""
+_STEPS = np.arange((2 * _HALF_PX + 1) ** 2) + (2 * _HALF_PX + 1) ** 2 // 2
+_STEPS %= len(_STEPS)  # the star's own pixel comes first
+_ROWS, _COLUMNS = _STEPS // (2 * _HALF_PX + 1) - _HALF_PX, _STEPS % (2 * _HALF_PX + 1) - _HALF_PX
 
 
 class FrameMemory:
@@ -31,7 +32,7 @@ class FrameMemory:
 
     def __init__(self) -> None:
         self._lists: deque[tuple[float, bytes]] = deque(maxlen=_FRAMES)
-        self._images: deque[tuple[float, tuple[int, ...], IntArray, FloatArray]] = deque(maxlen=_FRAMES)
+        self._images: deque[tuple[float, tuple[int, ...], IntArray, IntArray, FloatArray]] = deque(maxlen=_FRAMES)
 
     def list_repeats(self, key: bytes) -> float | None:
         """Time of the frame that had the same list (of `list_key`); None where none had."""
@@ -45,10 +46,12 @@ class FrameMemory:
         """Time of the frame about whose stars this one (H, W) has the same pixels; None where none has."""
         if pixels is None:
             return None
-        for t_s, shape, place, values in self._images:
-            if pixels.shape != shape or _differ(pixels, place[:, :_PROBE], values[:_PROBE]):
+        for t_s, shape, rows, columns, values in self._images:
+            # one pixel settles the matter for nearly every new frame
+            if pixels.shape != shape or pixels[rows[0], columns[0]] != values[0] == values[0]:
                 continue
-            if not _differ(pixels, place, values):
+            # by their bytes: NaN marks pixels that are not to be used, and equals itself here
+            if pixels[rows, columns].astype(float).tobytes() == values.tobytes():
                 return t_s
         return None
 
@@ -57,21 +60,15 @@ class FrameMemory:
         if pixels is None or not len(xy):
             return
         centre = np.rint(xy[:_STARS]).astype(np.int64)
-        step = np.arange(-_HALF_PX, _HALF_PX + 1)
-        rows = centre[:, 1, None, None] + np.roll(step, -_HALF_PX)[None, :, None]  # the row through the star first
-        columns = centre[:, 0, None, None] + step[None, None, :]
-        place = np.stack([a.ravel() for a in np.broadcast_arrays(rows, columns)])
-        np.clip(place, 0, np.array(pixels.shape)[:, None] - 1, out=place)  # stars at the border
-        self._images.append((t_s, pixels.shape, place, pixels[place[0], place[1]].astype(float)))
-
-
-def _differ(pixels: NDArray[Any], place: IntArray, values: FloatArray) -> bool:
-    # by their bytes: NaN marks pixels that are not to be used, and equals itself here
-    return bool(pixels[place[0], place[1]].astype(float).tobytes() != values.tobytes())
+        height, width = pixels.shape
+        rows = np.minimum(np.maximum(centre[:, 1, None] + _ROWS, 0), height - 1).ravel()  # some are at the border
+        columns = np.minimum(np.maximum(centre[:, 0, None] + _COLUMNS, 0), width - 1).ravel()
+        self._images.append((t_s, pixels.shape, rows, columns, pixels[rows, columns].astype(float)))
 
 
 def list_key(points: FloatArray) -> bytes:
     """The coordinates (N, 2) of a list, whatever their order; empty for an empty list or one of another shape."""
     if points.ndim != 2 or points.shape[1] != 2:
         return b""
-    return bytes(np.sort(points[:, 0]).tobytes() + np.sort(points[:, 1]).tobytes())
+    pairs = np.ascontiguousarray(points, dtype=float).view(np.complex128)  # sorted by x, then by y
+    return bytes(np.sort(pairs, axis=0).tobytes())

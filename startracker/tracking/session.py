@@ -332,7 +332,7 @@ class TrackingSession:
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        return self._as_filtered(followed.solution(self.tracker), clock.times_ms())
+        return followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -377,16 +377,16 @@ class TrackingSession:
             distrusted=self._watched.distrusted,
             note=self._note,
         )
-        return self._as_filtered(found, {**found.times_ms, **clock.times_ms()})
-
-    def _as_filtered(self, found: Solution, times_ms: dict[str, float]) -> Solution:
-        """A solved frame's answer with the filter's attitude and covariance."""
-        covariance = self.covariance
-        assert covariance is not None
         return replace(
             found,
             reason=self._with_note(found.reason),
             attitude=self.filter_attitude,
-            covariance=covariance[:3, :3],
-            times_ms=times_ms,
+            covariance=self._given_out(),
+            times_ms={**found.times_ms, **clock.times_ms()},
         )
+
+    def _given_out(self) -> FloatArray:
+        """Covariance (3, 3) of the filter's attitude."""
+        covariance = self._watched.covariance
+        assert covariance is not None
+        return covariance[:3, :3]

@@ -12,6 +12,7 @@ from simulator.scene import SceneBuilder
 from simulator.study.budget import error_budget as module
 from simulator.study.budget.effects import CLASSES, EFFECTS, effective
 from simulator.study.budget.error_budget import budget
+from simulator.study.budget.outliers import find_outliers
 from simulator.study.budget.plot import budget_figure
 from simulator.study.statistics import AXES
 from startracker.errors import BoresightError, InputError
@@ -130,6 +131,19 @@ def test_outlier_of_the_scene_stays_in_every_run(monkeypatch):
     assert (outlier.index, outlier.axis) == (3, "about_boresight")
     assert len(outlier.runs) == outlier.of == 6
     assert "belongs to the scene" in str(outlier)
+
+
+def test_bias_that_is_switched_off_makes_no_outliers():
+    """10″ of bias and 0.5″ of noise: without the bias, errors lie 20 sigma from where they were, and nearer to zero."""
+    rng = np.random.default_rng(8)
+    noise, all_right = rng.normal(size=(50, 3)) / 7200, np.ones(50, bool)
+    runs = [noise + 10.0 / 3600, noise]
+    assert find_outliers(("everything on", "bias"), runs, [all_right] * 2, [all_right] * 2) == ()
+    runs[1] = noise + 0.0
+    runs[1][4, 1] = 150.0 / 3600
+    (outlier,) = find_outliers(("everything on", "bias"), runs, [all_right] * 2, [all_right] * 2)
+    assert (outlier.index, outlier.axis, outlier.runs) == (4, "cross_y", ("bias",))
+    assert find_outliers(("on",), [runs[1][:10]], [all_right[:10]], [all_right[:10]]) == ()  # too few to say
 
 
 def _columns(found):

@@ -40,9 +40,9 @@ class Contribution:
     interval_deg2 : dict
         95 % bootstrap interval of these, of the paired trials; None at an end for too few.
     trials : int
-        Trials that both solve rightly, but for those set apart.
+        Trials that both solve, but for those set apart.
     solved : int
-        Trials solved rightly without it, but for those set apart.
+        Trials solved without it, but for those set apart.
     """
 
     name: str
@@ -142,7 +142,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     """Error budget of a scenario: one Monte Carlo run for everything, each effect, each class, and nothing.
 
     An effect that the scenario does not have is passed over. Trials whose error is far beyond all others in any run, or
-    wrong, are set apart (`simulator.study.budget.outliers`).
+    wrong with everything on, are set apart (`simulator.study.budget.outliers`).
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     if not right.any():
         raise BoresightError("no trial is solved with everything on: there is no error to divide up")
     rows = [
-        _contribution(name, kind, base, right, result.errors, result.right & kept, scenario.seed)
+        _contribution(name, kind, base, right, result.errors, result.solved & kept, scenario.seed)
         for (name, kind, _), result in zip(runs[1:], done[1:], strict=False)
     ]
     singles = rows[: len(effects)]

@@ -24,6 +24,8 @@ LIMIT_SIGMAS = 8.0
 """Robust standard deviations of the errors with everything on. The normal distribution has 1e-15 beyond it; errors of
 fields with few stars, which may be three times as uncertain as the rest, 1 %."""
 _MAD_TO_SIGMA = 1.4826
+_FEWEST = 20
+"""Fewer trials than this say nothing of their own spread."""
 _MOST_LISTED = 10
 
 
@@ -42,7 +44,7 @@ class Outlier:
     sigmas : float
         The same in robust standard deviations of the errors with everything on.
     wrong : bool
-        Whether the attitude is wrong in a run, and not only off.
+        Whether the attitude is called wrong in a run, and not only off.
     runs : tuple of str
         Runs in which it is an outlier: ``everything on``, or the effect that is off.
     of : int
@@ -82,8 +84,9 @@ def find_outliers(
 ) -> tuple[Outlier, ...]:
     """Outliers of several runs over the same trials, in the order of their indices.
 
-    A trial is one where it is solved wrongly in a run, or its error about an axis exceeds `LIMIT_SIGMAS` times 1.4826
-    times the median magnitude, about the median, of the errors of the first run.
+    A trial is one where it is wrong in the first run, or where its error about an axis exceeds `LIMIT_SIGMAS` times
+    1.4826 times the median magnitude of the errors of the first run, in any run. The magnitudes count from zero: an
+    effect that is a bias makes no outliers where it is switched off.
 
     Parameters
     ----------
@@ -95,16 +98,12 @@ def find_outliers(
         Whether a trial is solved and not wrong, and whether it is solved.
     """
     good = errors[0][right[0]]
-    if not len(good):
-        return ()
-    middle = np.median(good, axis=0)
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(good - middle), axis=0)
-    if not (sigma > 0.0).all():
-        return ()
-    off = np.abs(np.stack(errors) - middle) / sigma  # (runs, n, 3)
+    sigma = _MAD_TO_SIGMA * np.median(np.abs(good), axis=0) if len(good) >= _FEWEST else np.full(3, np.inf)
+    off = np.abs(np.stack(errors)) / np.where(sigma > 0.0, sigma, np.inf)  # (runs, n, 3)
     off[~np.stack(solved)] = 0.0
     wrong = np.stack(solved) & ~np.stack(right)
-    out = (off > LIMIT_SIGMAS).any(axis=2) | wrong
+    out: BoolArray = np.asarray((off > LIMIT_SIGMAS).any(axis=2), dtype=bool)
+    out[0] |= wrong[0]
     found = []
     for index in np.flatnonzero(out.any(axis=0)):
         largest = np.argmax(np.where(out[:, index, None], off[:, index], -1.0))
@@ -128,7 +127,7 @@ def lines_of(outliers: tuple[Outlier, ...]) -> list[str]:
     if not outliers:
         return []
     count = f"{len(outliers)} trial{'s' if len(outliers) > 1 else ''}"
-    lines = [f"Set apart, and in no figure above: {count}, each far beyond all others or wrong in some run"]
+    lines = [f"Set apart, and in no figure above: {count}, each far beyond all others in some run, or wrong"]
     lines += [f"  {outlier}" for outlier in outliers[:_MOST_LISTED]]
     if len(outliers) > _MOST_LISTED:
         lines.append(f"  and {len(outliers) - _MOST_LISTED} more, in budget.json")
