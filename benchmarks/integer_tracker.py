@@ -2,7 +2,7 @@
 
 python -m benchmarks.integer_tracker [--camera vega|wide|narrow|pleiades] [--n 12500] [--seed 1]
 
-Eight kinds of fields and eight of lists, `n` of each; a line for each with what was solved, what was wrong, the largest
+Ten kinds of fields and eight of lists, `n` of each; a line for each with what was solved, what was wrong, the largest
 errors and the strongest evidence that was refused (fields) or found (lists). Exit status 1 where anything was wrong.
 
 An answer is wrong where the corners of the image move by more than WRONG_PX between its attitude and the true one, or
@@ -65,12 +65,16 @@ CAMERAS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """Fields: boresights between two declinations, most false stars (at least one, or 0), missing share, noise."""
+    """Fields: boresights between two declinations, most false stars (at least one, or 0), missing share, noise.
+
+    Stretched by factors across and down: mirrored, or of another focal length; none of these may be solved.
+    """
 
     declination_deg: tuple[float, float]
     most_false: int = 0
     missing: float = 0.0
     noise_px: float = 0.1
+    stretch: tuple[float, float] = (1.0, 1.0)
 
 
 FIELDS = {
@@ -82,6 +86,8 @@ FIELDS = {
     "outside": Kind(_OUTSIDE),
     "outside, false stars": Kind(_OUTSIDE, 5, noise_px=0.3),
     "border": Kind(_BORDER, 5, noise_px=0.3),
+    "mirrored": Kind(_NORTH, stretch=(-1.0, 1.0)),
+    "8 % smaller": Kind(_NORTH, stretch=(0.92, 0.92)),
 }
 
 
@@ -146,7 +152,7 @@ def attack_fields(target: Target, kind: str, count: int, seed: int) -> Result:
             )
             for _ in range(min(_CHUNK, count - begin))
         ]
-        lines = target.build.solve("".join(list_text(truth.xy) for truth in truths))
+        lines = target.build.solve("".join(list_text(truth.xy * what.stretch) for truth in truths))
         for truth, answer in zip(truths, map(Answer.of_line, lines), strict=True):
             if answer.status != "solved":
                 refused = max(refused, answer.evidence)
@@ -154,7 +160,7 @@ def attack_fields(target: Target, kind: str, count: int, seed: int) -> Result:
             off = errors_px(answer, truth, target.camera, target.star_id, target.directions)
             solved += 1
             corner = max(corner, float(off[0]))
-            wrong += bool((off > WRONG_PX + np.array([0.0, 0.0, COMBINED_PX])).any())
+            wrong += what.stretch != (1.0, 1.0) or bool((off > WRONG_PX + np.array([0.0, 0.0, COMBINED_PX])).any())
     return Result(count, solved, wrong, corner, refused)
 
 

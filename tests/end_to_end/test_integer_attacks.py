@@ -20,7 +20,7 @@ def test_fields(target, kind):
     """Two in three lists of plain fields were solved before, 3 to 34 % of them wrong; outside the catalogue half."""
     result = attack_fields(target, kind, 60, seed=3)
     assert result.wrong == 0
-    if "outside" in kind:
+    if "outside" in kind or FIELDS[kind].stretch != (1.0, 1.0):
         assert result.solved == 0
     elif kind != "border":
         assert result.solved > 10
