@@ -217,14 +217,17 @@ static struct one_context a, b;
 static struct other_1_context c;
 int main(void)
 {
-    static const int32_t xy[5][2] = {STARS};
+    static const int32_t xy[5][2] = {@};
     struct one_answer first, second;
     struct other_1_answer third;
     one_solve(&a, xy, 5, &first);
     other_1_solve(&c, xy, 5, &third);
     one_solve(&b, xy, 5, &second);
     printf("%d %d %d ", first.status == ONE_SOLVED, second.status == ONE_SOLVED, third.status == OTHER_1_NO_MATCH);
-    printf("%d", first.evidence == second.evidence && first.attitude.ra == second.attitude.ra);
+    printf("%d ", first.evidence == second.evidence && first.attitude.ra == second.attitude.ra);
+    one_solve(&a, xy, -1, &first);
+    one_solve(&a, xy, 0, &second);
+    printf("%d", first.status == ONE_TOO_FEW_STARS && first.points == 0 && second.status == ONE_TOO_FEW_STARS);
     return 0;
 }
 """
@@ -246,7 +249,7 @@ def test_two_cameras_in_one_program(stars, tracker, tmp_path, language):
     extension = {"c": "c", "c++": "cpp"}[language]
     if shutil.which("g++") is None and language == "c++":
         pytest.skip("no g++ on this machine")
-    (tmp_path / f"two.{extension}").write_text(TWO_CAMERAS.replace("STARS", star))
+    (tmp_path / f"two.{extension}").write_text(TWO_CAMERAS.replace("@", star))
     objects = []
     for source in sources:
         objects.append(source[:-2] + ".o")
@@ -255,7 +258,7 @@ def test_two_cameras_in_one_program(stars, tracker, tmp_path, language):
     assert all(symbol.startswith(("one_", "other_1_")) for symbol in symbols)
     compiler = ["gcc", *FLAGS] if language == "c" else ["g++", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     run(*compiler, "-o", str(tmp_path / "two"), str(tmp_path / f"two.{extension}"), *objects)
-    assert run(str(tmp_path / "two")).split() == ["1", "1", "1", "1"]
+    assert run(str(tmp_path / "two")).split() == ["1", "1", "1", "1", "1"]
 
 
 def test_header_names_every_status_and_reason(tracker):

@@ -174,13 +174,13 @@ class Answer:
 
 
 def errors_px(answer: Answer, truth: Scene, camera: Camera, star_id: IntArray, directions: FloatArray) -> FloatArray:
-    """How far off a solved answer is (2,), pixels.
+    """How far off a solved answer is (3,), pixels.
 
-    The largest displacement of the image's corners by the attitude's error; and the largest distance of a named point
-    from where its star stands at the true attitude.
+    The largest displacement of the image's corners by the attitude's error; the largest distance of a named point from
+    where its star stands at the true attitude, of single stars, and of several that are one.
     """
     if answer.matrix is None:
-        return np.zeros(2)
+        return np.zeros(3)
     corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * camera.half
     rays = np.column_stack([corners / camera.focal_px, np.ones(4)]) @ truth.matrix @ answer.matrix.T
     moved = rays[:, :2] / rays[:, 2:] * camera.focal_px - corners
@@ -188,4 +188,6 @@ def errors_px(answer: Answer, truth: Scene, camera: Camera, star_id: IntArray, d
     place = {int(n): k for k, n in enumerate(star_id)}
     named = directions[[place[int(n) % 10_000] for n in answer.number[seen]]] @ truth.matrix.T
     at = named[:, :2] / named[:, 2:] * camera.focal_px * [1.0, -1.0]
-    return np.array([np.hypot(*moved.T).max(), np.hypot(*(at - truth.xy[seen]).T).max()])
+    off = np.hypot(*(at - truth.xy[seen]).T)
+    several = answer.number[seen] > 10_000
+    return np.array([np.hypot(*moved.T).max(), off[~several].max(initial=0.0), off[several].max(initial=0.0)])

@@ -9,10 +9,15 @@
  * defined, so that several exports with prefixes of their own link into one program.
  *
  * Work is bounded: every loop has a limit in tracker_tables.h. At most
- *     TRACKER_MOST_STEPS     comparisons of catalogue pairs (220 triangles),
- *     TRACKER_MAX_TRIADS     triads that pass all tests; more are TRACKER_SEARCH_LIMIT,
- *     TRACKER_MAX_GROUPS     hypotheses verified, each with 3 gates of 8 rounds of TRACKER_MAX_POINTS x TRACKER_MAX_FIELD
- *                            distances and one pass over TRACKER_GUIDES directions. */
+ *     TRACKER_MOST_STEPS     comparisons of catalogue pairs in the search for triads;
+ *     TRACKER_MAX_TRIADS     triads that pass all tests; more are TRACKER_SEARCH_LIMIT. Sorting them into groups compares
+ *                            each with the groups before it: TRACKER_MAX_TRIADS^2 / 2 comparisons;
+ *     TRACKER_MAX_GROUPS     groups that are looked at, the largest. Of each, for each of TRACKER_MAX_STARS points: three
+ *                            passes over the triads, and a separation for each two catalogue stars that they name;
+ *     TRACKER_MAX_GROUPS     attitudes verified: 3 gates of 8 rounds of TRACKER_MAX_POINTS x TRACKER_MAX_FIELD distances,
+ *                            and one pass over TRACKER_GUIDES directions.
+ *
+ * Memory: sizeof(struct tracker_context) of the caller's, the constant tables, and a stack of less than 4 kB. */
 #ifndef TRACKER_H
 #define TRACKER_H
 
