@@ -1,7 +1,7 @@
 """Constraints for pip that hold every dependency at its lower bound in pyproject.toml: `make test-lowest`.
 
-    python tests/lowest_versions.py > constraints.txt
-    pip install --constraint constraints.txt --editable . pytest hypothesis
+python tests/lowest_versions.py > constraints.txt
+pip install --constraint constraints.txt --editable . pytest hypothesis
 """
 
 from __future__ import annotations
