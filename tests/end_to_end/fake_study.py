@@ -8,6 +8,7 @@ processes that load this file too; as a preload of dask workers it gives them th
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -60,5 +61,6 @@ if __name__ == "__main__":
         Scenario.load("cubesat"), trials, workers=workers, folder=folder, resume="resume" in sys.argv,
         progress=lambda finished, _: print(finished, flush=True),
     )  # fmt: skip
-    done.store.write(folder / "trials.parquet", trials)
+    checksum = done.store.write(folder / "trials.parquet", trials)
+    (folder / "summary.json").write_text(json.dumps({"trials_sha256": checksum}))
     engine.discard_parts(folder)

@@ -183,6 +183,21 @@ def test_damaged_results_are_set_aside_and_not_taken_over(scenario, tmp_path):
     assert (tmp_path / DAMAGED_FOLDER / "trials.parquet").read_bytes() == data
 
 
+def test_a_kill_while_results_are_moved_into_place_is_no_damage(scenario, tmp_path):
+    """The summary is the new run's already, trials.parquet still the old one's; the parts have all trials."""
+    store = PartStore(scenario, tmp_path, resume=False)
+    store.put(range(5), rows(range(5)))
+    finish(store, tmp_path, 5)
+    store = PartStore(scenario, tmp_path, resume=False)
+    store.put(range(8), rows(range(8)))
+    checksum = store.write(tmp_path / parts.PARTS_FOLDER / "trials.parquet", 8)
+    (tmp_path / "summary.json").write_text(json.dumps({"trials_sha256": checksum}))
+    again = PartStore(scenario, tmp_path, resume=True)
+    assert again.missing(8) == []
+    assert again.notes == []
+    assert pq.read_table(tmp_path / "trials.parquet").num_rows == 5
+
+
 def test_unfinished_trials_are_taken_over_without_being_asked(scenario, tmp_path):
     PartStore(scenario, tmp_path, resume=False).put(range(5), rows(range(5)))
     again = PartStore(scenario, tmp_path, resume=False)

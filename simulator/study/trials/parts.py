@@ -148,7 +148,9 @@ class PartStore:
         except (OSError, ValueError, KeyError, TypeError):
             return 0
         if fault := fault_of(path, self._finished_checksum):
-            self._set_aside(path, fault)
+            # a run that was killed while its results were moved into place: the parts have all of its trials
+            if not (self.folder and (self.folder / TRIALS_FILE).exists()):
+                self._set_aside(path, fault)
             return 0
         with pq.ParquetFile(path) as file:
             return file.metadata.num_rows if (file.schema_arrow.metadata or {}).get(KEY) == self.key.encode() else 0
