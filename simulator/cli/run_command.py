@@ -11,7 +11,8 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.terminal import open_console, progress_bar
 from simulator.study.run import RESULT_FILES, Study, run
-from simulator.study.statistics import AXES, BODY_AXES, MET, NOT_MET, UNDECIDED, advice, deg_text
+from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from simulator.study.verdict import MET, NOT_MET, UNDECIDED, advice
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from simulator.study.intervals import (
     spread_interval,
     wilson_interval,
 )
+from simulator.study.verdict import Verdict
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
@@ -74,14 +75,6 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
     }
 
 
-MET, NOT_MET, UNDECIDED = "met", "not met", "undecided"
-"""Verdicts on a specification."""
-
-FEWEST_TO_MEET = 1228
-"""Trials from which on the 99.7th percentile has an upper bound of 97.5 %: 0.997ⁿ ≤ 0.025. With fewer, even errors that
-are all within the specification do not show that 99.7 % of them are."""
-
-
 def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: ArrayLike) -> bool:
     """Whether an accepted attitude is wrong.
 
@@ -108,61 +101,6 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
 def beyond_specification(error_deg: Mapping[str, float], specification_deg: Mapping[str, float]) -> bool:
     """Whether the error about a body axis exceeds `BEYOND_FACTOR` times the specification, both in degrees by axis."""
     return any(abs(error_deg[axis]) > BEYOND_FACTOR * specification_deg[axis] for axis in BODY_AXES)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """One axis against its specification, of which 99.7 % of the errors are to be within.
-
-    Parameters
-    ----------
-    axis : str
-        One of `BODY_AXES`.
-    p997_deg : float, optional
-        Magnitude that 99.7 % of the errors stay below, degrees; None where nothing was solved.
-    interval95_deg : (low, high)
-        Its 95 % interval (`simulator.study.intervals.percentile_interval`); None for an open end.
-    specified_deg : float
-        What was asked for.
-    """
-
-    axis: str
-    p997_deg: float | None
-    interval95_deg: Sequence[float | None]
-    specified_deg: float
-
-    @property
-    def verdict(self) -> str:
-        """`MET` where the whole interval is within the specification, `NOT_MET` where all of it is beyond, or nothing
-        was solved; `UNDECIDED` where the interval has the specification in it: only more trials can decide."""
-        low, high = self.interval95_deg
-        if self.p997_deg is None or (low is not None and low > self.specified_deg):
-            return NOT_MET
-        return MET if high is not None and high <= self.specified_deg else UNDECIDED
-
-    def to_dict(self, three_sigma_deg: float | None) -> dict[str, Any]:
-        """As ``summary.json`` holds it, with three times the rms beside it."""
-        return {
-            "specified_deg": self.specified_deg,
-            "p997_deg": self.p997_deg,
-            "p997_interval95_deg": list(self.interval95_deg),
-            "three_sigma_deg": three_sigma_deg,
-            "verdict": self.verdict,
-            "met": self.verdict == MET,
-        }
-
-
-def overall_verdict(verdicts: Iterable[str], wrong: int) -> str:
-    """Verdict on all axes together; wrong attitudes meet nothing."""
-    found = set(verdicts)
-    if NOT_MET in found or wrong:
-        return NOT_MET
-    return UNDECIDED if UNDECIDED in found else MET
-
-
-def advice(trials: int) -> str:
-    """How many trials would decide what so many leave undecided."""
-    return f"run at least {FEWEST_TO_MEET} trials to decide" if trials < FEWEST_TO_MEET else "run more trials to decide"
 
 
 def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[str, dict[str, list[float | None]]]:

@@ -13,8 +13,9 @@ from simulator.study.report.frames import chosen_trials
 from simulator.study.report.page import build_report, html_of
 from simulator.study.report.pdf import pdf_of
 from simulator.study.run import run
-from simulator.study.statistics import AXES, BODY_AXES, MET, NOT_MET, UNDECIDED, summarise
+from simulator.study.statistics import AXES, BODY_AXES, summarise
 from simulator.study.trials.trial import TrialRunner
+from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
 SPECIFICATION = {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}

@@ -8,7 +8,6 @@ from scipy import stats
 
 from simulator.study.statistics import (
     AXES,
-    Verdict,
     axis_statistics,
     consistency,
     error_against,
@@ -17,6 +16,7 @@ from simulator.study.statistics import (
     summarise,
     wilson_interval,
 )
+from simulator.study.verdict import Verdict
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,8 @@ from simulator.study.coverage.boresights import Boresights, along_path, whole_sk
 from simulator.study.coverage.field_counts import accumulate_information, outline
 from simulator.study.coverage.sensitivity import build_sensitivity
 from simulator.study.run import run
-from simulator.study.statistics import BODY_AXES, NOT_MET, deg_text
+from simulator.study.statistics import BODY_AXES, deg_text
+from simulator.study.verdict import NOT_MET
 from startracker._version import __version__
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles

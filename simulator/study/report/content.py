@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.intervals import wilson_interval
-from simulator.study.statistics import (
-    AXES,
-    BODY_AXES,
-    CAMERA_AXES,
-    FEWEST_TO_MEET,
-    MET,
-    NOT_MET,
-    UNDECIDED,
-    Verdict,
-    advice,
-    overall_verdict,
-)
+from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
+from simulator.study.verdict import FEWEST_TO_MEET, MET, NOT_MET, UNDECIDED, Verdict, advice, overall_verdict
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20

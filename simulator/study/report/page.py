@@ -14,8 +14,9 @@ from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
-from simulator.study.statistics import BODY_AXES, MET, NOT_MET, UNDECIDED
+from simulator.study.statistics import BODY_AXES
 from simulator.study.style import Panel, inline_svg, style_variables
+from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:

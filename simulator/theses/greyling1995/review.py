@@ -146,7 +146,7 @@ def _figure(found: dict[tuple[str, str], Result]) -> Figure:
     for axes in (left, right):
         axes.set_xticks(place, list(CASES), rotation=20)
         axes.set_xlabel("case")
-    left.set_ylabel("fields identified rightly [%]")
+    left.set_ylabel("fields correctly identified [%]")
     left.set_ylim(-4, 105)
     right.set_yscale("log")
     right.set_ylabel("median time [ms]")
