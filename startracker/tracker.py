@@ -31,7 +31,7 @@ from startracker.front_end import (
     says_saturated,
     stated_variance,
 )
-from startracker.identification.acceptance import is_beyond_doubt
+from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, is_beyond_doubt
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.given import as_prior, usable_directions
 from startracker.identification.observed import Identification, Observed, Prior
@@ -378,7 +378,8 @@ class StarTracker:
         """Identification within the prior, and over the whole sky where that leaves a doubt; the one with the more
         evidence, and whether it contradicts the prior."""
         found = self._identify(observed, guide, self.identification, prior)
-        if prior is None or is_beyond_doubt(found, self.identification) or found.status not in _DOUBTFUL:
+        sure = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
+        if prior is None or sure or found.status not in _DOUBTFUL:
             return found, False
         elsewhere = self._identify(observed, guide, self.identification, None)
         operations = found.operations + elsewhere.operations

@@ -19,10 +19,20 @@ from startracker.identification.observed import Identification
 from startracker.settings import IdentificationSettings
 from startracker.solution import Solution, Status
 
-__all__ = ["SURE_BEYOND", "accepts", "is_beyond_doubt", "log_chance", "log_limit", "power_of_ten"]
+__all__ = [
+    "SURE_BEYOND",
+    "WITHIN_PRIOR_BEYOND",
+    "accepts",
+    "is_beyond_doubt",
+    "log_chance",
+    "log_limit",
+    "power_of_ten",
+]
 
 SURE_BEYOND = 15.0
 """How far beyond the limit (in ln of the chance) nothing can compete any more."""
+WITHIN_PRIOR_BEYOND = 5.0
+"""The same for an answer within a prior: the prior speaks for it too, and the whole sky costs up to 10⁹ operations."""
 
 
 def log_chance(
@@ -49,9 +59,11 @@ def log_limit(settings: IdentificationSettings) -> float:
     return math.log(settings.false_alarm_rate)
 
 
-def is_beyond_doubt(found: Identification | Solution, settings: IdentificationSettings) -> bool:
+def is_beyond_doubt(
+    found: Identification | Solution, settings: IdentificationSettings, beyond: float = SURE_BEYOND
+) -> bool:
     """Whether an answer is accepted with so much to spare that no other way of looking can have more evidence."""
-    return found.status is Status.SOLVED and found.log_false_alarm < log_limit(settings) - SURE_BEYOND
+    return found.status is Status.SOLVED and found.log_false_alarm < log_limit(settings) - beyond
 
 
 def accepts(chance: float, settings: IdentificationSettings) -> bool:

@@ -320,17 +320,17 @@ def test_width_when_no_star_tells():
 @pytest.mark.parametrize(
     ("settings", "gain", "match"),
     [
-        (CentroidSettings(window_px=4), 1.0, "window_px is 4"),
-        (CentroidSettings(window_px=1), 1.0, "window_px is 1"),
-        (CentroidSettings(psf_sigma_px=0.0), 1.0, "psf_sigma_px is 0.0"),
-        (CentroidSettings(psf_sigma_px=np.nan), 1.0, "psf_sigma_px is nan"),
-        (CentroidSettings(), 0.0, "gain is 0.0"),
-        (CentroidSettings(), -1.0, "gain is -1.0"),
+        ({"window_px": 4}, 1.0, "window_px is 4"),
+        ({"window_px": 1}, 1.0, "window_px is 1"),
+        ({"psf_sigma_px": 0.0}, 1.0, "psf_sigma_px is 0.0"),
+        ({"psf_sigma_px": np.nan}, 1.0, "psf_sigma_px is nan"),
+        ({}, 0.0, "gain is 0.0"),
+        ({}, -1.0, "gain is -1.0"),
     ],
 )
 def test_unusable_input(settings, gain, match):
     with pytest.raises(InputError, match=match):
-        first_moment(np.zeros((9, 9), np.float32), flat((9, 9)), Spots.none(), settings, gain)
+        first_moment(np.zeros((9, 9), np.float32), flat((9, 9)), Spots.none(), CentroidSettings(**settings), gain)
 
 
 def test_background_must_fit():
