@@ -86,18 +86,35 @@ def shifts(
     inverse_gain, flat_error : float
         DN an electron, and the relative error of the flat field: of the weights.
     """
-    normal, column, row = np.zeros((3, 3)), np.empty(_PARAMETERS), np.empty(3)
+    found: FloatArray = _shifts(_expansions(half, xx, yy, xy), variance, flux, inverse_gain, flat_error)
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _expansions(half: int, xx: float, yy: float, xy: float) -> FloatArray:
+    """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
+    side = 2 * half + 1
+    out = np.empty((side * side, _PARAMETERS))
+    for n in range(side * side):
+        _expansion(float(n % side - half), float(n // side - half), xx, yy, xy, out[n])
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
+    """`shifts` by the expansions over the window."""
+    normal, row = np.zeros((3, 3)), np.empty(3)
     right = np.zeros((_CUMULANTS, 3))
-    for j in range(-half, half + 1):
-        for i in range(-half, half + 1):
-            _expansion(float(i), float(j), xx, yy, xy, column)
-            light = flux * column[0]
-            weight = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
-            for p in range(3):
-                for q in range(3):
-                    normal[p, q] += weight * column[p] * column[q]
-                for k in range(_CUMULANTS):
-                    right[k, p] += weight * column[p] * column[_FIRST + k]
+    for n in range(len(expansions)):
+        column = expansions[n]
+        light = flux * column[0]
+        weight = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
+        for p in range(3):
+            scaled = weight * column[p]
+            for q in range(p + 1):
+                normal[p, q] += scaled * column[q]
+            for k in range(_CUMULANTS):
+                right[k, p] += scaled * column[_FIRST + k]
     out = np.zeros((2, _CUMULANTS))
     if factorise(normal, 3):
         for k in range(_CUMULANTS):
@@ -244,11 +261,12 @@ def correct_skewness(
     kept = 1.0 - (_LEAST_CHI2 / chi2) ** 2
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
-    reference = shifts(dark, at_reference, half, xx, yy, xy, inverse_gain, 0.0)
+    expansions = _expansions(half, xx, yy, xy)
+    reference = _shifts(expansions, dark, at_reference, inverse_gain, 0.0)
     for n in range(len(table)):
         if not (math.isfinite(table[n, 0] + table[n, 2]) and table[n, 2] > 0.0) or unfit[n]:
             continue
-        here = shifts(dark, table[n, 2], half, xx, yy, xy, inverse_gain, flat_error)
+        here = _shifts(expansions, dark, table[n, 2], inverse_gain, flat_error)
         for axis in range(2):
             for k in range(_CUMULANTS):
                 table[n, axis] -= kept * (here[axis, k] - reference[axis, k]) * mean[k]
