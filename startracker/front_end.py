@@ -95,6 +95,8 @@ class FoundStars:
         Middle x and y and half the length along x and y of the streaks that share one motion.
     streaks : Centroids, optional
         Where these are the points of a smeared frame: the streaks as the centroider measures them.
+    common_px2 : (2, 2), optional
+        Covariance of an error that all centroids share (`Centroids.common_px2`).
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -112,6 +114,7 @@ class FoundStars:
     lines: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     covariance_px2: FloatArray | None = None
     streaks: Centroids | None = None
+    common_px2: FloatArray | None = None
 
 
 def find_stars(
@@ -201,6 +204,7 @@ def find_stars(
         lines=_lines(trails),
         streaks=streaks,
         covariance_px2=found.covariance,
+        common_px2=found.common_px2,
     )
 
 

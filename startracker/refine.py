@@ -81,6 +81,7 @@ def refine(
     free_focal: bool = False,
     directions: FloatArray | None = None,
     covariance_px2: FloatArray | None = None,
+    common_px2: FloatArray | None = None,
     observer: Observer | None = None,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
@@ -107,6 +108,8 @@ def refine(
         Of the centroids through the camera, where they are known.
     covariance_px2 : (N, 2, 2), optional
         Of each centroid, where the two axes differ, as of streaks.
+    common_px2 : (2, 2), optional
+        Of an error that all centroids share, which turns the attitude and no residual shows.
     observer : Observer, optional
         What the guide stars are seen by. Without it the covariance has the motion of the stars since the catalogue's
         epoch and the aberration of light in it.
@@ -156,6 +159,9 @@ def refine(
         pose, matrix = field.fit(used, matrix, measured)
         named, fits, merged = field.named(pose, matrix)
     matrix, covariance = field.attitude(pose, matrix, used, measured, estimator)
+    if common_px2 is not None:
+        turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
+        covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
     if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - camera.project(sky[named[:, 1]] @ matrix.T)

@@ -236,8 +236,8 @@ class StarTracker:
         guide = self.guide.seen_by(observer)
 
         def solve(look: FoundStars) -> Solution:
-            covariance = look.covariance_px2
-            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock, covariance)
+            errors = look.covariance_px2, look.common_px2
+            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock, *errors)
 
         def streaks() -> FoundStars | None:
             known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
@@ -274,6 +274,7 @@ class StarTracker:
         guide: GuideDatabase,
         clock: Clock,
         covariance_px2: FloatArray | None = None,
+        common_px2: FloatArray | None = None,
     ) -> Solution:
         tried: Sequence[Step] = ()
         free_fit: Solution | None = None
@@ -340,6 +341,7 @@ class StarTracker:
                 free,
                 directions=known,
                 covariance_px2=covariance_px2,
+                common_px2=common_px2,
                 observer=observer,
             )
         except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one

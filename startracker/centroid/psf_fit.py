@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -13,6 +14,7 @@ from startracker.centroid.psf_kernel import fit_stars, group_stars, weighted_mom
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids
+from startracker.centroid.skewness import correct_skewness
 from startracker.centroid.window import MEASURED
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane
@@ -172,7 +174,21 @@ def _fit(
         frame.settings.flat_field_error,
         reweigh,
     )
-    return collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
+    common = None
+    if frame.settings.psf is None:
+        common = correct_skewness(
+            frame.image,
+            frame.level,
+            frame.noise,
+            table,
+            spots.saturated | spots.edge,
+            int(halves.min()),
+            psf.shape,
+            frame.inverse_gain,
+            frame.settings.flat_field_error,
+        )
+    found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
+    return found if common is None or not common.any() else replace(found, common_px2=common)
 
 
 @njit(cache=True, error_model="numpy")

@@ -26,12 +26,15 @@ class Centroids:
         Of xy, px².
     saturated : bool array, shape (N,)
         Whether the star's image is saturated.
+    common_px2 : array, shape (2, 2), optional
+        Covariance of an error that all positions share, px², not part of `covariance`; None: there is none.
     """
 
     xy: FloatArray
     flux: FloatArray
     covariance: FloatArray
     saturated: NDArray[np.bool_]
+    common_px2: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.flux)

@@ -2,7 +2,7 @@
 
 Measured minus predicted positions of M identified stars, in pixels, are modelled as
 
-    r_i = J_i θ + B_i u + e_i,   e_i ~ N(0, s² (C_i + τ² I)),   u ~ N(0, Λ)
+    r_i = J_i θ + B_i u + e_i,   e_i ~ N(0, s² (C_i + τ² T)),   u ~ N(0, Λ)
 
 θ is the rotation vector of the attitude's correction, J_i = ∂(x, y)/∂θ; C_i is the stated covariance of the centroid.
 What may be wrong besides the noise:
@@ -12,14 +12,15 @@ s²
     Jeffreys' 1/s² where they are not;
 τ
     systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
-    blends, catalogue), on a grid of multiples of the median stated error;
+    blends, catalogue), on a grid of multiples of the median stated error. T, of trace 2, is I unless the residuals are
+    significantly longer along one direction, as those of undersampled images with coma are;
 u
     smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
     affine map of the image: what a turn during a rolling readout makes); and columns that the caller knows of (a rate
     times the row's time, the years since the catalogue's epoch).
 
 For a given τ and a given set of columns the model is linear, and its posterior is known in closed form (O'Hagan &
-Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V = diag(C_i + τ² I), H = [J B],
+Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V = diag(C_i + τ² T), H = [J B],
 N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ V⁻¹ r, ν = 2M − 3 and n the degrees of freedom of the prior of s²:
 
     mean        N⁻¹ Hᵀ V⁻¹ r
@@ -66,6 +67,10 @@ UNKNOWN_FLOOR_PX = 0.003
 """Least error of centroids that come without one: they may agree better by luck, or be rounded."""
 _PRIOR_OF_MODELS = np.log(np.array([0.6, 0.3, 0.1]))
 """Camera as calibrated; focal length off; focal length and shears."""
+_LEAST_ELONGATION = 9.0
+"""Of the systematic error: square over its variance, which noise exceeds once in ninety times."""
+_MOST_ELONGATION = 0.95
+_FARTHEST_SQUARE = 9.0
 _STEP_RAD = 1e-5
 
 
@@ -222,8 +227,60 @@ def fit_pose(
     models : int
         Number of models: 3, or 2 where the caller's columns make shears as they are.
     """
-    count, known = len(residual), extra.shape[2]
-    columns = _columns(slopes, extra, offset)
+    columns, known = _columns(slopes, extra, offset), extra.shape[2]
+    round_one = np.eye(2)
+    pose: Pose = _fit_models(residual, columns, covariance, extra_sigma, trusted, first, models, known, round_one)
+    if trusted > 0.0 and pose.systematic_px2 > 0.0:
+        shape = _shape_of_systematic(residual, columns, pose)
+        if shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
+            pose = _fit_models(residual, columns, covariance, extra_sigma, trusted, first, models, known, shape)
+    return pose
+
+
+@njit(cache=True, error_model="numpy")
+def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
+    """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
+
+    With z = r/σ of the fit with T = I and g the systematic share of a star's variance, E[z zᵀ] = I + g (T − I): least
+    squares for the two elements of T − I, whose variance is 1/Σ g² each. They are left out where they may be noise, and
+    shrunk where they are not, so that T is continuous in the residuals.
+    """
+    a, b, information = 0.0, 0.0, 0.0
+    for n in range(len(residual)):
+        x, y = residual[n, 0], residual[n, 1]
+        for k in range(columns.shape[2]):
+            amplitude = pose.turn[k] if k < 3 else pose.unknowns[k - 3]
+            x, y = x - columns[n, 0, k] * amplitude, y - columns[n, 1, k] * amplitude
+        variance = pose.sigma_px[n] ** 2
+        share = pose.systematic_px2 / variance
+        # one star far off shall not make the shape of all
+        square = max(x * x + y * y, 1e-300) / variance
+        share_of_one = share * min(1.0, _FARTHEST_SQUARE / square) / variance
+        a, b = a + share_of_one * 0.5 * (x * x - y * y), b + share_of_one * x * y
+        information += share * share
+    out = np.eye(2)
+    size = math.hypot(a, b) / information
+    if size * size * information > _LEAST_ELONGATION:
+        size_kept = min(size * (1.0 - (_LEAST_ELONGATION / (size * size * information)) ** 2), _MOST_ELONGATION)
+        a, b = a * size_kept / (size * information), b * size_kept / (size * information)
+        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = 1.0 + a, b, b, 1.0 - a
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _fit_models(
+    residual: FloatArray,
+    columns: FloatArray,
+    covariance: FloatArray,
+    extra_sigma: FloatArray,
+    trusted: float,
+    first: int,
+    models: int,
+    known: int,
+    shape: FloatArray,
+) -> Pose:
+    """`fit_pose` with the systematic error's covariance τ² `shape`."""
+    count = len(residual)
     widest = columns.shape[2]
     freedom = 2.0 * count - 3.0
     trace = np.empty(count)
@@ -240,7 +297,8 @@ def fit_pose(
         normal, right = np.zeros((widest, widest)), np.zeros(widest)
         total, log_det = 0.0, 0.0
         for n in range(count):
-            a, b, c = covariance[n, 0, 0] + tau2, covariance[n, 0, 1], covariance[n, 1, 1] + tau2
+            a, c = covariance[n, 0, 0] + tau2 * shape[0, 0], covariance[n, 1, 1] + tau2 * shape[1, 1]
+            b = covariance[n, 0, 1] + tau2 * shape[0, 1]
             det = a * c - b * b
             wa, wb, wc = c / det, -b / det, a / det
             log_det += math.log(det)

@@ -24,6 +24,7 @@ ROLLING = ("detector.kind=cmos", "detector.shutter=rolling")
 MISMATCHES = {
     "none": (),
     "defocus of 12 um": (*DIFFRACTION, "optics.psf.defocus_um=12"),
+    "jitter of 20 arcsec": ("pointing.jitter.rms_arcsec=[20,20,20]",),
     "focal length 400 ppm off": ("optics.thermal.expansion_ppm_k=20", "optics.thermal.temperature_c=40"),
     "coma over the field": (*DIFFRACTION, "optics.psf.field.coma_waves=0.1"),
     "moment on astigmatic images": (
@@ -51,6 +52,12 @@ def test_the_covariance_has_what_the_frame_shows(name):
     nees = normalised_errors(MISMATCHES[name], 40, 77)
     # four standard deviations of the mean of 40: 1.55; without what the frame shows it was 4 to 14
     assert nees.mean() == pytest.approx(3.0, abs=4.0 * np.sqrt(6.0 / 40))
+
+
+def test_the_covariance_has_the_common_shift_of_skew_images():
+    nees = normalised_errors(MISMATCHES["jitter of 20 arcsec"], 60, 77)
+    # four standard deviations of the mean of 60: 1.26; without the common shift it was 7.9
+    assert nees.mean() < 3.0 + 4.0 * np.sqrt(6.0 / 60)
 
 
 @pytest.mark.slow

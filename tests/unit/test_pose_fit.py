@@ -15,7 +15,7 @@ from startracker.solution import MatchedStars
 CAMERA = Camera.from_fov(12.0, 1024, 1024)
 
 
-def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, first, models):
+def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, first, models, shape=(1.0, 0.0, 1.0)):
     """Mean of the rotation and its covariance, by the equations of the module's docstring, model by model."""
     x, y = offset.T
     columns = [slopes[:, :, k] for k in range(3)] + [extra[:, :, k] for k in range(extra.shape[2])]
@@ -29,7 +29,7 @@ def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, firs
     ]
     weight, means, spreads = [], [], []
     for t, tau in enumerate(pose.SYSTEMATIC if trusted else [0.0]):
-        inverse = np.linalg.inv(covariance + tau**2 * unit * np.eye(2))
+        inverse = np.linalg.inv(covariance + tau**2 * unit * np.array([shape[:2], shape[1:]]))
         big = np.zeros((residual.size, residual.size))
         for n in range(len(residual)):
             big[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] = inverse[n]
@@ -80,6 +80,31 @@ def test_the_kernel_is_its_twin(stars, scale, columns, trusted, first, models):
     np.testing.assert_allclose(
         found.covariance / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=1e-6
     )
+
+
+def test_a_systematic_error_along_one_direction_is_told_so():
+    """0.2 px along 30° where errors of 0.03 px are stated: the covariance is larger in that direction only."""
+    direction = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    rng, ratios = np.random.default_rng(31), []
+    for seed in range(60):
+        given = problem(seed, 40)
+        given[0][:] += 0.2 * rng.normal(size=(40, 1)) * direction
+        found = fit_pose(*given, 20.0, 0, 3)
+        # about an axis across the boresight the image moves across that axis
+        pixels = np.linalg.norm(given[1][:, :, :2], axis=(1, 2)).mean() / np.sqrt(2.0)
+        along, across = np.array([-direction[1], direction[0]]), direction
+        ratios.append([pixels * np.sqrt(40 * v @ found.covariance[:2, :2] @ v) for v in (along, across)])
+    along, across = np.mean(ratios, axis=0)
+    # the prior of the stated errors pulls it down
+    assert along == pytest.approx(0.2, rel=0.2)
+    assert across < 0.08  # 0.15 with a round one
+    columns = pose._columns(given[1], given[4], given[2])
+    iso = pose._fit_models(given[0], columns, given[3], given[5], 20.0, 0, 3, 0, np.eye(2))
+    shape = pose._shape_of_systematic(given[0], columns, iso)
+    assert np.trace(shape) == pytest.approx(2.0)
+    turn, covariance = twin(*given, 20.0, 0, 3, (shape[0, 0], shape[0, 1], shape[1, 1]))
+    np.testing.assert_allclose(found.turn, turn, rtol=1e-6)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-9 * covariance.max())
 
 
 def test_a_focal_length_that_is_off_is_found():
