@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,7 @@ class Observer:
             raise InputError(f"{name} must be three numbers, {unit}; got {given!r}") from None
         if vector.shape != (3,):
             raise InputError(f"{name} must be three numbers, {unit}; got the shape {vector.shape}")
-        length = float(np.linalg.norm(vector))
+        length = math.hypot(*vector.tolist())  # no square overflows
         if not length <= most:  # NaN too
             raise InputError(
                 f"{name} has the length {length:g} {unit}; at most {most:g} is possible (is it in {other}?)"
