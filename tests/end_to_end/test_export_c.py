@@ -35,7 +35,7 @@ SIZE = (427, 319)
 FOV = (9.0130, 6.9049)
 CAMERA = IntegerCamera(SIZE, FOV)
 FITTED = IntegerCamera(SIZE, (9.238, 7.008), resolution_px=8.0)
-"""Of the Vega image's own plate constants: the thesis' field is 2.5 % and 1.5 % smaller; clusters of its τ."""
+"""Scale that fits the Vega centroids, from a scan: the field of the thesis is 2.5 % and 1.5 % smaller; her τ."""
 LIMITS = TriadLimits(three_stars=True)
 VEGA = vega().xy_px
 STRICT = [*FLAGS, "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes"]
