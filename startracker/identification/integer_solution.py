@@ -9,7 +9,7 @@ most. The C that `startracker.fixed_point.export_c` writes gives the same answer
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,15 +46,7 @@ __all__ = [
 ]
 
 IntegerStatus = Literal["solved", "too_few_stars", "no_match", "ambiguous", "outside_image", "overflow", "search_limit"]
-STATUSES: tuple[IntegerStatus, ...] = (
-    "solved",
-    "too_few_stars",
-    "no_match",
-    "ambiguous",
-    "outside_image",
-    "overflow",
-    "search_limit",
-)
+STATUSES: tuple[IntegerStatus, ...] = get_args(IntegerStatus)
 """In the order of the C export's numbers."""
 IntegerReason = Literal[
     "accepted",
@@ -70,20 +62,7 @@ IntegerReason = Literal[
     "overflow",
     "too_many_triads",
 ]
-REASONS: tuple[IntegerReason, ...] = (
-    "accepted",
-    "fewer_than_three",
-    "no_triads",
-    "no_group",
-    "no_attitude",
-    "few_fit",
-    "not_spread",
-    "weak_evidence",
-    "rival",
-    "outside_image",
-    "overflow",
-    "too_many_triads",
-)
+REASONS: tuple[IntegerReason, ...] = get_args(IntegerReason)
 """The same for reasons; from ``no_triads`` to ``weak_evidence`` in the order of the stages."""
 _WORDS: dict[IntegerReason, str] = {
     "accepted": "accepted",
