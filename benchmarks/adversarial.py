@@ -33,7 +33,7 @@ from startracker.settings import IdentificationSettings
 FloatArray = NDArray[np.float64]
 
 FEWEST, MOST = 5, 60
-"""Points of a list."""
+"""Points of a list, evenly in their logarithm: short lists are the ones that chance has most to offer."""
 _CHUNK = 200
 _LISTED = 20
 
@@ -166,10 +166,15 @@ def _magnitudes(limit: float) -> FloatArray:
 
 def make(kind: str, name: str, seed: int, index: int) -> tuple[FloatArray, FloatArray | None]:
     """Points (N, 2) and signal (N,) or None of one list."""
-    setup = SETUPS[name]
     rng = stream(seed, f"adversarial {kind} {name}", index)
+    return drawn(rng, kind, name, int(math.exp(rng.uniform(math.log(FEWEST), math.log(MOST + 1)))))
+
+
+def drawn(rng: np.random.Generator, kind: str, name: str, n: int) -> tuple[FloatArray, FloatArray | None]:
+    """The same with n points, less those beyond the image."""
+    setup = SETUPS[name]
     size = setup.size_px - 1.0
-    xy = KINDS[kind](rng, int(rng.integers(FEWEST, MOST + 1)), size)
+    xy = KINDS[kind](rng, n, size)
     xy = xy[((xy >= 0.0) & (xy <= size)).all(axis=1)]
     brightness = rng.random()
     if brightness < 0.4:  # as stars, so that it does not give them away

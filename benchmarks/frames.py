@@ -163,8 +163,7 @@ class Bench:
         rng = stream(SEED, f"benchmark frames {case.name}", index)
         while True:
             at_s = DAY_S * float(rng.uniform(*case.days))
-            names = [*case.bodies, "Sun"]
-            *directions, sun = (self._direction(name, at_s) for name in names)
+            *directions, sun = self._directions([*case.bodies, "Sun"], at_s)
             middle = np.sum(directions, axis=0)
             middle /= np.linalg.norm(middle)
             if float(middle @ sun) < math.cos(math.radians(LEAST_ELONGATION_DEG)):
@@ -176,11 +175,11 @@ class Bench:
         in_camera, in_sky = _triad(camera.unproject(place)[0], rng), _triad(middle, rng)
         return at_s, Attitude.from_matrix(in_camera @ in_sky.T)
 
-    def _direction(self, name: str, at_s: float) -> FloatArray:
+    def _directions(self, names: list[str], at_s: float) -> list[FloatArray]:
         scenes = self.renderer.scenes
         observer = observe(scenes.clock, at_s, *scenes.orbit.state(at_s))
         bodies = solar_system(scenes.clock, at_s, observer, self.renderer.scenario.sky)
-        return np.asarray(bodies.direction[int(np.flatnonzero(bodies.name == name)[0])])
+        return [bodies.direction[bodies.name.tolist().index(name)] for name in names]
 
 
 def _triad(axis: FloatArray, rng: np.random.Generator) -> FloatArray:

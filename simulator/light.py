@@ -1,59 +1,143 @@
-"""Tables of what lights the detector in one exposure: which sources reach it, and what drawing them needs."""
+"""Light before the exposure: sources with their rates, electrons a second, and what drawing them needs."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import NamedTuple
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
+from simulator.optics.bodies import NO_LIMB, sun_angle_rad
+from simulator.scene import Scene
+from simulator.sky.earth import limbs, occulted, unhidden
+from simulator.sky.parameters import Sky
+from simulator.sky.photometry import Photometer
+from simulator.sky.solar_system import Bodies
+from startracker.camera import Camera
+from startracker.kernels import kernel
 
-__all__ = ["Light", "Seen", "near_image", "path_middles"]
+__all__ = ["Light", "body_light", "near_image", "path_middles", "star_light"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
-class Seen(NamedTuple):
-    """Sources whose light reaches the detector: their rows, and what was found on the way."""
-
-    rows: IntArray
-    in_camera: FloatArray
-    xy: FloatArray
-    electrons: FloatArray
-
-    def select(self, kept: IntArray) -> Seen:
-        """Some of them, by index array."""
-        return Seen(self.rows[kept], self.in_camera[kept], self.xy[kept], self.electrons[kept])
+_KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 
 
-class Light(NamedTuple):
-    """Sources of one exposure with what drawing them needs; columns of equal length N, `limb` of three values."""
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Sources of light, columns of equal length N.
 
-    sources: TrueSources
-    in_camera: FloatArray
+    Parameters
+    ----------
+    id, name, kind, direction, v_mag, b_v, variable
+        As in `simulator.frame.TrueSources`.
+    rate_e_s : (N,) array
+        Photo-electrons a second through the lens, vignetting left out.
+    radius_rad : (N,) array
+        Angular radius; 0 for stars.
+    lit, sun_angle_rad : (N,) arrays
+        Lit share of the disk, and where on it the light comes from.
+    limb : (N, 3) array
+        Edge of the Earth across the disk (`simulator.optics.bodies.Limb`).
+    wavelength_nm : (N,) array
+        Mean wavelength of the photo-electrons.
+    """
+
+    id: IntArray
+    name: NDArray[np.str_]
+    kind: NDArray[np.str_]
+    direction: FloatArray
+    v_mag: FloatArray
+    b_v: FloatArray
+    variable: NDArray[np.bool_]
+    rate_e_s: FloatArray
     radius_rad: FloatArray
     lit: FloatArray
     sun_angle_rad: FloatArray
     limb: FloatArray
     wavelength_nm: FloatArray
 
-    @classmethod
-    def joined(cls, first: Light, second: Light) -> Light:
-        """One after the other."""
-        columns = [np.concatenate(pair) for pair in zip(first[1:], second[1:], strict=True)]
-        sources = {
-            column.name: np.concatenate([getattr(light.sources, column.name) for light in (first, second)])
-            for column in fields(TrueSources)
-        }
-        return cls(TrueSources(**sources), *columns)
+    def joined(self, other: Light) -> Light:
+        """These sources, then others."""
+        return Light(*(np.concatenate([getattr(light, f.name) for light in (self, other)]) for f in fields(Light)))
+
+    def truth(self, xy: FloatArray, image_xy: FloatArray, electrons: FloatArray) -> TrueSources:
+        """The sources as a frame's truth, with positions (N, 2) and electrons (N,) over the exposure."""
+        kept = ("id", "name", "kind", "direction", "v_mag", "b_v", "variable")
+        columns = {name: getattr(self, name) for name in kept}
+        return TrueSources(xy=xy, image_xy=image_xy, electrons=electrons, **columns)
 
 
-@njit(cache=True, error_model="numpy")
+def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
+    """Photo-electrons a second of the scene's stars (N,); 0 behind the Earth."""
+    v_mag = scene.catalog.v_mag[scene.rows]
+    rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
+    if sky.earth:
+        rate[occulted(scene.star_directions, scene.r_km)] = 0.0
+    return rate
+
+
+def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
+    """Some of a scene's stars as sources; wavelengths only where images depend on them."""
+    catalog, stars, none = scene.catalog, scene.rows[rows], np.zeros(len(rows))
+    b_v, giant = scene.star_b_v[rows], scene.star_giant[rows]
+    return Light(
+        id=catalog.id[stars],
+        name=catalog.star_name[stars],
+        kind=np.full(len(rows), "star", dtype="U8"),
+        direction=scene.star_directions[rows],
+        v_mag=catalog.v_mag[stars],
+        b_v=b_v,
+        variable=catalog.variable[stars],
+        rate_e_s=rate_e_s,
+        radius_rad=none,
+        lit=none + 1.0,
+        sun_angle_rad=none,
+        limb=np.tile(NO_LIMB, (len(rows), 1)),
+        wavelength_nm=photometer.effective_wavelength_nm(b_v, giant) if coloured else none,
+    )
+
+
+def body_rates_e_s(scene: Scene, bodies: Bodies, photometer: Photometer, sky: Sky) -> FloatArray:
+    """Photo-electrons a second of bodies (N,), less what the Earth hides of them."""
+    share = unhidden(bodies, scene.r_km, scene.sun_direction, sky)
+    return photometer.body_electrons_per_s(bodies.name, bodies.v_mag) * share
+
+
+def body_light(
+    scene: Scene, bodies: Bodies, rate_e_s: FloatArray, camera: Camera, photometer: Photometer, sky: Sky
+) -> Light:
+    """Bodies of the solar system as sources, with the phase and the Earth's limb on their disks."""
+    attitude = scene.pointing.camera
+
+    def angles(towards: FloatArray) -> FloatArray:
+        return np.array([sun_angle_rad(camera, attitude, body, towards) for body in bodies.direction])
+
+    limb = np.tile(NO_LIMB, (len(bodies), 1))
+    if sky.earth:
+        limb[:, 0], limb[:, 1] = limbs(bodies.direction, bodies.angular_radius_rad, scene.r_km)
+        limb[:, 2] = angles(-scene.r_km)
+    return Light(
+        id=np.zeros(len(bodies), np.int64),
+        name=bodies.name,
+        kind=np.array([_KIND_OF_BODY.get(str(name), "planet") for name in bodies.name], dtype="U8"),
+        direction=bodies.direction,
+        v_mag=bodies.v_mag,
+        b_v=bodies.b_v,
+        variable=np.zeros(len(bodies), dtype=bool),
+        rate_e_s=rate_e_s,
+        radius_rad=bodies.angular_radius_rad,
+        lit=bodies.illuminated_fraction if sky.phases else np.ones(len(bodies)),
+        sun_angle_rad=angles(scene.sun_direction),
+        limb=limb,
+        wavelength_nm=photometer.body_wavelength_nm(bodies.name),
+    )
+
+
+@kernel
 def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
     """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
     rows, count = np.empty(len(xy), np.int64), 0
@@ -65,7 +149,7 @@ def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -
     return rows[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
     """Weighted means (N, 2) of paths (N, K, 2) over their moments that are not NaN; (N, 2) `otherwise` without one."""
     out = otherwise.copy()

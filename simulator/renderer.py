@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.detector.chain import Detector
+from simulator.build import build_detector, build_focal_plane, build_scenes, shutter_of
 from simulator.detector.excess_noise import bunch_e
-from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.readout import electronics_noise_e
-from simulator.focal_plane import FocalPlane
+from simulator.exposure import Exposure
+from simulator.focal_plane import Illumination
 from simulator.frame import Frame, FrameTruth
 from simulator.optics.jitter import JitterPath
-from simulator.randomness import stream
+from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
-from simulator.scene import SceneBuilder
+from simulator.scene import Scene
 from startracker.attitude import Attitude
+from startracker.interop import is_rotation
 
 _LEAST_PRIOR_DEG = 0.1
 """No other sensor is trusted beyond this, even where a scenario gives it no error."""
@@ -39,9 +40,9 @@ def render(
         The scenario; what its frames share is kept for the next call.
     index : int
         Index of the trial: its time, its attitude, its noise.
-    at_s : float, optional
-        Seconds after the epoch, in place of the trial's own time.
-    attitude : Attitude, optional
+    at_s : float, astropy Quantity or astropy Time, optional
+        Seconds after the epoch, or the date itself, in place of the trial's own time.
+    attitude : Attitude or scipy Rotation, optional
         True camera attitude, in place of the trial's own; the prior is then off by the trial's random error.
     """
     return _renderer(scenario).frame(index, at_s=at_s, attitude=attitude)
@@ -63,13 +64,36 @@ class Renderer:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.scenes = SceneBuilder(scenario)
-        self.focal_plane = FocalPlane(scenario)
+        self.exposure_s = scenario.detector.exposure_s
+        self.shutter = shutter_of(scenario.detector)
+        self.scenes = build_scenes(scenario)
+        self.focal_plane = build_focal_plane(scenario)
         self.camera = self.focal_plane.camera
-        self.pattern = build_fixed_pattern(scenario.detector, scenario.seed).single()
-        self.detector = Detector(scenario.detector, self.pattern)
+        self.detector = build_detector(scenario)
         self.parameters = flat_parameters(scenario)
-        self._read_noise_e = electronics_noise_e(scenario.detector) / bunch_e(scenario.detector)
+        device = self.detector.parameters
+        self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
+
+    def scene(
+        self,
+        index: int = 0,
+        *,
+        at_s: float | None = None,
+        attitude: Attitude | None = None,
+        rate_camera_rad_s: ArrayLike | None = None,
+        jitter: JitterPath | None = None,
+        exposure_s: float | None = None,
+    ) -> Scene:
+        """What the camera could see in trial `index`; parameters as in `frame`."""
+        duration_s = exposure_s or self.exposure_s
+        half_field_rad = self.focal_plane.half_field_rad(duration_s)
+        streams = self._streams(index)
+        return self.scenes.scene(index, streams, half_field_rad, duration_s, at_s, attitude, rate_camera_rad_s, jitter)
+
+    def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
+        """Mean photo-electrons of a scene, before the detector."""
+        exposure = Exposure.about(scene.t_s, exposure_s or self.exposure_s, self.shutter)
+        return self.focal_plane.expose(scene, exposure)
 
     def frame(
         self,
@@ -79,38 +103,47 @@ class Renderer:
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
         jitter: JitterPath | None = None,
+        exposure_s: float | None = None,
     ) -> tuple[Frame, FrameTruth]:
         """Frame and truth of trial `index`; parameters as in `render`.
 
         `rate_camera_rad_s` (3,), inertial angular velocity in camera axes, takes the place of the trial's own rate
-        where an attitude is given, and `jitter`, about this mid-exposure, that of the trial's own jitter.
+        where an attitude is given, `jitter`, about this mid-exposure, that of the trial's own jitter, and `exposure_s`
+        that of the scenario's exposure time.
         """
+        if at_s is not None:
+            at_s = self.scenes.clock.elapsed_s(at_s)
+        if is_rotation(attitude):
+            attitude = Attitude.from_rotation(attitude)
         scenario = self.scenario
-        detector = scenario.detector
-        streams = functools.partial(_stream_of_trial, scenario.seed, index)
-
-        scene = self.scenes.scene(
-            index, streams, self.focal_plane.half_field_rad, at_s, attitude, rate_camera_rad_s, jitter
+        duration_s = exposure_s or self.exposure_s
+        scene = self.scene(
+            index,
+            at_s=at_s,
+            attitude=attitude,
+            rate_camera_rad_s=rate_camera_rad_s,
+            jitter=jitter,
+            exposure_s=duration_s,
         )
-        light = self.focal_plane.expose(scene)
-        readout = self.detector.expose(light.mean_e, streams, keep_charge=False, level_e=light.level_e)
+        light = self.expose(scene, duration_s)
+        readout = self.detector.expose(light.mean_e, duration_s, self._streams(index), keep_charge=False)
 
         frame = Frame(
             image=readout.image,
             camera=self.camera,
             observer=scene.observer,
             utc=self.scenes.clock.isot(scene.t_s),
-            exposure_s=detector.exposure_s,
+            exposure_s=duration_s,
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
-            offset_dn=detector.offset_dn,
+            offset_dn=scenario.detector.offset_dn,
             read_noise_e=self._read_noise_e,
             prior=scene.pointing.prior if scenario.tracker.prior else None,
             prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,
             seed=scenario.seed,
             index=index,
-            parameters=self.parameters,
+            parameters=self.parameters | {"detector.exposure_s": duration_s},
         )
         truth = FrameTruth(
             attitude=scene.pointing.camera,
@@ -122,6 +155,9 @@ class Renderer:
             excluded=light.excluded,
         )
         return frame, truth
+
+    def _streams(self, index: int) -> Streams:
+        return functools.partial(_stream_of_trial, self.scenario.seed, index)
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.clock import Clock
-from simulator.mission.orbit import build_orbit
+from simulator.mission.orbit import Orbit
+from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import (
     Pointing,
     hold,
@@ -24,13 +25,13 @@ from simulator.mission.pointing import (
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
-from simulator.optics.jitter import JitterPath, draw_jitter, load_spectrum
+from simulator.optics.jitter import Jitter, JitterPath, Spectrum, draw_jitter
 from simulator.randomness import Streams
-from simulator.scenario import Scenario
-from simulator.sky.apparent import SkyIndex, by_place
+from simulator.sky.apparent import SkyIndex, by_declination
 from simulator.sky.colours import spectral_coordinates
-from simulator.sky.observer import observe
-from simulator.sky.solar_system import Bodies, solar_system, sun_position_au
+from simulator.sky.instants import Instant, Instants
+from simulator.sky.parameters import Sky
+from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
@@ -39,6 +40,10 @@ from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+BLOCK_TRIALS = 128
+"""Trials whose ephemerides are computed together: the fixed cost of Skyfield's calls is shared, and the arrays stay in
+the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +64,8 @@ class Scene:
         Attitudes and rate; the true attitude is the mean over the exposure where there is jitter.
     jitter : JitterPath, optional
         Turning of the camera about that attitude during the exposure.
+    streak_rad : float
+        Angle that the camera turns by over the exposure.
     catalog : StarCatalog
         All stars of the sky.
     rows : int array, shape (N,)
@@ -77,6 +84,7 @@ class Scene:
     sun_direction: FloatArray
     pointing: Pointing
     jitter: JitterPath | None
+    streak_rad: float
     catalog: StarCatalog
     rows: IntArray
     star_directions: FloatArray
@@ -90,13 +98,37 @@ class Scene:
         return self.catalog.select(self.rows)
 
 
-class SceneBuilder:
-    """Scenes of one scenario's trials; clock, orbit and catalogue are shared.
+@dataclass(frozen=True)
+class SceneParameters:
+    """What scenes are made of, besides the orbit.
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario.
+    seed : int
+        Of the run.
+    sampling : str
+        When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`).
+    pointing, jitter, spectrum, sky
+        Mounting and what the body holds; how the camera shakes, and by which spectrum; what is seen.
+    """
+
+    seed: int
+    sampling: str
+    pointing: PointingParameters
+    jitter: Jitter
+    spectrum: Spectrum
+    sky: Sky
+
+
+class SceneBuilder:
+    """Scenes of trials; clock, orbit and catalogue are shared.
+
+    Parameters
+    ----------
+    parameters : SceneParameters
+        Pointing and sky.
+    orbit : Orbit
+        Of the spacecraft.
 
     Raises
     ------
@@ -104,24 +136,52 @@ class SceneBuilder:
         For a target that is not in its sky.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
-        self.clock = Clock(scenario.epoch)
-        self.orbit = build_orbit(scenario.orbit, scenario.epoch)
-        self._round_s = round_s(scenario.pointing, self.orbit.period_s)
-        catalog = by_place(load_catalog(scenario.sky.catalog).brighter_than(scenario.sky.magnitude_limit))
+    def __init__(self, parameters: SceneParameters, orbit: Orbit) -> None:
+        self.parameters = parameters
+        self.orbit = orbit
+        self.clock: Clock = orbit.clock
+        self._round_s = round_s(parameters.pointing, orbit.period_s)
+        seen = parameters.sky
+        catalog = by_declination(load_catalog(seen.catalog).brighter_than(seen.magnitude_limit))
         self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
         catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # 80 bytes a star, and of no more use
         self.sky = SkyIndex(catalog)
-        self._jitter = load_spectrum(scenario.pointing.jitter, scenario.base_dir)
-        target = scenario.pointing.target
+        target = parameters.pointing.target
         self._target = find_target(target, catalog) if isinstance(target, str) else None
+        self._blocks: dict[int, Instants] = {}
+        self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
+
+    def instant(self, index: int) -> Instant:
+        """Time of trial `index`, and where spacecraft and bodies are then; computed for `BLOCK_TRIALS` at once.
+
+        The blocks are cut by the index alone, so that a trial has the same numbers whatever other trials are asked
+        for, and by whom.
+        """
+        block, row = divmod(index, BLOCK_TRIALS)
+        if block not in self._blocks:
+            indices = np.arange(block * BLOCK_TRIALS, (block + 1) * BLOCK_TRIALS)
+            t_s = trial_time_s(self.parameters.sampling, self.parameters.seed, indices, self._round_s)
+            self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
+        return self._blocks[block].at(row)
+
+    def plan(self, t_s: ArrayLike) -> None:
+        """Compute the ephemerides of times (N,) that `scene` will be asked for by `at_s`, in one block."""
+        times = np.array(t_s, dtype=float)
+        rows = {time: row for row, time in enumerate(times.tolist())}
+        self._plan = (Instants.of(self.orbit, times, self.parameters.sky), rows)
+
+    def _instant_at(self, t_s: float) -> Instant:
+        planned, rows = self._plan
+        if planned is None or t_s not in rows:
+            return Instants.of(self.orbit, np.array([t_s]), self.parameters.sky).at(0)
+        return planned.at(rows[t_s])
 
     def scene(
         self,
         index: int,
         streams: Streams,
         half_field_rad: float,
+        exposure_s: float,
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
@@ -137,6 +197,8 @@ class SceneBuilder:
             Random stream of a stage by name.
         half_field_rad : float
             Stars this far from the boresight, at any moment of the exposure, are given.
+        exposure_s : float
+            Exposure time.
         at_s, attitude : optional
             Time and true camera attitude in place of the trial's own.
         rate_camera_rad_s : array_like, shape (3,), optional
@@ -144,39 +206,36 @@ class SceneBuilder:
         jitter : JitterPath, optional
             Jitter about this mid-exposure, of a sequence; else the trial's own is drawn.
         """
-        scenario = self.scenario
-        seed, sampling = scenario.seed, scenario.study.sampling
-        t_s = trial_time_s(sampling, seed, index, self._round_s) if at_s is None else at_s
-        r_km, v_km_s = self.orbit.state(t_s)
-        observer = observe(self.clock, t_s, r_km, v_km_s)
-        sun_au = sun_position_au(self.clock, t_s)
-        bodies = solar_system(self.clock, t_s, observer, scenario.sky)
+        given, sky = self.parameters, self.parameters.sky
+        now = self.instant(index) if at_s is None else self._instant_at(float(at_s))
+        t_s, observer, sun_au, bodies = now.t_s, now.observer, now.sun_au, now.bodies
         rng = streams("pointing")
-        if scenario.pointing.target is not None:
-            pointing = hold(scenario.pointing, self._towards_target(observer, sun_au, bodies), rng)
-        elif scenario.pointing.spin.rate_deg_s:
-            pointing = point_spinning(scenario.pointing, t_s, rng)
-        elif sampling == "sky" and at_s is None:
-            pointing = point_at_random(scenario.pointing, rng, math.tau / self.orbit.period_s)
+        if given.pointing.target is not None:
+            pointing = hold(given.pointing, self._towards_target(observer, sun_au, bodies), rng)
+        elif given.pointing.spin.rate_deg_s:
+            pointing = point_spinning(given.pointing, t_s, rng)
+        elif given.sampling == "sky" and at_s is None:
+            pointing = point_at_random(given.pointing, rng, math.tau / self.orbit.period_s)
         else:
-            pointing = point(scenario.pointing, r_km, v_km_s, rng)
+            pointing = point(given.pointing, now.r_km, now.v_km_s, rng)
         if attitude is not None:
             pointing = turned_to(pointing, attitude, rate_camera_rad_s)
-        pointing, jitter = self._shaken(pointing, streams, jitter)
-        streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * scenario.detector.exposure_s
+        pointing, jitter = self._shaken(pointing, streams, jitter, exposure_s)
+        streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
-        directions = self.sky.apparent(rows, observer, sun_au, scenario.sky)
+        directions = self.sky.apparent(rows, observer, sun_au, sky)
         assert observer.position_au is not None
         to_sun = sun_au - observer.position_au
         sun_direction = to_sun / math.hypot(*to_sun.tolist())
         return Scene(
             t_s=t_s,
-            r_km=r_km,
+            r_km=now.r_km,
             observer=observer,
             sun_direction=sun_direction,
             pointing=pointing,
             jitter=jitter,
+            streak_rad=streak_rad,
             catalog=self.sky.catalog,
             rows=rows,
             star_directions=directions,
@@ -186,19 +245,16 @@ class SceneBuilder:
         )
 
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
-        """One realisation of the scenario's jitter, None where it has none."""
-        section = self.scenario.pointing.jitter
-        if not any(section.rms_arcsec):
-            return None
-        return draw_jitter(section, self._jitter, rng, mounting_of(self.scenario.pointing).as_matrix())
+        """One realisation of the jitter, None where there is none."""
+        given = self.parameters
+        return draw_jitter(given.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
 
     def _shaken(
-        self, pointing: Pointing, streams: Streams, jitter: JitterPath | None
+        self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
     ) -> tuple[Pointing, JitterPath | None]:
         """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
-        if not any(self.scenario.pointing.jitter.rms_arcsec):
+        if self.parameters.jitter.is_off:
             return pointing, None
-        exposure_s = self.scenario.detector.exposure_s
         jitter = jitter or self.draw_jitter(streams("jitter"))
         if jitter is None:
             return pointing, None
@@ -209,12 +265,11 @@ class SceneBuilder:
 
     def _towards_target(self, observer: Observer, sun_au: FloatArray, bodies: Bodies) -> Attitude:
         """Nominal camera attitude on the target."""
-        section = self.scenario.pointing
-        if isinstance(section.target, tuple):
-            return Attitude.from_radec_roll(*section.target)
+        pointing = self.parameters.pointing
+        if isinstance(pointing.target, tuple):
+            return Attitude.from_radec_roll(*pointing.target)
         if isinstance(self._target, str):
-            return attitude_towards(body_direction(self._target, bodies), section)
+            return attitude_towards(body_direction(self._target, bodies), pointing)
         assert self._target is not None
-        place = self.sky.catalog.select(np.array([self._target])).directions(observer.epoch_jyear)[0]
-        _, directions = self.sky.view(place, 1e-9, observer, sun_au, self.scenario.sky)
-        return attitude_towards(directions[np.argmax(directions @ place)], section)
+        directions = self.sky.apparent(np.array([self._target]), observer, sun_au, self.parameters.sky)
+        return attitude_towards(directions[0], pointing)

@@ -20,7 +20,17 @@ if TYPE_CHECKING:
     from startracker.errors import BoresightError, InputError
     from startracker.image import LoadedImage, read_image
     from startracker.observer import Observer
-    from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, TrackingSettings
+    from startracker.settings import (
+        AdaptiveSettings,
+        CentroidSettings,
+        DetectionSettings,
+        IdentificationSettings,
+        MatchGroupSettings,
+        PatternHashSettings,
+        PyramidSettings,
+        TrackingSettings,
+        TriadSettings,
+    )
     from startracker.solution import MatchedStars, Solution, Status
     from startracker.trace import Step
     from startracker.tracker import StarTracker
@@ -29,6 +39,7 @@ if TYPE_CHECKING:
 
 
 __all__ = [
+    "AdaptiveSettings",
     "Attitude",
     "BoresightError",
     "Calibration",
@@ -40,9 +51,12 @@ __all__ = [
     "IdentificationSettings",
     "InputError",
     "LoadedImage",
+    "MatchGroupSettings",
     "MatchedStars",
     "Mekf",
     "Observer",
+    "PatternHashSettings",
+    "PyramidSettings",
     "RateNoise",
     "Solution",
     "StarCatalog",
@@ -53,6 +67,7 @@ __all__ = [
     "TrackingSession",
     "TrackingSettings",
     "TrackingState",
+    "TriadSettings",
     "__version__",
     "calibrate",
     "load_catalog",
@@ -71,6 +86,11 @@ _HOME = {
     "Distortion": "distortion",
     "GyroNoise": "tracking",
     "IdentificationSettings": "settings",
+    "AdaptiveSettings": "settings",
+    "MatchGroupSettings": "settings",
+    "PatternHashSettings": "settings",
+    "PyramidSettings": "settings",
+    "TriadSettings": "settings",
     "InputError": "errors",
     "LoadedImage": "image",
     "MatchedStars": "solution",

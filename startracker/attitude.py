@@ -10,11 +10,13 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import FrameMismatchError, InputError
+from startracker.interop import plain, rotation_quat, skycoord_deg
 
 __all__ = [
     "Attitude",
@@ -153,10 +155,15 @@ class Attitude:
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:
-        """Camera attitude from the boresight's RA and Dec and the roll, all in degrees.
+        """Camera attitude from the boresight's RA and Dec and the roll, all in degrees or as astropy quantities.
 
         The roll is the position angle of the camera's up axis (−y), east of north.
         """
+        ra_deg, dec_deg, roll_deg = (
+            plain(ra_deg, "deg", "RA"),
+            plain(dec_deg, "deg", "Dec"),
+            plain(roll_deg, "deg", "roll"),
+        )
         ra, dec, roll = math.radians(ra_deg), math.radians(dec_deg), math.radians(roll_deg)
         boresight = radec_to_direction(ra, dec)
         north = np.array([-math.sin(dec) * math.cos(ra), -math.sin(dec) * math.sin(ra), math.cos(dec)])
@@ -166,8 +173,24 @@ class Attitude:
 
     @classmethod
     def from_rotation_vector(cls, vector_rad: ArrayLike, source: str, target: str) -> Attitude:
-        """Attitude of the frame reached by turning the source frame by a rotation vector (radians)."""
-        return cls(_rotation_vector_to_quat(vector_rad), source, target)
+        """Attitude of the frame reached by turning the source frame by a rotation vector (radians, or an astropy
+        quantity)."""
+        return cls(_rotation_vector_to_quat(plain(vector_rad, "rad", "the rotation vector")), source, target)
+
+    @classmethod
+    def from_rotation(cls, rotation: Any, source: str = "icrs", target: str = "camera") -> Attitude:
+        """Attitude of a SciPy ``Rotation`` that takes coordinates of the source into the target frame.
+
+        ``v_target = rotation.apply(v_source)``, so that ``rotation.as_matrix()`` is `as_matrix`; `InputError` for a
+        stack of rotations.
+        """
+        return cls(rotation_quat(rotation), source, target)
+
+    @classmethod
+    def from_skycoord(cls, coordinate: Any, roll_deg: float = 0.0) -> Attitude:
+        """Camera attitude whose boresight is an astropy ``SkyCoord``, in any frame that goes into ICRS; the roll as in
+        `from_radec_roll`."""
+        return cls.from_radec_roll(*skycoord_deg(coordinate, "the boresight"), roll_deg)
 
     # ------------------------------------------------------------------ given as
     def as_quat(self) -> FloatArray:
@@ -177,6 +200,24 @@ class Attitude:
     def as_matrix(self) -> FloatArray:
         """Matrix A (3, 3) with ``v_target = A @ v_source``."""
         return self._matrix.copy()
+
+    @property
+    def rotation(self) -> Any:
+        """SciPy ``Rotation`` with ``v_target = rotation.apply(v_source)``."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.quat * _CONJUGATE)
+
+    @property
+    def skycoord(self) -> Any:
+        """The boresight as an astropy ``SkyCoord``, ICRS; `FrameMismatchError` of an attitude against another frame."""
+        if self.source != "icrs":
+            raise FrameMismatchError(
+                f"{self.source} → {self.target} has no direction in the sky: it starts from no ICRS"
+            )
+        from astropy.coordinates import SkyCoord
+
+        return SkyCoord(self.ra_deg, self.dec_deg, unit="deg", frame="icrs")
 
     @functools.cached_property
     def _matrix(self) -> FloatArray:

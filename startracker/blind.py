@@ -17,7 +17,8 @@ from startracker.catalog.stars import StarCatalog
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
-from startracker.front_end import Clock, FoundStars, clean_centroids, find_stars
+from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.given_centroids import clean_centroids
 from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density

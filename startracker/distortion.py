@@ -16,8 +16,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +62,7 @@ class Distortion:
         return self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
     r2 = x * x + y * y
     radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
@@ -71,7 +72,7 @@ def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Distorted normalised coordinates, shape (N, 2), of undistorted ones, shape (N, 2)."""
     out = np.empty_like(xy)
@@ -80,7 +81,7 @@ def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Pixels (N, 2) of vectors (N, 3) in camera axes through a pinhole and its distortion `k`; NaN where z ≤ 1e-9."""
     out = np.empty((len(vectors), 2))
@@ -94,7 +95,7 @@ def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
     """Newton's method from (x, y); false when it meets the fold of the lens model or does not settle."""
     for _ in range(50):
@@ -122,7 +123,7 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
     return x, y, False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fold_radius2(k: FloatArray) -> float:
     """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops rising; there the lens model ends."""
     for step in range(1, 513):
@@ -137,7 +138,7 @@ def _fold_radius2(k: FloatArray) -> float:
     return np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted normalised coordinates, shape (N, 2), of distorted ones; NaN where the lens model cannot be inverted.
 
@@ -164,7 +165,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Unit vectors (N, 3) in camera axes of pixels (N, 2): `project_pinhole` undone; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))

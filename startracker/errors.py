@@ -12,5 +12,9 @@ class InputError(BoresightError, ValueError):
     """A value, file or image that cannot be used; says which, and what to do."""
 
 
+class InputWarning(UserWarning):
+    """Something given that has no effect; says where, and why."""
+
+
 class FrameMismatchError(BoresightError, ValueError):
     """Two attitudes were joined whose frames do not meet."""

@@ -17,8 +17,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def limit_rad(coefficients: tuple[float, float, float, float]) -> float:
     return min(math.pi * math.sqrt(real.min()), _BOUND_RAD) if len(real) else _BOUND_RAD
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     if equisolid:
         return 2.0 * math.sin(0.5 * theta)
@@ -50,7 +51,7 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     return float(theta * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
     """Angle of a radius, NaN beyond the largest.
 
@@ -80,7 +81,7 @@ def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float
     return theta
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fisheye_project(vectors: FloatArray, k: FloatArray, equisolid: bool, limit: float) -> FloatArray:
     """Image points (N, 2) in focal lengths of vectors (N, 3) of any length; NaN beyond the angle `limit`."""
     out = np.empty((vectors.shape[0], 2))
@@ -96,7 +97,7 @@ def fisheye_project(vectors: FloatArray, k: FloatArray, equisolid: bool, limit: 
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fisheye_unproject(points: FloatArray, k: FloatArray, equisolid: bool, limit: float) -> FloatArray:
     """Unit vectors (N, 3) of image points (N, 2) in focal lengths; NaN outside the image circle."""
     out = np.empty((points.shape[0], 3))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
-from startracker.deep_colour import read_deep
 from startracker.errors import InputError
 
 __all__ = ["LoadedImage", "read_image"]
@@ -122,18 +121,19 @@ def _read_picture(file: Path, upright: bool) -> LoadedImage:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
             # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of its upright picture
-            with Image.open(io.BytesIO(file.read_bytes())) as picture:
+            data = file.read_bytes()
+            with Image.open(io.BytesIO(data)) as picture:
                 width, height = picture.size
                 if width * height > _MOST_PIXELS:
                     raise InputError(f"{file}: {width}×{height} pixels are too many; crop or bin it")
                 orientation = picture.getexif().get(_ORIENTATION_TAG) or 1
-                deep = read_deep(picture, file)
+                deep = _has_deep_colour(picture, data)
                 picture.load()
                 header = {"format": picture.format, "mode": picture.mode}
                 array, notes = _channels(picture)
-                turned = picture.format == "TIFF"  # Pillow turns these itself
-                if deep is not None:
-                    array, turned = deep, False
+                if deep:
+                    array = _deep_colour(data, array)
+                turned = picture.format == "TIFF"  # Pillow and OpenCV turn these themselves
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -167,6 +167,25 @@ def _channels(picture: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
         array = array[..., 0]
     notes = (f"{array.shape[2]} colour channels averaged",) if array.ndim == 3 else ()
     return array, notes
+
+
+def _has_deep_colour(picture: Any, data: bytes) -> bool:
+    """Whether a picture has colours of 16 bits a channel, of which Pillow keeps eight: PNG and TIFF."""
+    if picture.mode not in ("RGB", "RGBA", "RGBX"):
+        return False
+    if picture.format == "PNG":
+        return data[24] == 16  # bit depth (PNG specification, third edition, section 11.2.1)
+    return picture.format == "TIFF" and 16 in picture.tag_v2.get(258, ())
+
+
+def _deep_colour(data: bytes, array: NDArray[Any]) -> NDArray[Any]:
+    """Red, green and blue (H, W, 3) at 16 bits, by OpenCV; `array`, as Pillow has it, where OpenCV cannot read it."""
+    import cv2
+
+    decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if decoded is None or decoded.dtype != np.uint16 or decoded.shape[:2] != array.shape[:2]:
+        return array
+    return np.asarray(decoded[..., 2::-1])  # OpenCV has blue first
 
 
 def _finish(array: NDArray[Any], header: dict[str, Any], notes: tuple[str, ...], file: Path) -> LoadedImage:

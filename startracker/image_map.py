@@ -6,11 +6,11 @@ One array of numbers, as kernels are handed one sooner than ten arguments.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.distortion import project_pinhole, unproject_pinhole
 from startracker.fisheye import fisheye_project, fisheye_unproject
+from startracker.kernels import kernel
 
 __all__ = ["HEIGHT", "LENS", "LIMIT_RAD", "WIDTH", "ImageMap", "image_map", "to_directions", "to_pixels"]
 
@@ -35,7 +35,7 @@ def image_map(
     return np.array([*focal_px, *centre_px, *size_px, *kind, limit_rad, *lens])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def to_pixels(vectors: FloatArray, image: ImageMap) -> FloatArray:
     """Pixels (N, 2) of vectors (N, 3) in camera axes; NaN for what the camera cannot see."""
     fx, fy, cx, cy = image[FX], image[FY], image[CX], image[CY]
@@ -48,7 +48,7 @@ def to_pixels(vectors: FloatArray, image: ImageMap) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def to_directions(xy: FloatArray, image: ImageMap) -> FloatArray:
     """Unit vectors (N, 3) in camera axes of pixels (N, 2): `to_pixels` undone; NaN where there are none."""
     fx, fy, cx, cy = image[FX], image[FY], image[CX], image[CY]

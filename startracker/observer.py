@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
+from startracker.interop import julian_year, plain
 
 FloatArray = NDArray[np.float64]
 
@@ -27,12 +29,17 @@ class Observer:
 
     Parameters
     ----------
-    epoch_jyear : float
-        Julian epoch (TT) of mid-exposure; stars are moved to it.
-    velocity_km_s : array, shape (3,)
-        Barycentric velocity, ICRS; the tracker takes the aberration of light from it.
-    position_au : array, shape (3,)
-        Barycentric position, ICRS; annual parallax.
+    epoch_jyear : float or astropy Time
+        Julian epoch (TT) of mid-exposure; stars are moved to it. Kept as a number.
+    velocity_km_s : array or astropy Quantity, shape (3,)
+        Barycentric velocity, ICRS; the tracker takes the aberration of light from it. Kept in km/s.
+    position_au : array or astropy Quantity, shape (3,)
+        Barycentric position, ICRS; annual parallax. Kept in au.
+
+    Raises
+    ------
+    InputError
+        For what is no epoch, velocity or position, or is none that an observer may have.
     """
 
     epoch_jyear: float = 2000.0
@@ -41,14 +48,23 @@ class Observer:
 
     def __post_init__(self) -> None:
         try:
-            epoch = float(self.epoch_jyear)
+            epoch = float(julian_year(self.epoch_jyear))
         except (TypeError, ValueError):
-            raise InputError(f"epoch_jyear is {self.epoch_jyear!r}; it must be a number of years") from None
+            raise InputError(
+                f"epoch_jyear is {self.epoch_jyear!r}; it must be a number of years or an astropy Time"
+            ) from None
         if not abs(epoch - 2000.0) <= _LONGEST_YEARS:
             raise InputError(f"epoch_jyear is {epoch:g}; it must be a Julian year within {_LONGEST_YEARS} of 2000")
         object.__setattr__(self, "epoch_jyear", epoch)
         self._check("velocity_km_s", _FASTEST_KM_S, "km/s", "m/s")
         self._check("position_au", _FARTHEST_AU, "au", "km")
+
+    @property
+    def time(self) -> Any:
+        """The epoch as an astropy ``Time``, TT."""
+        from astropy.time import Time
+
+        return Time(self.epoch_jyear, format="jyear", scale="tt")
 
     def _check(self, name: str, most: float, unit: str, other: str) -> None:
         """Make an array of one of the vectors, and refuse what no observer has.
@@ -58,7 +74,7 @@ class Observer:
         InputError
             With the name of the vector.
         """
-        given = getattr(self, name)
+        given = plain(getattr(self, name), {"km/s": "km/s", "au": "AU"}[unit], name)
         if given is None:
             return
         try:
@@ -101,3 +117,18 @@ def unknown_aberration(matrix: FloatArray) -> FloatArray:
     beta = (earth + orbit) * np.eye(3) - earth * np.outer(pole, pole)
     across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of b = (0, 0, 1)
     return np.asarray(across @ beta @ across.T)
+
+
+def observer_of(observer: Observer | None, time: Any) -> Observer | None:
+    """The observer of an image: as given, or one of whom only the time is known; None where neither is.
+
+    Raises
+    ------
+    InputError
+        Where both are given, as an observer has an epoch.
+    """
+    if time is None:
+        return observer
+    if observer is not None:
+        raise InputError("observer and time both give the epoch; leave time out")
+    return Observer(epoch_jyear=time)

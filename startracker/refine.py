@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
@@ -26,6 +26,7 @@ from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
 from startracker.identification.verification import fit_step, focal_slopes, turned
 from startracker.image_map import ImageMap, to_pixels
+from startracker.kernels import kernel
 from startracker.observer import Observer, unknown_aberration
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,8 @@ BoolArray = NDArray[np.bool_]
 
 _FEWEST_TO_REJECT = 4
 _ROUNDS = 4
+_MOST_FIT = 0.85
+"""Share of the named stars that fit; fewer than one in ten are blends."""
 NAMED_PX, BY_CHANCE = 3.0, 0.02
 """A centroid this near to a guide star is this star, where at most this share of the guide stars would have a centroid
 as near by chance."""
@@ -146,19 +149,14 @@ def refine(
     if known and covariance_px2 is not None:
         stated = covariance_px2 + floor**2 * np.eye(2)
     field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer)
-    measured = xy
-    pose, matrix = field.fit(used, matrix, measured)
-    named, fits, merged = field.named(pose, matrix)
-    for _ in range(_ROUNDS):
-        fitting = named[fits]
-        if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):
-            break
-        if np.array_equal(fitting, used) and np.array_equal(merged, measured):
-            break
-        used, measured = fitting, merged
-        pose, matrix = field.fit(used, matrix, measured)
-        named, fits, merged = field.named(pose, matrix)
-    matrix, covariance = field.attitude(pose, matrix, used, measured, estimator)
+    fewest = min(len(pairs), _FEWEST_TO_REJECT)
+    fit = field.settled(used, matrix, fewest)
+    if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
+        # so many are no blends: errors may be larger than stated, and those that agree by chance confirm each other
+        other = field.settled(fit.named, fit.matrix, fewest)
+        fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
+    used, named, fits = fit.used, fit.named, fit.fits
+    matrix, covariance = field.attitude(fit.pose, fit.matrix, used, fit.measured, estimator)
     if common_px2 is not None:
         turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
         covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
@@ -166,6 +164,18 @@ def refine(
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - camera.project(sky[named[:, 1]] @ matrix.T)
     return Refined(matrix, covariance, named, fits, residual, camera)
+
+
+class _Fit(NamedTuple):
+    """A pose and the attitude (3, 3) that it comes to, the pairs it was fitted to, the positions (N, 2) that these were
+    measured at, all pairs that are named, and whether they fit."""
+
+    pose: Pose
+    matrix: FloatArray
+    used: IntArray
+    measured: FloatArray
+    named: IntArray
+    fits: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +189,22 @@ class _Field:
     guide: GuideDatabase
     free_focal: bool
     observer: Observer | None
+
+    def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
+        """Fits of the stars that agree with the fit before, until these stay the same."""
+        measured = self.xy
+        pose, matrix = self.fit(used, matrix, measured)
+        named, fits, merged = self.named(pose, matrix)
+        for _ in range(_ROUNDS):
+            fitting = named[fits]
+            if len(fitting) < fewest:
+                break
+            if np.array_equal(fitting, used) and np.array_equal(merged, measured):
+                break
+            used, measured = fitting, merged
+            pose, matrix = self.fit(used, matrix, measured)
+            named, fits, merged = self.named(pose, matrix)
+        return _Fit(pose, matrix, used, measured, named, fits)
 
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray]:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), and the attitude that it comes to; from
@@ -287,19 +313,16 @@ def _normal(
     return normal, right
 
 
-@njit(cache=True, error_model="numpy")
 def _first_fit(
     used: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Attitude (3, 3) of pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these."""
-    seen, reference, weight = np.empty((len(used), 3)), np.empty((len(used), 3)), np.empty(len(used))
-    for k in range(len(used)):
-        seen[k], reference[k] = directions[used[k, 0]], guides[used[k, 1]]
-        weight[k] = 1.0 / sigma[used[k, 0]] ** 2
-    return fit_rotation(seen, reference, weight), reference
+    seen, star = used[:, 0], used[:, 1]
+    reference = guides[star]
+    return fit_rotation(directions[seen], reference, 1.0 / sigma[seen] ** 2), reference
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _linearised(
     xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

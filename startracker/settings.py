@@ -8,33 +8,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from startracker.errors import InputError
+from startracker.identification_settings import (
+    AdaptiveSettings,
+    AnyIdentificationSettings,
+    IdentificationSettings,
+    MatchGroupSettings,
+    PatternHashSettings,
+    PyramidSettings,
+    TriadSettings,
+)
+from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
-_FORBID = {"extra": "forbid"}  # read by pydantic, which this package does not import
-
-
-def _check(settings: Any, **limits: tuple[float, float]) -> None:
-    """Refuse a knob that is no number within its limits, both included, or infinite where no limit is; None is let be.
-
-    Raises
-    ------
-    InputError
-        With the knob's name, what it is and what it must be.
-    """
-    for name, (least, most) in limits.items():
-        value = getattr(settings, name)
-        if value is None:
-            continue
-        good = isinstance(value, (int, float)) or (hasattr(value, "dtype") and value.dtype.kind in "iuf")
-        if not (good and least <= value <= most):
-            within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
-            raise InputError(f"{name} is {value!r}; it must be a number {within}")
-
-
-_ABOVE_0, _BELOW_1 = math.ulp(0.0), math.nextafter(1.0, 0.0)
-_POSITIVE, _COUNT, _FROM_0 = (_ABOVE_0, math.inf), (1, math.inf), (0.0, math.inf)
+__all__ = [
+    "AdaptiveSettings",
+    "AnyIdentificationSettings",
+    "CentroidSettings",
+    "DetectionSettings",
+    "IdentificationSettings",
+    "MatchGroupSettings",
+    "OperationSettings",
+    "PatternHashSettings",
+    "PyramidSettings",
+    "TrackingSettings",
+    "TriadSettings",
+]
 
 
 @dataclass(frozen=True)
@@ -46,16 +45,16 @@ class DetectionSettings:
     threshold_sigma : float
         A pixel belongs to a star candidate above background + this many times the noise.
     min_pixels, max_pixels : int
-        Size limits of a candidate (the thesis: 7 to 36 for its 3×3 and larger blur spots).
+        Size limits of a candidate (Greyling 1995, section 4.2: 7 to 36).
     max_axis_ratio : float
-        Ratio of the second moments along the two principal axes above which a candidate is a streak or an edge; the
-        thesis' 0.7 to 1.3 is 1.3. Generous by default, as smear elongates true stars.
+        Ratio of the second moments along the two principal axes above which a candidate is a streak or an edge;
+        Greyling's 0.7 to 1.3 (1995, section 4.2) is 1.3. Generous by default, as smear elongates true stars.
     max_stars : int
         Brightest candidates kept.
     background_tile_px : int
         Size of the tiles in which the local background and its noise are estimated.
     search_step_px : int
-        Region growing's search pattern: every third pixel, as in the thesis.
+        Region growing's search pattern: every third pixel (Greyling 1995, Fig. 4.6).
     matched_filter : bool
         Search the image correlated with the star image instead of single pixels: finds fainter stars, and sharp ones
         of one or two pixels, for which `min_pixels` then does not count.
@@ -69,8 +68,8 @@ class DetectionSettings:
     cluster_radius_px : float or None
         Yee's τ: clustering's largest distance of a pixel from its cluster's centre; None: from the frame.
     threshold_dn : float or None
-        Clustering and round regions: pixels above this many DN, whatever the background, as in the two theses; None:
-        `threshold_sigma`.
+        Clustering and round regions: pixels above this many DN, whatever the background, as Greyling 1995 and Yee
+        1999 do; None: `threshold_sigma`.
     """
 
     threshold_sigma: float = 5.0
@@ -88,22 +87,22 @@ class DetectionSettings:
     threshold_dn: float | None = None
 
     def __post_init__(self) -> None:
-        _check(
+        check_settings(
             self,
-            threshold_sigma=_POSITIVE,
-            min_pixels=_COUNT,
-            max_pixels=_COUNT,
+            threshold_sigma=POSITIVE,
+            min_pixels=COUNT,
+            max_pixels=COUNT,
             max_axis_ratio=(1.0, math.inf),
-            max_stars=_COUNT,
+            max_stars=COUNT,
             background_tile_px=(4, math.inf),
-            search_step_px=_COUNT,
-            psf_sigma_px=_POSITIVE,
-            isolation=_FROM_0,
-            cluster_radius_px=_POSITIVE,
-            threshold_dn=_POSITIVE,
+            search_step_px=COUNT,
+            psf_sigma_px=POSITIVE,
+            isolation=FROM_0,
+            cluster_radius_px=POSITIVE,
+            threshold_dn=POSITIVE,
         )
 
-    __pydantic_config__ = _FORBID
+    __pydantic_config__ = FORBID
 
 
 @dataclass(frozen=True)
@@ -113,9 +112,9 @@ class CentroidSettings:
     Parameters
     ----------
     window_px : int
-        Odd side of the window around the brightest pixel (the thesis: 5).
+        Odd side of the window around the brightest pixel (Greyling 1995: 5).
     bias_correction : bool
-        Take off the moment's known bias at each sub-pixel phase (thesis Table 4.1), for `psf_sigma_px`.
+        Take off the moment's known bias at each sub-pixel phase (Greyling 1995, Table 4.1), for `psf_sigma_px`.
     psf_sigma_px : float or None
         Width of the star image as the bias table takes it; None: measured from the brightest stars of the frame.
     psf : str or None
@@ -132,92 +131,11 @@ class CentroidSettings:
     flat_field_error: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, window_px=(3, 101), psf_sigma_px=_POSITIVE, flat_field_error=_FROM_0)
+        check_settings(self, window_px=(3, 101), psf_sigma_px=POSITIVE, flat_field_error=FROM_0)
         if self.window_px % 2 == 0:
             raise InputError(f"window_px is {self.window_px}; it must be odd, so that a pixel is in its middle")
 
-    __pydantic_config__ = _FORBID
-
-
-@dataclass(frozen=True)
-class IdentificationSettings:
-    """How stars are identified (thesis section 5.2).
-
-    Parameters
-    ----------
-    separation_tolerance_deg : float or None
-        Largest difference between a measured and a catalogued separation; None: from the camera and the centroids'
-        errors. The thesis' program used 0.2°.
-    magnitude_tolerance : float
-        Largest difference between measured and catalogued magnitude after the frame's zero point is taken off.
-    min_stars, max_stars : int
-        Fewest stars to accept; most (brightest) stars to use.
-    group_threshold : int
-        First limit on the match-group size; lowered from the largest group found.
-    max_groups_per_star : int
-        Match groups kept for each observed star (the thesis' group size limit).
-    close_pair_deg, close_pair_magnitude : float
-        Guide stars with a neighbour closer than this and less than this much fainter are left out.
-    false_alarm_rate : float
-        Accept an identification only when the sky gives such agreement by chance less often than this, a frame.
-    rotation_tolerance_deg, grouping_tolerance_deg : float
-        Triads (Yee 1999): largest difference between the two rotations of a triad, and from the mean of its group.
-    enclosed_tolerance_deg : float or None
-        Triads: largest difference of an inner angle; None leaves that test out.
-    vote_number : int
-        Triads: fewest of a group that must name a guide star.
-    three_stars : bool
-        Triads: where only three stars are seen and all triads agree, one vote is enough.
-    max_centroids : int
-        Brightest centroids that identification takes; what a list holds beyond them is not looked at.
-    max_operations : int
-        Steps of one search with a known camera (pairs, candidates and stars compared), after which it ends with the
-        status ``search_limit``. They are counted, not timed: the same list ends at the same step on every machine. One
-        takes a nanosecond or so. `adaptive` shares them out among its assumptions, and ends sooner.
-    max_operations_free_scale : int
-        The same where the focal length is not known.
-    """
-
-    separation_tolerance_deg: float | None = None
-    magnitude_tolerance: float = 2.0
-    min_stars: int = 3
-    max_stars: int = 8
-    group_threshold: int = 5
-    max_groups_per_star: int = 11
-    close_pair_deg: float = 0.08
-    close_pair_magnitude: float = 0.77
-    false_alarm_rate: float = 1e-7
-    rotation_tolerance_deg: float = 5.0
-    grouping_tolerance_deg: float = 5.0
-    enclosed_tolerance_deg: float | None = 1.0
-    vote_number: int = 2
-    three_stars: bool = True
-    max_centroids: int = 250
-    max_operations: int = 2_000_000_000
-    max_operations_free_scale: int = 5_000_000_000
-
-    def __post_init__(self) -> None:
-        _check(
-            self,
-            separation_tolerance_deg=(_ABOVE_0, 180.0),
-            magnitude_tolerance=_POSITIVE,
-            min_stars=(2, math.inf),
-            max_stars=(2, math.inf),
-            group_threshold=_COUNT,
-            max_groups_per_star=_COUNT,
-            close_pair_deg=_FROM_0,
-            close_pair_magnitude=_FROM_0,
-            false_alarm_rate=(_ABOVE_0, _BELOW_1),
-            rotation_tolerance_deg=_POSITIVE,
-            grouping_tolerance_deg=_POSITIVE,
-            enclosed_tolerance_deg=_POSITIVE,
-            vote_number=_COUNT,
-            max_centroids=(3, math.inf),
-            max_operations=_COUNT,
-            max_operations_free_scale=_COUNT,
-        )
-
-    __pydantic_config__ = _FORBID
+    __pydantic_config__ = FORBID
 
 
 @dataclass(frozen=True)
@@ -243,15 +161,15 @@ class TrackingSettings:
     false_rejection: float = 1e-6
 
     def __post_init__(self) -> None:
-        _check(
+        check_settings(
             self,
-            max_stars=_COUNT,
-            max_window_px=_COUNT,
-            prior_limit_deg=_FROM_0,
-            false_rejection=(_ABOVE_0, _BELOW_1),
+            max_stars=COUNT,
+            max_window_px=COUNT,
+            prior_limit_deg=FROM_0,
+            false_rejection=(ABOVE_0, BELOW_1),
         )
 
-    __pydantic_config__ = _FORBID
+    __pydantic_config__ = FORBID
 
 
 @dataclass(frozen=True)
@@ -263,7 +181,7 @@ class OperationSettings:
     use : bool
         Follow them; false: every frame goes to the tracker as it is, at the one exposure.
     saturated_pixels : int
-        A frame whose two brightest stars each have more saturated pixels than this is discarded (the thesis: 4).
+        A frame whose two brightest stars each have more saturated pixels than this is discarded (Greyling 1995: 4).
     shorten : float
         Factor of the exposure after such a frame.
     shortest_exposure_s : float
@@ -310,22 +228,22 @@ class OperationSettings:
     reference_b_v: float = 0.65
 
     def __post_init__(self) -> None:
-        _check(
+        check_settings(
             self,
-            saturated_pixels=_FROM_0,
-            shorten=(_ABOVE_0, _BELOW_1),
-            shortest_exposure_s=_POSITIVE,
-            lengthen_below=(0.0, _BELOW_1),
-            exposure_step_s=_FROM_0,
-            sun_share=(_ABOVE_0, 1.0),
-            suspend_turn_deg=_POSITIVE,
-            longest_suspension_s=_POSITIVE,
-            clear_pixels=_COUNT,
-            blemish_frames=_FROM_0,
-            blemish_share=(_ABOVE_0, 1.0),
-            blemish_sigma=_POSITIVE,
-            blemish_shift_px=_FROM_0,
+            saturated_pixels=FROM_0,
+            shorten=(ABOVE_0, BELOW_1),
+            shortest_exposure_s=POSITIVE,
+            lengthen_below=(0.0, BELOW_1),
+            exposure_step_s=FROM_0,
+            sun_share=(ABOVE_0, 1.0),
+            suspend_turn_deg=POSITIVE,
+            longest_suspension_s=POSITIVE,
+            clear_pixels=COUNT,
+            blemish_frames=FROM_0,
+            blemish_share=(ABOVE_0, 1.0),
+            blemish_sigma=POSITIVE,
+            blemish_shift_px=FROM_0,
             reference_b_v=(-10.0, 10.0),
         )
 
-    __pydantic_config__ = _FORBID
+    __pydantic_config__ = FORBID

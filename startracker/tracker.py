@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,25 +22,19 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
-from startracker.front_end import (
-    SATURATED_SHARE,
-    Clock,
-    FoundStars,
-    clean_centroids,
-    find_stars,
-    look_again,
-    says_saturated,
-    stated_variance,
-)
+from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.given_centroids import clean_centroids, stated_variance
 from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, is_beyond_doubt
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.given import as_prior, usable_directions
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.observer import Observer
+from startracker.identification_settings import settings_of
+from startracker.observer import Observer, observer_of
 from startracker.refine import refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
+from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
 from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
 
@@ -70,8 +65,10 @@ class StarTracker:
     detector, centroider, identifier, estimator : str
         Algorithms by name: the ``METHODS`` of `startracker.detection`, `centroid`, `identification`, `estimation`, or
         what other packages offer.
-    detection, centroid, identification : settings
+    detection, centroid : settings
         Knobs of the stages.
+    identification : IdentificationSettings
+        What all identifiers share, or the identifier's own class, such as `MatchGroupSettings` for ``match_groups``.
     focal_error : float
         Relative error of the camera's focal length, at most. Above zero the focal length and a radial distortion are
         fitted to each frame (six stars are needed); 0: the camera is taken for calibrated.
@@ -79,7 +76,7 @@ class StarTracker:
     Raises
     ------
     InputError
-        For an unknown name, or a magnitude limit that leaves no stars.
+        For an unknown name, the settings of another identifier, or a magnitude limit that leaves no stars.
     """
 
     def __init__(
@@ -104,7 +101,7 @@ class StarTracker:
         self.catalog = catalog
         self.detection = detection or DetectionSettings()
         self.centroid = centroid or CentroidSettings()
-        self.identification = identification or IdentificationSettings()
+        self.identification = settings_of(identifier, identification)
         self._detect = lookup("detectors", detecting.DETECTORS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
@@ -120,6 +117,7 @@ class StarTracker:
         prior: Attitude | None = None,
         prior_deg: float = 1.0,
         observer: Observer | None = None,
+        time: Any = None,
         saturation_dn: float | None = None,
         gain_e_per_dn: float | None = None,
     ) -> Solution:
@@ -129,13 +127,16 @@ class StarTracker:
         ----------
         image : array_like, shape (H, W)
             Any unit (DN); H and W are the camera's. NaN marks bad pixels.
-        prior : Attitude, optional
+        prior : Attitude or scipy Rotation, optional
             ICRS to camera, from other sensors or the last frame.
-        prior_deg : float
+        prior_deg : float or astropy Quantity
             Largest error of the prior about each axis, degrees.
         observer : Observer, optional
             Epoch, velocity and position: space motion, aberration and parallax are then taken account of. Without it
             the stars stand as at the catalogue's epoch, and the attitude is off by the aberration (20″) and more.
+        time : astropy Time or float, optional
+            When the image was taken (a number is a Julian year, TT), where nothing else is known of the observer: space
+            motion is taken account of.
         saturation_dn, gain_e_per_dn : float, optional
             Of the detector, where known.
 
@@ -144,7 +145,7 @@ class StarTracker:
         Solution
             Never raises for what the image shows: the status and the reason tell.
         """
-        clock = Clock()
+        clock, observer = Clock(), observer_of(observer, time)
         found = find_stars(
             image,
             self._detect,
@@ -152,16 +153,15 @@ class StarTracker:
             self.detection,
             self.centroid,
             clock,
-            shape=(self.camera.height, self.camera.width),
+            camera=self.camera,
             saturation_dn=saturation_dn,
             gain_e_per_dn=gain_e_per_dn,
-            points=True,
         )
         if found.status is not None:
             told = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=told)
         hint = as_prior(prior, prior_deg)
-        solution, found, steps = self._solve_looks(found, hint, observer, clock, saturation_dn, gain_e_per_dn)
+        solution, found, steps = self._solve_looks(found, hint, observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
@@ -179,6 +179,7 @@ class StarTracker:
         prior: Attitude | None = None,
         prior_deg: float = 1.0,
         observer: Observer | None = None,
+        time: Any = None,
     ) -> Solution:
         """Attitude of star positions measured elsewhere.
 
@@ -192,7 +193,7 @@ class StarTracker:
         sigma_px : array_like, shape (N,) or a number, optional
             Standard error of each centroid on one axis, pixels. Without it all count alike, and their error is told by
             how well they fit; the covariance of few stars is then that much larger.
-        prior, prior_deg, observer
+        prior, prior_deg, observer, time
             As in `solve`.
 
         Raises
@@ -200,7 +201,7 @@ class StarTracker:
         InputError
             When the arrays' shapes do not fit, or an error is not positive.
         """
-        clock = Clock()
+        clock, observer = Clock(), observer_of(observer, time)
         points, signal = clean_centroids(xy, flux, self.camera)
         guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
         solution = self._solve(points, signal, variance, as_prior(prior, prior_deg), observer, guide, clock)
@@ -216,52 +217,38 @@ class StarTracker:
         )
         return replace(solution, steps=steps)
 
-    # ------------------------------------------------------------------ spots or streaks
+    # ------------------------------------------------------------------ points or trails
     def _solve_looks(
-        self,
-        spots: FoundStars,
-        prior: Prior | None,
-        observer: Observer | None,
-        clock: Clock,
-        saturation_dn: float | None,
-        gain_e_per_dn: float | None,
+        self, found: FoundStars, prior: Prior | None, observer: Observer | None, clock: Clock
     ) -> tuple[Solution, FoundStars, Sequence[Step]]:
-        """Solution, the stars that it is of, and the steps that led to these: of points or of streaks, whichever look
-        has the more evidence.
+        """Solution, the stars that it is of, and the steps that led to these.
 
-        Pieces of streaks lie near their stars and all off alike: the field is found, and the attitude off by half a
-        streak. The second look is left out where the first explains a whole field. Where the points win, they count
-        only if they can be no pieces.
+        The frame's other hypothesis, points for trails or trails for points, is tried where the likelier one does not
+        explain a whole field; the one with the more evidence is answered. Pieces of trails lie near their stars and all
+        off alike: where points win, they count only if they can be no pieces.
         """
         guide = self.guide.seen_by(observer)
-
-        def solve(look: FoundStars) -> Solution:
-            errors = look.covariance_px2, look.common_px2
-            return self._solve(look.xy, look.flux, look.variance_px2, prior, observer, guide, clock, *errors)
-
-        def streaks() -> FoundStars | None:
-            known = {"saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
-            return look_again(spots, self.detection, self.camera, clock, **known)
-
-        drawn = streaks() if spots.smeared else None
-        first = spots if drawn is None else drawn
-        looks = [(first, solve(first))]
-        if not (looks[0][1].solved and is_whole(looks[0][1], first.flux, guide)):
-            second = spots if drawn is not None else None if spots.smeared else streaks()
-            if second is not None:
-                drawn = drawn or second
-                looks.append((second, solve(second)))
-        look, solution = best_look(looks)
-        operations = sum(tried.operations for _, tried in looks)
-        steps: Sequence[Step] = look.steps
+        looks: list[tuple[FoundStars, Solution]] = []
+        for look in (found, found.other):
+            stars = look() if callable(look) else look
+            if stars is None:
+                continue
+            errors = stars.covariance_px2, stars.common_px2
+            tried = self._solve(stars.xy, stars.flux, stars.variance_px2, prior, observer, guide, clock, *errors)
+            looks.append((stars, tried))
+            if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):
+                break
+        stars, solution = best_look(looks)
+        operations, trailed = sum(tried.operations for _, tried in looks), any(look.trailed for look, _ in looks)
+        steps: Sequence[Step] = stars.steps
         for other, tried in looks:
-            if other is not look:
+            if other is not stars:
                 steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
-        if look is spots and solution.solved and may_be_pieces(solution, spots.flux, guide, drawn is not None):
+        if not stars.trailed and solution.solved and may_be_pieces(solution, stars.flux, guide, trailed):
             within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
-            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, spots.xy)
+            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        return replace(solution, operations=operations), look, steps
+        return replace(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
@@ -28,12 +27,19 @@ _LEAST_MATCHED = 0.4
 bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
 
 
-def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase) -> bool:
+def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed: bool = False) -> bool:
     """Whether spots of such a flux are where the solution puts its stars, many of the bright ones are stars, and most
-    of the brightest stars of the field are among them."""
+    of the brightest stars of the field are among them.
+
+    Of trails only that many of the bright ones are stars: the ends of long ones are uncertain, the border cuts others.
+    """
     assert solution.attitude is not None
     stars = solution.stars
-    if misfit_px(solution) > MISFIT_PX or not _many_bright(flux, stars.flux):
+    if not _many_bright(flux, stars.flux):
+        return False
+    if trailed:
+        return True
+    if misfit_px(solution) > MISFIT_PX:
         return False
     index, _, _ = guide.in_field(solution.attitude.as_matrix(), -_BORDER_PX, solution.camera)
     brightest = set(guide.catalog.id[index[:_BRIGHTEST]].tolist())
@@ -64,12 +70,8 @@ def misfit_px(solution: Solution) -> float:
     return math.sqrt(float(residual.ravel() @ residual.ravel()) / len(residual))
 
 
-@njit(cache=True, error_model="numpy")
 def _many_bright(spots: FloatArray, stars: FloatArray) -> bool:
     """Whether enough of the spots that are as bright as the brighter half of the stars are these."""
     half = len(stars) // 2
-    faintest, as_bright = np.sort(stars)[half], 0
-    for flux in spots:
-        if flux >= faintest:
-            as_bright += 1
-    return len(stars) - half >= _LEAST_MATCHED * as_bright
+    as_bright = np.count_nonzero(spots >= np.sort(stars)[half])
+    return len(stars) - half >= _LEAST_MATCHED * float(as_bright)

@@ -23,7 +23,7 @@ def drawn():
     """The scene that all draw: renderer, scene, pixels and electrons of its stars, background, electrons a DN."""
     made = renderer(even_scenario(SIDE, STARS, *PLAIN))
     seen = scene(made, 0)
-    light = made.focal_plane.expose(seen)
+    light = made.expose(seen)
     inside = made.camera.contains(light.sources.xy)
     gain = expose(made, seen, 0).gain_e_per_dn
     return made, seen, light.sources.xy[inside], light.sources.electrons[inside], float(np.median(light.mean_e)), gain

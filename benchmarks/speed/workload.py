@@ -99,15 +99,14 @@ def renderer(scenario: Scenario) -> Renderer:
 
 def scene(made: Renderer, index: int) -> Scene:
     """Scene of a trial."""
-    streams = partial(_stream, made.scenario.seed, index)
-    return made.scenes.scene(index, streams, made.focal_plane.half_field_rad)
+    return made.scene(index)
 
 
 def expose(made: Renderer, what: Scene, index: int) -> Readout:
     """Frame of a scene: focal plane and detector."""
-    light = made.focal_plane.expose(what)
+    light = made.expose(what)
     streams = partial(_stream, made.scenario.seed, index)
-    return made.detector.expose(light.mean_e, streams, keep_charge=False, level_e=light.level_e)
+    return made.detector.expose(light.mean_e, made.exposure_s, streams, keep_charge=False)
 
 
 def _stream(seed: int, trial: int, stage: str) -> np.random.Generator:

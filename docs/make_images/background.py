@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from simulator import Scenario
 from simulator.renderer import Renderer
-from simulator.scenario.schema import SkySection
 from simulator.scene import Scene
 from simulator.sky.background import ECLIPTIC, sky_brightness_s10
+from simulator.sky.parameters import Sky
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 
 ROOT = Path(__file__).parents[2]
@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 def scene_at(renderer: Renderer, t_s: float) -> Scene:
-    return renderer.scenes.scene(0, lambda name: np.random.default_rng(0), 0.1, at_s=t_s)
+    return renderer.scene(0, at_s=t_s)
 
 
 def looking_at(direction: FloatArray, roll_deg: float, shift_deg: tuple[float, float] = (0.0, 0.0)) -> Attitude:
@@ -45,7 +45,7 @@ def whole_sky() -> None:
     sun = radec_to_direction(0.0, 0.0)
     ra, dec = np.meshgrid(np.radians(np.arange(-180.0, 181.0)), np.radians(np.arange(-90.0, 91.0)))
     directions = radec_to_direction(ra.ravel(), dec.ravel())
-    s10 = sky_brightness_s10(directions, sun, SkySection(background_model="leinert1998")).reshape(ra.shape)
+    s10 = sky_brightness_s10(directions, sun, Sky(background_model="leinert1998")).reshape(ra.shape)
     figure, axes = plt.subplots(figsize=(8, 4.4), subplot_kw={"projection": "mollweide"}, layout="constrained")
     drawn = axes.pcolormesh(-ra, dec, s10, cmap="magma", norm=LogNorm(50.0, 5000.0), rasterized=True)
     track = radec_to_direction(np.linspace(0, 2 * np.pi, 400), np.zeros(400)) @ ECLIPTIC
@@ -89,7 +89,7 @@ def moon_and_planets() -> None:
             )
         )
         seen = scene_at(telescope, t_s)
-        light = telescope.focal_plane.expose(telescope_scene(telescope, seen, looking_at(body(seen, name), 0.0)))
+        light = telescope.expose(telescope_scene(telescope, seen, looking_at(body(seen, name), 0.0)))
         axes.imshow(light.mean_e, cmap="gray")
         axes.set_title(f"{name}, {focal_mm / 1000:g} m focal length, north up", fontsize=9)
         axes.set_xticks([])
@@ -98,7 +98,7 @@ def moon_and_planets() -> None:
 
 
 def telescope_scene(renderer: Renderer, scene: Scene, attitude: Attitude) -> Scene:
-    return renderer.scenes.scene(0, lambda name: np.random.default_rng(0), 0.1, at_s=scene.t_s, attitude=attitude)
+    return renderer.scene(0, at_s=scene.t_s, attitude=attitude)
 
 
 def earth_limb() -> None:
@@ -120,8 +120,7 @@ def earth_limb() -> None:
         side = np.cos(azimuth) * np.cross(pole, nadir) + np.sin(azimuth) * pole
         limb = np.cos(horizon) * nadir + np.sin(horizon) * side
         attitude = upright(limb, nadir)
-        light = renderer.focal_plane.expose(telescope_scene(renderer, scene, attitude))
-        rate = np.broadcast_to(light.background_e, light.mean_e.shape) / renderer.scenario.detector.exposure_s
+        rate, _ = renderer.focal_plane.background_rate_e_s(telescope_scene(renderer, scene, attitude))
         drawn = one.imshow(np.maximum(rate, 1.0), cmap="cividis", norm=LogNorm(1.0, 3e9))
         one.set_title(f"Earth's limb from 800 km, {title}", fontsize=9)
         one.set_xticks([])

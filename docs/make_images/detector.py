@@ -9,8 +9,9 @@ import matplotlib as mpl
 import numpy as np
 from scipy.special import erf
 
+from simulator.build import detector_parameters
 from simulator.detector import build_fixed_pattern, detect
-from simulator.detector.cosmic_rays import draw_hits
+from simulator.detector.cosmic_rays import draw_cosmic_rays
 from simulator.detector.photon_transfer import photon_transfer
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
@@ -52,8 +53,9 @@ def star_field(shape, stars, sigma_px=0.8, sky_e=20.0):
 
 def expose(mean, trial=0, seed=2, **keys):
     section = DetectorSection(**(TC211 | keys))
-    pattern = build_fixed_pattern(section, seed)
-    return detect(mean, section, pattern, lambda name: stream(seed, name, trial))
+    device = detector_parameters(section)
+    pattern = build_fixed_pattern(device, seed)
+    return detect(mean, device, pattern, lambda name: stream(seed, name, trial), exposure_s=section.exposure_s)
 
 
 field = [(rng.uniform(0, 192), rng.uniform(0, 165), 10 ** rng.uniform(3.2, 4.6)) for _ in range(14)]
@@ -89,8 +91,10 @@ show(
     1500,
     (0, 132, 95, 165),
 )
-hits = draw_hits(DetectorSection(**TC211, cosmic_rays=rays), stream(2, "cosmic_rays", 0))
-axes[0, 1].plot(*hits.start_px.T, "o", ms=11, mfc="none", mec="tab:orange", mew=0.9)
+tracks = draw_cosmic_rays(
+    detector_parameters(DetectorSection(**TC211, cosmic_rays=rays)), 0.2, stream(2, "cosmic_rays", 0)
+)
+axes[0, 1].plot(*tracks.start_px.T, "o", ms=11, mfc="none", mec="tab:orange", mew=0.9)
 
 sirius = star_field((165, 192), [(96.3, 82.4, 2.0e7), *field], sigma_px=1.0)
 show(

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from simulator import Renderer, Scenario
-from simulator.optics.illumination import relative_illumination
+from simulator.optics.illumination import Vignetting, relative_illumination
 from simulator.optics.thermal import true_camera
-from simulator.scenario.schema import ThermalSection, VignettingSection
 from startracker import Camera
 from startracker.distortion import Distortion
 
@@ -55,10 +54,10 @@ ax = axes[0, 2]
 wide = Camera.from_fov(60, 1024, 1024)
 degrees = np.linspace(0, 30, 200)
 for label, section, colour, style in (
-    ("natural: stars", VignettingSection(natural=True), BLUE, "-"),
+    ("natural: stars", Vignetting(natural=True), BLUE, "-"),
     (
         "and mechanical, 15° to 32°",
-        VignettingSection(natural=True, mechanical_start_deg=15, mechanical_end_deg=32),
+        Vignetting(natural=True, mechanical_start_deg=15, mechanical_end_deg=32),
         RED,
         "--",
     ),
@@ -80,7 +79,7 @@ ax.set(xlabel="column [px]", ylabel="row [px]", title="a ghost of 2 % of the lig
 ax.grid(visible=False)
 
 ax = axes[1, 1]
-shifted = true_camera(wide, ThermalSection(expansion_ppm_k=30, temperature_c=-20))
+shifted = true_camera(wide, 30.0, -40.0)
 rays = np.stack([np.tan(np.radians(degrees)), 0 * degrees, np.ones(200)], axis=1)
 ax.plot(degrees, shifted.project(rays)[:, 0] - wide.project(rays)[:, 0], color=BLUE)
 ax.set(xlabel="angle off the axis [deg]", ylabel="shift [px]", title="30 ppm/K, 40 K colder than calibrated")

@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from simulator.optics.psf import Psf
+from simulator.optics.psf_model import FieldAberrations, PsfModel, Zernike
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 from simulator.sky.spectra import blackbody
 
 F_NUMBER, PITCH_UM, SIZE = 8.0, 2.0, 41
@@ -34,7 +34,7 @@ def star(psf: Psf, offset: float = 0.0) -> np.ndarray:
 
 
 def single(obscuration: float = 0.0, b_v: float = 0.6, **keys: object) -> np.ndarray:
-    section = PsfSection.model_validate(keys)
+    section = PsfModel.model_validate(keys)
     stars = build_psf_set(
         section, F_NUMBER, (PITCH_UM, PITCH_UM), (400, 400), obscuration=obscuration, weights_of=weights_of
     )
@@ -45,9 +45,11 @@ def main() -> None:
     panels = {
         "Airy, λN = 2.4 px": single(model="airy"),
         "obscuration 0.5": single(0.5, model="airy"),
-        "defocus 0.4 waves rms": single(model="diffraction", zernike_waves={"defocus": 0.4}),
-        "coma 0.25 waves rms": single(model="diffraction", zernike_waves={"coma_x": 0.25}),
-        "astigmatism 0.2, defocus 0.1": single(model="diffraction", zernike_waves={"astigmatism": 0.2, "defocus": 0.1}),
+        "defocus 0.4 waves rms": single(model="diffraction", zernike_waves=Zernike(defocus=0.4)),
+        "coma 0.25 waves rms": single(model="diffraction", zernike_waves=Zernike(coma_x=0.25)),
+        "astigmatism 0.2, defocus 0.1": single(
+            model="diffraction", zernike_waves=Zernike(astigmatism=0.2, defocus=0.1)
+        ),
         "polychromatic, B−V = −0.2": single(model="airy", polychromatic=True, b_v=-0.2),
         "polychromatic, B−V = 1.9": single(model="airy", polychromatic=True, b_v=1.9),
     }
@@ -55,8 +57,8 @@ def main() -> None:
     for axis, (title, image) in zip(axes.flat, panels.items(), strict=False):
         axis.imshow(np.log10(image / image.max() + 1e-5), vmin=-4, vmax=0, cmap="magma")
         axis.set_title(title, fontsize=10)
-    section = PsfSection(
-        model="diffraction", field={"coma_waves": 0.3, "astigmatism_waves": 0.15, "curvature_waves": 0.15}
+    section = PsfModel(
+        model="diffraction", field=FieldAberrations(coma_waves=0.3, astigmatism_waves=0.15, curvature_waves=0.15)
     )
     stars = build_psf_set(section, F_NUMBER, (PITCH_UM, PITCH_UM), (400, 400))
     places = np.linspace(0.0, 399.0, 5)

@@ -7,20 +7,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from simulator.optics.jitter import draw_jitter, load_spectrum
+from simulator.optics.jitter import Jitter, draw_jitter, load_spectrum
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from simulator.scenario.schema import JitterSection, PsfSection
 from startracker.camera import Camera
 
 OUTPUT = Path(__file__).parents[1] / "images" / "smear.png"
 FloatArray = NDArray[np.float64]
 
 CAMERA = Camera.from_fov(12.0, 360, 360)
-PSF = build_psf(PsfSection(model="gaussian", sigma_px=1.1), 2.0, (10.0, 10.0))
+PSF = build_psf(PsfModel(model="gaussian", sigma_px=1.1), 2.0, (10.0, 10.0))
 EXPOSURE_S = 0.2
 READ_NOISE_E = 8.0
 
@@ -56,7 +56,7 @@ def main() -> None:
         xy, weights, longer = rolling_paths(CAMERA, directions, rate, EXPOSURE_S, line_time_s, PSF.feature_px)
         return render_stars((360, 360), xy, weights, bright * longer, PSF)
 
-    section = JitterSection(rms_arcsec=(6.0 * arcsec, 6.0 * arcsec, 0.0), psd="lorentz", corner_hz=6.0)
+    section = Jitter(rms_arcsec=(6.0 * arcsec, 6.0 * arcsec, 0.0), psd="lorentz", corner_hz=6.0)
     path = draw_jitter(section, load_spectrum(section), stream(3, "jitter", 0))
     assert path is not None
     still = exposed((0.0, 0.0, 0.0))

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +19,8 @@ from simulator.cli.export_command import export_c_command
 from simulator.cli.photograph_commands import calibrate_command, solve_command
 from simulator.cli.study_command import study_app
 from startracker._version import __version__
-from startracker.errors import BoresightError
+from startracker.compilation import progress
+from startracker.errors import BoresightError, InputWarning
 
 # Arrow's own allocator keeps some 10 to 20 MB of what it had once; workers get the variable with the environment
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
@@ -189,7 +193,7 @@ def sweep_command(
         typer.Option("--lhs", metavar="N", help="A Latin hypercube of N points instead of the full grid."),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option("--trials", metavar="N", help="Trials a point, in place of the scenario's.")
+        int | None, typer.Option("--trials", metavar="N", help="Trials per point, in place of the scenario's.")
     ] = None,
     seed: Seed = None,
     set_values: SetValues = None,
@@ -276,9 +280,28 @@ def schema_command() -> None:
 
 def main() -> None:
     """Entry point: every failure one clear line on standard error, status 2; never a traceback for a user's mistake."""
+    progress.announce("solve" if sys.argv[1:2] == ["solve"] else "run")
     sys.exit(_run(sys.argv[1:]))
 
 
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """What has no effect in a user's input, one line each on standard error."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, InputWarning):
+                print(f"warning: {message}", file=sys.stderr)
+            else:
+                others(message, category, *where, **more)
+
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
+
+
+@_warnings_in_one_line()
 def _run(arguments: list[str]) -> int:
     try:
         code: Any = app(args=arguments, standalone_mode=False)

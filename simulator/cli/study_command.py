@@ -15,8 +15,8 @@ import typer
 from typer.core import TyperGroup
 
 from simulator.cli.checks import at_least
+from simulator.cli.printed_command import greyling1995_study, yee1999_study
 from simulator.cli.terminal import open_console, progress_bar
-from simulator.cli.thesis_command import greyling1995_study, yee1999_study
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -236,7 +236,7 @@ class _Studies(TyperGroup):
 
 study_app = typer.Typer(
     cls=_Studies,
-    help="Studies that answer one question each: sky coverage, design, error budget; two theses computed again.",
+    help="Studies that answer one question each: sky coverage, design, error budget; two printed works computed again.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

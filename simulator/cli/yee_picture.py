@@ -142,7 +142,7 @@ def run_picture(request: PictureRequest) -> Analysis:
 
 
 def report(found: Analysis, request: PictureRequest, console: Console) -> None:
-    """Print the thesis' tables of a picture, its centre, and the points asked for."""
+    """Print her tables of a picture, its centre, and the points asked for."""
     console.print(
         f"{len(found.catalog):,} stars of the {found.edition}th edition, {len(found.match.tables.separation):,} pairs"
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) ->
     return electrons
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float, spilt: float) -> float:
     """Spill charge along the columns until it fits, in place.
 
@@ -76,7 +77,7 @@ def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float,
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _sweep(electrons: FloatArray, excess: FloatArray, column: int, full_well_e: float) -> float:
     """Carry half of the excess up and half down into the room that is there; both see the same room."""
     rows = excess.size

@@ -1,9 +1,9 @@
-"""The order of the detector's effects, declared once, and the walk along it.
+"""The order of the detector's effects, declared once, and run in it.
 
-`CHARGE` is what happens in the pixels, in electrons; `READOUT` what happens on the way to the numbers of the frame.
-An effect that is off is passed over: it costs nothing, changes nothing and draws from no stream. Each random effect has
-a stream of its own, by name, so that switching one changes no other's draws. Neighbours in the order that act on each
-pixel by itself are walked together (`pixels.py`).
+`CHARGE` is what happens in the pixels, in electrons; `READOUT` what happens on the way to the digital numbers of the
+frame. An effect that is off is passed over: it costs nothing, changes nothing and draws from no stream. Each random
+effect has a stream of its own, by name, so that switching one changes no other's draws. Neighbours in the order that
+act on each pixel by itself run together (`pixels.py`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from simulator.detector import blooming, cosmic_rays, intensifier, readout, steps, transfer, video
 from simulator.detector.fixed_pattern import FixedPattern
-from simulator.detector.pixels import Row
+from simulator.detector.parameters import DetectorParameters
+from simulator.detector.pixels import PixelPipeline
 from simulator.detector.steps import Step, of_map
 from simulator.randomness import Streams
-from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
-FrameEffect = Callable[[FloatArray, Streams], FloatArray]
+FrameEffect = Callable[[FloatArray, float, Streams], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,17 @@ class Effect:
     """One effect: its name, whether a detector has it, and what it does: a step on each pixel, or to a whole frame."""
 
     name: str
-    on: Callable[[DetectorSection, FixedPattern], bool]
-    act: Callable[[DetectorSection, FixedPattern], Step | FrameEffect]
+    on: Callable[[DetectorParameters, FixedPattern], bool]
+    act: Callable[[DetectorParameters, FixedPattern], Step | FrameEffect]
 
 
-# d: detector section; p: fixed pattern; rng: random stream by name; s: signal (H, W), changed in place or anew
+# d: detector; p: fixed pattern; t: exposure time, s; rng: random stream by name; s: signal (H, W), changed in place or
+# anew
 CHARGE: tuple[Effect, ...] = (
     Effect(
         "intensifier",  # mean photo-electrons of a photocathode → mean electrons of the detector
         lambda d, p: d.intensifier.gain > 0,
-        lambda d, p: lambda s, rng: intensifier.intensify(s, d, rng("intensifier")),
+        lambda d, p: lambda s, t, rng: intensifier.intensify(s, d, t, rng("intensifier")),
     ),
     Effect(
         "photo_response",  # mean photo-electrons → the same, by the response of each pixel
@@ -49,9 +50,9 @@ CHARGE: tuple[Effect, ...] = (
         lambda d, p: of_map(steps.PHOTO_RESPONSE, p.prnu),
     ),
     Effect(
-        "dark_signal",  # + mean dark electrons: temperature, DSNU, hot pixels
-        lambda d, p: np.ndim(p.dark_e) > 0 or bool(p.dark_e > 0),
-        lambda d, p: of_map(steps.DARK_SIGNAL, p.dark_e),
+        "dark_signal",  # + mean dark electrons, exposure × dark current: temperature, DSNU, hot pixels
+        lambda d, p: np.ndim(p.dark_e_s) > 0 or bool(p.dark_e_s > 0),
+        lambda d, p: of_map(steps.DARK_CURRENT, p.dark_e_s),
     ),
     Effect(
         "shot_noise",  # mean → counted electrons
@@ -61,7 +62,7 @@ CHARGE: tuple[Effect, ...] = (
     Effect(
         "cosmic_rays",  # + charge along the tracks of particles
         lambda d, p: d.cosmic_rays.rate_cm2_s > 0,
-        lambda d, p: lambda s, rng: cosmic_rays.add_cosmic_rays(s, d, rng("cosmic_rays")),
+        lambda d, p: lambda s, t, rng: cosmic_rays.add_cosmic_rays(s, d, t, rng("cosmic_rays")),
     ),
     Effect(
         "full_well",  # the rest drains or blooms
@@ -69,7 +70,7 @@ CHARGE: tuple[Effect, ...] = (
         lambda d, p: (
             Step(steps.CLIP, (d.full_well_e,))
             if d.antiblooming >= 1.0
-            else lambda s, rng: blooming.full_well(s, d.full_well_e, d.antiblooming)
+            else lambda s, t, rng: blooming.full_well(s, d.full_well_e, d.antiblooming)
         ),
     ),
 )
@@ -77,17 +78,17 @@ READOUT: tuple[Effect, ...] = (
     Effect(
         "charge_transfer",  # trails of what the transfers leave behind
         lambda d, p: d.cti_parallel > 0 or d.cti_serial > 0,
-        lambda d, p: lambda s, rng: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
+        lambda d, p: lambda s, t, rng: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
     ),
     Effect(
         "reset_noise",
         lambda d, p: d.reset_capacitance_ff > 0,
-        lambda d, p: Step(steps.NORMAL_NOISE, (readout.section_reset_noise_e(d),), rng="reset_noise"),
+        lambda d, p: Step(steps.GAUSSIAN_NOISE, (readout.detector_reset_noise_e(d),), rng="reset_noise"),
     ),
     Effect(
         "read_noise",
         lambda d, p: d.read_noise_e > 0,
-        lambda d, p: Step(steps.NORMAL_NOISE, (d.read_noise_e,), rng="read_noise"),
+        lambda d, p: Step(steps.GAUSSIAN_NOISE, (d.read_noise_e,), rng="read_noise"),
     ),
     Effect(
         "nonlinearity",
@@ -102,7 +103,7 @@ READOUT: tuple[Effect, ...] = (
     Effect(
         "video",  # analogue line and recorder: bandwidth, noise
         lambda d, p: d.video.noise_dn > 0 or d.video.line_blur_px > 0,
-        lambda d, p: lambda s, rng: video.video_signal(s, d.video, rng("video")),
+        lambda d, p: lambda s, t, rng: video.video_signal(s, d.video, rng("video")),
     ),
     Effect(
         "adc",  # fractional DN → whole DN
@@ -141,12 +142,12 @@ class Readout:
 
 def detect(
     mean_photo_e: FloatArray,
-    section: DetectorSection,
+    detector: DetectorParameters,
     pattern: FixedPattern,
     streams: Streams,
     *,
+    exposure_s: float,
     keep_charge: bool = True,
-    level_e: float | None = None,
 ) -> Readout:
     """Expose and read out the detector.
 
@@ -155,19 +156,17 @@ def detect(
     mean_photo_e : (H, W) float64
         Mean photo-electrons of each pixel over the exposure, stars and background, quantum efficiency included.
         Left as it is.
-    section : DetectorSection
+    detector : DetectorParameters
         The detector.
     pattern : FixedPattern
-        From `build_fixed_pattern` with the same section.
+        From `build_fixed_pattern` of the same detector.
     streams : callable
         Gives the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
         ``read_noise``, ``video``. Asked only for those that are on.
+    exposure_s : float
+        Exposure time, for what does not come with the light: dark current, cosmic rays, the dark of a photocathode.
     keep_charge : bool
-        Also hand out the charge before readout; without a level the image is the same either way, and sooner there
-        without the charge.
-    level_e : float, optional
-        Mean photo-electrons that most pixels share, an even background: without maps and charge their numbers are drawn
-        at once from the distribution of what leaves the converter (`level.py`).
+        Also hand out the charge before readout; the image is the same either way, and sooner there without.
 
     Raises
     ------
@@ -175,26 +174,29 @@ def detect(
         When the image or the pattern has another size than the detector, a mean is negative or not finite, or the
         offset leaves nothing of the converter.
     """
-    made = Detector(section, pattern)
-    return made.expose(mean_photo_e, streams, keep_charge=keep_charge, level_e=level_e)
+    return Detector(detector, pattern).expose(mean_photo_e, exposure_s, streams, keep_charge=keep_charge)
 
 
 class Detector:
-    """A detector with its effects made ready, for any number of frames: see `detect`."""
+    """A detector with its effects made ready, for any number of frames and exposures: see `detect`."""
 
-    def __init__(self, section: DetectorSection, pattern: FixedPattern) -> None:
-        self._shape = (section.height, section.width)
-        for name, map_ in (("prnu", pattern.prnu), ("dark_e", pattern.dark_e)):
+    def __init__(self, detector: DetectorParameters, pattern: FixedPattern) -> None:
+        self.parameters, self.pattern = detector, pattern
+        self._shape = (detector.height, detector.width)
+        for name, map_ in (("prnu", pattern.prnu), ("dark_e_s", pattern.dark_e_s)):
             if np.ndim(map_) > 0:
                 self._check(f"pattern.{name}", np.shape(map_))
-        charge: list[Step | FrameEffect] = [Step(steps.LIGHT), *_acts(CHARGE, section, pattern)]
-        read = _acts(READOUT, section, pattern)
-        self._charge, self._read, self._both = _rows(charge), _rows(read), _rows(charge + read)
-        self._top, self._full_well_e = readout.highest_dn(section), section.full_well_e
-        self._saturation_dn, self._gain_e_per_dn = readout.saturation_dn(section), readout.noise_gain_e_per_dn(section)
+        charge: list[Step | FrameEffect] = [Step(steps.LIGHT), *_acts(CHARGE, detector, pattern)]
+        read = _acts(READOUT, detector, pattern)
+        self._charge, self._read, self._both = _stages(charge), _stages(read), _stages(charge + read)
+        self._top, self._full_well_e = readout.highest_dn(detector), detector.full_well_e
+        self._saturation_dn, self._gain_e_per_dn = (
+            readout.saturation_dn(detector),
+            readout.noise_gain_e_per_dn(detector),
+        )
 
     def expose(
-        self, mean_photo_e: FloatArray, streams: Streams, *, keep_charge: bool = True, level_e: float | None = None
+        self, mean_photo_e: FloatArray, exposure_s: float, streams: Streams, *, keep_charge: bool = True
     ) -> Readout:
         """One frame; parameters as in `detect`."""
         self._check("mean_photo_e", np.shape(mean_photo_e))
@@ -203,13 +205,13 @@ class Detector:
         electrons = saturated = None
         if keep_charge:
             electrons = np.empty(self._shape)
-            _run(light, self._charge, electrons, streams)
-            _run(electrons, self._read, image, streams)
+            _run(light, self._charge, electrons, exposure_s, streams)
+            _run(electrons, self._read, image, exposure_s, streams)
             saturated = electrons >= self._full_well_e
             if self._top is not None:
                 saturated |= image >= self._top
         else:
-            _run(light, self._both, image, streams, level_e)
+            _run(light, self._both, image, exposure_s, streams)
         return Readout(image, electrons, saturated, self._saturation_dn, self._gain_e_per_dn)
 
     def _check(self, name: str, shape: tuple[int, ...]) -> None:
@@ -217,38 +219,39 @@ class Detector:
             raise InputError(f"{name} has the shape {shape}; this detector has {self._shape} (rows, columns)")
 
 
-def _acts(effects: Sequence[Effect], section: DetectorSection, pattern: FixedPattern) -> list[Step | FrameEffect]:
-    return [effect.act(section, pattern) for effect in effects if effect.on(section, pattern)]
+def _acts(effects: Sequence[Effect], detector: DetectorParameters, pattern: FixedPattern) -> list[Step | FrameEffect]:
+    return [effect.act(detector, pattern) for effect in effects if effect.on(detector, pattern)]
 
 
-def _rows(acts: Sequence[Step | FrameEffect]) -> list[Row | FrameEffect]:
-    """Neighbouring steps in one row; a row, maybe an empty one, before and after each effect on whole frames."""
-    rows: list[Row | FrameEffect] = []
+def _stages(acts: Sequence[Step | FrameEffect]) -> list[PixelPipeline | FrameEffect]:
+    """Neighbouring steps as one pipeline; a pipeline, maybe an empty one, before and after each effect on whole
+    frames."""
+    stages: list[PixelPipeline | FrameEffect] = []
     waiting: list[Step] = []
     for act in acts:
         if isinstance(act, Step):
             waiting.append(act)
         else:
-            rows += [Row(waiting), act]
+            stages += [PixelPipeline(waiting), act]
             waiting = []
-    return [*rows, Row(waiting)]
+    return [*stages, PixelPipeline(waiting)]
 
 
 def _run(
     signal: FloatArray,
-    rows: Sequence[Row | FrameEffect],
+    stages: Sequence[PixelPipeline | FrameEffect],
     out: NDArray[Any],
+    exposure_s: float,
     streams: Streams,
-    level: float | None = None,
 ) -> None:
-    """Take an image (it stays as it is) and its level through rows and effects on whole frames into `out`."""
-    for row in rows[:-1]:
-        if isinstance(row, Row):
-            room = np.empty_like(signal)
-            row.walk(signal, room, None, streams)
-            signal = room
+    """Take an image (it stays as it is) through pipelines and effects on whole frames into `out`."""
+    for stage in stages[:-1]:
+        if isinstance(stage, PixelPipeline):
+            into = np.empty_like(signal)
+            stage.run(signal, into, streams, exposure_s)
+            signal = into
         else:
-            signal, level = row(signal, streams), None
-    last = rows[-1]
-    assert isinstance(last, Row)
-    last.walk(signal, out, level, streams)
+            signal = stage(signal, exposure_s, streams)
+    last = stages[-1]
+    assert isinstance(last, PixelPipeline)
+    last.run(signal, out, streams, exposure_s)

@@ -1,6 +1,6 @@
 """Charged particles that cross the detector: straight tracks of ionisation.
 
-Numbers of hits are Poisson, with the mean rate × area × exposure. An isotropic flux crosses a plane with a density
+Numbers of particles are Poisson, with the mean rate × area × exposure. An isotropic flux crosses a plane with a density
 proportional to cos θ in solid angle: cos²θ is uniform from 0 to 1, the azimuth uniform. The length in the silicon is
 depth / cos θ. The charge along it fluctuates as Landau's distribution (Landau 1944; Particle Data Group, "Passage of
 particles through matter"): most probable `charge_e_um` × length, of a width ξ in the ratio of a minimum-ionising
@@ -17,11 +17,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import DetectorSection
+from simulator.detector.parameters import DetectorParameters
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -39,8 +39,8 @@ _XI_SHARE = SILICON_XI_EV_UM / PAIR_ENERGY_EV / _REFERENCE_E_UM  # ξ relative t
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
-    """Tracks in one exposure.
+class CosmicRayTracks:
+    """Tracks of the cosmic rays of one exposure.
 
     Parameters
     ----------
@@ -58,33 +58,35 @@ class Hits:
     charge_e: FloatArray
 
 
-def mean_hits(section: DetectorSection) -> float:
+def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float) -> float:
     """Mean number of particles through the surface of the detector in an exposure."""
-    pitch_x, pitch_y = section.pitch_um
-    area_cm2 = section.width * pitch_x * section.height * pitch_y * 1e-8
-    return section.cosmic_rays.rate_cm2_s * area_cm2 * section.exposure_s
+    pitch_x, pitch_y = detector.pitch_um
+    area_cm2 = detector.width * pitch_x * detector.height * pitch_y * 1e-8
+    return detector.cosmic_rays.rate_cm2_s * area_cm2 * exposure_s
 
 
-def draw_hits(section: DetectorSection, rng: np.random.Generator) -> Hits:
+def draw_cosmic_rays(detector: DetectorParameters, exposure_s: float, rng: np.random.Generator) -> CosmicRayTracks:
     """Draw the particles of one exposure: those that enter the layer, from either side, within the outline."""
-    rays = section.cosmic_rays
-    n = int(rng.poisson(mean_hits(section)))
+    rays = detector.cosmic_rays
+    n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s)))
     uniform = rng.random((n, 5))
     cos = np.sqrt(1.0 - uniform[:, 2])  # never 0
     azimuth = math.tau * uniform[:, 3]
-    start = uniform[:, :2] * (section.width, section.height) - 0.5
+    start = uniform[:, :2] * (detector.width, detector.height) - 0.5
     reach_um = rays.depth_um * np.sqrt(uniform[:, 2]) / cos  # depth × tan θ
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     length = rays.depth_um / cos
     deviate = landau_quantile(uniform[:, 4] * LANDAU_SHARE) - LANDAU_MODE
     charge = rays.charge_e_um * length * np.maximum(1.0 + _XI_SHARE * deviate, 0.0)
-    return Hits(start, start + along * reach_um[:, None] / section.pitch_um, length, charge)
+    return CosmicRayTracks(start, start + along * reach_um[:, None] / detector.pitch_um, length, charge)
 
 
-def add_cosmic_rays(electrons: FloatArray, section: DetectorSection, rng: np.random.Generator) -> FloatArray:
+def add_cosmic_rays(
+    electrons: FloatArray, detector: DetectorParameters, exposure_s: float, rng: np.random.Generator
+) -> FloatArray:
     """Charge with that of cosmic rays, (H, W) electrons, in place; not whole numbers."""
-    hits = draw_hits(section, rng)
-    add_tracks(electrons, hits.start_px, hits.end_px, hits.charge_e)
+    tracks = draw_cosmic_rays(detector, exposure_s, rng)
+    add_tracks(electrons, tracks.start_px, tracks.end_px, tracks.charge_e)
     return electrons
 
 
@@ -110,7 +112,7 @@ def landau_quantile(probability: FloatArray) -> FloatArray:
     return quantile
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: FloatArray) -> None:
     """Split straight tracks over the pixels they cross, by length, in place (Amanatides & Woo 1987).
 

@@ -11,23 +11,23 @@ microchannel plate, F² is 2).
 
 from __future__ import annotations
 
-from simulator.scenario.schema import DetectorSection
+from simulator.detector.parameters import DetectorParameters
 
 __all__ = ["bunch_e", "excess_noise_factor", "signal_gain"]
 
 
-def signal_gain(section: DetectorSection) -> float:
+def signal_gain(detector: DetectorParameters) -> float:
     """Mean electrons in the detector for a photo-electron: the intensifier's gain, 1 without one."""
-    return section.intensifier.gain or 1.0
+    return detector.intensifier.gain or 1.0
 
 
-def excess_noise_factor(section: DetectorSection) -> float:
+def excess_noise_factor(detector: DetectorParameters) -> float:
     """F²: variance of the light summed over an area against that of ideal multiplication; 1 without an intensifier."""
-    intensifier = section.intensifier
+    intensifier = detector.intensifier
     return 1.0 + intensifier.gain_variance + 1.0 / intensifier.gain if intensifier.gain else 1.0
 
 
-def bunch_e(section: DetectorSection) -> float:
+def bunch_e(detector: DetectorParameters) -> float:
     """⟨g⟩ F², electrons: variance over mean of the light summed over an area, in the detector; 1 without an
     intensifier."""
-    return signal_gain(section) * excess_noise_factor(section)
+    return signal_gain(detector) * excess_noise_factor(detector)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.detector.defects import dead_defects, hot_defects
+from simulator.detector.parameters import DetectorParameters
 from simulator.detector.poisson import LARGEST_MEAN
 from simulator.randomness import stream
-from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
 
 Map = NDArray[np.float64] | NDArray[np.float32]
@@ -19,14 +19,14 @@ Map = NDArray[np.float64] | NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
-    """Fixed pattern of one device at one temperature and exposure.
+    """Fixed pattern of one device at one temperature.
 
     Parameters
     ----------
     prnu : (H, W) array or float
         Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
-    dark_e : (H, W) array or float
-        Mean dark electrons of each pixel over the exposure; a scalar where all pixels are alike.
+    dark_e_s : (H, W) array or float
+        Mean dark current of each pixel, electrons a second; a scalar where all pixels are alike.
     dead : (H, W) bool, optional
         Dead pixels and columns; None where there are none.
     hot : (H, W) bool, optional
@@ -34,17 +34,17 @@ class FixedPattern:
     """
 
     prnu: Map | float
-    dark_e: Map | float
+    dark_e_s: Map | float
     dead: NDArray[np.bool_] | None = None
     hot: NDArray[np.bool_] | None = None
 
     def single(self) -> FixedPattern:
         """The same in single precision, as frames take it: half as much to fetch from slow memory each time, and no
         pixel is known to seven digits."""
-        prnu, dark_e = (
-            map_.astype(np.float32) if isinstance(map_, np.ndarray) else map_ for map_ in (self.prnu, self.dark_e)
+        prnu, dark_e_s = (
+            map_.astype(np.float32) if isinstance(map_, np.ndarray) else map_ for map_ in (self.prnu, self.dark_e_s)
         )
-        return replace(self, prnu=prnu, dark_e=dark_e)
+        return replace(self, prnu=prnu, dark_e_s=dark_e_s)
 
     def bad_pixels(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Map of all defects, (H, W) bool: what a calibrated tracker may leave out."""
@@ -55,14 +55,14 @@ class FixedPattern:
         return bad
 
 
-def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
+def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern:
     """Draw the fixed pattern of a device.
 
     Response and dark current of a pixel are products of many small independent factors (area, thickness, coating;
     volume, generation rate, activation energy), hence log-normal with mean 1 and the relative standard deviation asked
     for: never negative at any value, without clipping. Up to a few percent this is the Gaussian by which EMVA 1288
     describes PRNU; at tens of percent it has the long upper tail of measured dark-current histograms. The dark pattern
-    scales as a whole with temperature and exposure, as the thesis has it (Greyling 1995, section 3.4.2).
+    scales as a whole with temperature, as in Greyling 1995, section 3.4.2.
 
     Hot pixels: a binomial number of different pixels, anywhere; each has an exponentially distributed dark current on
     top of the ordinary one. Hot columns: a given number of different columns, each with one such current in all of its
@@ -71,8 +71,8 @@ def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
 
     Parameters
     ----------
-    section : DetectorSection
-        Its size, exposure, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
+    detector : DetectorParameters
+        Its size, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
     seed : int
         Seed of the run; the streams are ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``dead_pixels`` and
         ``dead_columns`` of the device, so that none of them changes another's draws.
@@ -80,24 +80,22 @@ def build_fixed_pattern(section: DetectorSection, seed: int) -> FixedPattern:
     Raises
     ------
     InputError
-        When the dark signal is beyond anything that can be counted, or more columns are hot or dead than there are.
+        When the dark current is beyond anything that can be counted, or more columns are hot or dead than there are.
     """
-    shape = (section.height, section.width)
+    shape = (detector.height, detector.width)
     prnu: NDArray[np.float64] | float = 1.0
-    if section.prnu > 0:
-        prnu = _unit_mean_lognormal(section.prnu, shape, stream(seed, "prnu"))
+    if detector.prnu > 0:
+        prnu = _unit_mean_lognormal(detector.prnu, shape, stream(seed, "prnu"))
 
-    factor = section.exposure_s * dark_current_factor(
-        section.temperature_c, section.dark_reference_c, section.dark_doubling_c
-    )
-    dark: NDArray[np.float64] | float = section.dark_current_e_s * factor if section.dark_current_e_s > 0 else 0.0
-    if section.dsnu > 0 and dark > 0:
-        dark = dark * _unit_mean_lognormal(section.dsnu, shape, stream(seed, "dsnu"))
-    hot = hot_defects(section, factor, seed)
+    factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
+    dark: NDArray[np.float64] | float = detector.dark_current_e_s * factor if detector.dark_current_e_s > 0 else 0.0
+    if detector.dsnu > 0 and dark > 0:
+        dark = dark * _unit_mean_lognormal(detector.dsnu, shape, stream(seed, "dsnu"))
+    hot = hot_defects(detector, factor, seed)
     if hot is not None:
         dark = dark + hot[0]
-    _check_countable(float(np.max(dark)), section)
-    dead = dead_defects(section, seed)
+    _check_countable(float(np.max(dark)), detector)
+    dead = dead_defects(detector, seed)
     if dead is not None:
         prnu = np.where(dead, 0.0, prnu)
         dark = np.where(dead, 0.0, dark) if np.any(np.asarray(dark) > 0) else dark
@@ -108,7 +106,7 @@ def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: fl
     """Dark current relative to that at the reference temperature.
 
     2^((T − T_reference) / T_doubling): the diode law over the range in which a detector is used. It doubles every 6 to
-    8 °C in silicon of today, every 10 °C above −15 °C in the thesis (Greyling 1995, eq. 3.11).
+    8 °C in silicon of today, every 10 °C above −15 °C in Greyling 1995, eq. 3.11.
 
     Returns infinity where the power overflows.
     """
@@ -121,10 +119,10 @@ def _unit_mean_lognormal(sigma: float, shape: tuple[int, int], rng: np.random.Ge
     return np.exp(math.sqrt(variance) * rng.standard_normal(shape) - 0.5 * variance)
 
 
-def _check_countable(dark_e: float, section: DetectorSection) -> None:
-    if not dark_e <= LARGEST_MEAN:
+def _check_countable(dark_e_s: float, detector: DetectorParameters) -> None:
+    if not dark_e_s <= LARGEST_MEAN:
         raise InputError(
-            f"the dark signal comes to {dark_e:.3g} electrons a pixel at detector.temperature_c = "
-            f"{section.temperature_c:g}; lower dark_current_e_s, hot_pixel_dark_e_s, dsnu, temperature_c or "
-            "exposure_s, or raise dark_doubling_c"
+            f"the dark current comes to {dark_e_s:.3g} electrons a second and pixel at detector.temperature_c = "
+            f"{detector.temperature_c:g}; lower dark_current_e_s, hot_pixel_dark_e_s, dsnu or temperature_c, or "
+            "raise dark_doubling_c"
         )

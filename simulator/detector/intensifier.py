@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.pixels import walk
+from simulator.detector.parameters import DetectorParameters, Intensifier
+from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import SHOT_NOISE, Step
-from simulator.scenario.schema import DetectorSection, IntensifierSection
 
 __all__ = ["intensify", "multiply"]
 
@@ -20,7 +20,9 @@ FloatArray = NDArray[np.float64]
 _KERNEL_SIGMAS = 5.0
 
 
-def intensify(mean_photo_e: FloatArray, section: DetectorSection, rng: np.random.Generator) -> FloatArray:
+def intensify(
+    mean_photo_e: FloatArray, detector: DetectorParameters, exposure_s: float, rng: np.random.Generator
+) -> FloatArray:
     """Mean electrons that an intensified image makes in the detector, (H, W).
 
     Photo-electrons of the photocathode (light and dark) are counted, each multiplied by its own random gain, and
@@ -32,15 +34,17 @@ def intensify(mean_photo_e: FloatArray, section: DetectorSection, rng: np.random
     ----------
     mean_photo_e : (H, W) float64
         Mean photo-electrons of the photocathode over the exposure; overwritten.
-    section : DetectorSection
+    detector : DetectorParameters
         With an intensifier.
+    exposure_s : float
+        Exposure time.
     rng : Generator
         Draws counts and gains.
     """
-    intensifier = section.intensifier
-    mean_photo_e += intensifier.dark_e_s * section.exposure_s
-    if section.shot_noise:
-        walk(mean_photo_e, [Step(SHOT_NOISE, rng=rng)], mean_photo_e)
+    intensifier = detector.intensifier
+    mean_photo_e += intensifier.dark_e_s * exposure_s
+    if detector.shot_noise:
+        apply_steps(mean_photo_e, [Step(SHOT_NOISE, rng=rng)], mean_photo_e)
         electrons = multiply(mean_photo_e, intensifier, rng)
     else:
         electrons = mean_photo_e * intensifier.gain
@@ -52,13 +56,13 @@ def intensify(mean_photo_e: FloatArray, section: DetectorSection, rng: np.random
     return np.asarray(gaussian_filter(electrons, sigma_px, mode="reflect", truncate=_KERNEL_SIGMAS))
 
 
-def multiply(counts: FloatArray, section: IntensifierSection, rng: np.random.Generator) -> FloatArray:
+def multiply(counts: FloatArray, intensifier: Intensifier, rng: np.random.Generator) -> FloatArray:
     """Electrons out of counted photo-electrons, of the same shape.
 
     The gain of one is distributed as gamma with mean ⟨g⟩ and relative variance b (the Pólya distribution of electron
     multipliers, Prescott 1966, Nucl. Instrum. Methods 39, 173); the sum of n of them then is gamma with shape n / b
     and scale b ⟨g⟩, drawn at once.
     """
-    if section.gain_variance == 0.0:
-        return counts * section.gain
-    return rng.standard_gamma(counts / section.gain_variance) * (section.gain_variance * section.gain)
+    if intensifier.gain_variance == 0.0:
+        return counts * intensifier.gain
+    return rng.standard_gamma(counts / intensifier.gain_variance) * (intensifier.gain_variance * intensifier.gain)

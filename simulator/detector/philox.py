@@ -1,18 +1,19 @@
 """Random bits by the pixel: Philox-4x32-10, a function of a key and of a counter alone.
 
 Salmon, Moraes, Dror & Shaw (2011), "Parallel random numbers: as easy as 1, 2, 3". The key is drawn from the stream of
-the effect, the counter follows from the number of the pixel, so that a pixel's noise hangs on nothing else: no other
+the effect, the counter follows from the number of the pixel, so that a pixel's noise depends on nothing else: no other
 pixel, no order. NumPy's own generators give one number after the other; counted ones come sixteen at a time (0.3 ns for
 32 bits).
 """
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Words = NDArray[np.uint32]
+from startracker.kernels import kernel, kernel_with
+
+Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]
 Block = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
@@ -29,13 +30,13 @@ def draw_key(rng: np.random.Generator) -> Key:
     return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
 
-@numba.njit(inline="always")
+@kernel_with(inline="always")
 def _round(x0: np.uint64, x1: np.uint64, x2: np.uint64, x3: np.uint64, k0: np.uint64, k1: np.uint64) -> Block:
     p0, p1 = _MULTIPLY_0 * x0, _MULTIPLY_1 * x2
     return (p1 >> _HALF) ^ x1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ x3 ^ k1, p0 & _LOW
 
 
-@numba.njit(inline="always")
+@kernel_with(inline="always")
 def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> Block:
     """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
 
@@ -64,17 +65,18 @@ def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> 
     return x0, x1, x2, x3
 
 
-@numba.njit(cache=True, error_model="numpy")
-def fill_words(key: Key, first: np.uint64, lane: np.uint64, words: Words) -> None:
-    """Words of the N counters first, first + 1, …, into `words` (4 N,): the first of each block, then the second, …"""
-    n = words.size // 4
-    w0, w1, w2, w3 = words[:n], words[n : 2 * n], words[2 * n : 3 * n], words[3 * n : 4 * n]
+@kernel
+def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
+    """Random words of the N counters first, first + 1, …, into `bits` (4 N,): the first word of each block, then the
+    second, …"""
+    n = bits.size // 4
+    w0, w1, w2, w3 = bits[:n], bits[n : 2 * n], bits[2 * n : 3 * n], bits[3 * n : 4 * n]
     for i in range(n):
         x0, x1, x2, x3 = block(key[0], key[1], first + np.uint64(i), lane)
         w0[i], w1[i], w2[i], w3[i] = np.uint32(x0), np.uint32(x1), np.uint32(x2), np.uint32(x3)
 
 
-@numba.njit(inline="always")
+@kernel_with(inline="always")
 def further_bits(key: Key, pixel: int) -> float:
     """Uniform number in (0, 1) of 53 bits, exact in a double, that belongs to a pixel beside its word: lane 1."""
     x0, x1, _, _ = block(key[0], key[1], np.uint64(pixel), np.uint64(1))

@@ -21,18 +21,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.few import BLOCK, outside
-from simulator.detector.fused import fma
-from simulator.detector.normal import TAIL, WORD, normal_from_words, tail_words, upper_quantile
-from simulator.detector.philox import Key, Words, further_bits
+from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
+from simulator.detector.philox import Bits, Key, further_bits
+from simulator.detector.simd import BLOCK, fma, outside
+from startracker.kernels import kernel, kernel_with
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 LARGEST_MEAN = 1e18
 """Largest mean that can be counted in 64 bits with its noise."""
@@ -79,17 +77,10 @@ _STIRLING = np.array(
 """ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-@numba.njit(cache=True, error_model="numpy")
-def shot_noise(
-    signal: FloatArray,
-    key: Key,
-    first: int,
-    offset: IntArray,
-    words: Words,
-    mean: SingleArray,
-    number: SingleArray,
-) -> bool:
-    """Poisson numbers in place of a run of means; False where one of them is negative, NaN or above `LARGEST_MEAN`.
+@kernel
+def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
+    """Poisson numbers in place of the means of the pixels first, first + 1, …; False where one of them is negative,
+    NaN or above `LARGEST_MEAN`.
 
     Parameters
     ----------
@@ -97,12 +88,12 @@ def shot_noise(
         Means; changed in place.
     key : (2,) uint64
         Of the stream.
-    first, offset : int, (N,) int64
-        Their sum is the number of each pixel.
-    words : (≥ N,) uint32
-        Those of the pixels.
+    first : int
+        Number of the first pixel.
+    bits : (≥ N,) uint32
+        Random words of the pixels.
     mean, number : (≥ N,) float32
-        Room.
+        Scratch space.
     """
     n = signal.size
     if outside(signal, 0.0, LARGEST_MEAN) > 0:
@@ -113,31 +104,31 @@ def shot_noise(
     for i in range(n):
         low = np.int32(low + np.int32(mean[i] < LOWEST))
     if _FEW * (n - low) > n:
-        normal_from_words(words, number)
+        gaussian_from_bits(bits, number)
         expand(mean, number[:n])
     else:
         for i in range(n):
             number[i] = _OPEN
     if _FEW * low > n:
-        compare(words[:n], mean, number)
-    settle(signal, key, first, offset, words, number)
+        compare(bits[:n], mean, number)
+    settle(signal, key, first, bits, number)
     return True
 
 
-@numba.njit(cache=True, error_model="numpy")
-def settle(signal: FloatArray, key: Key, first: int, offset: IntArray, words: Words, number: SingleArray) -> None:
+@kernel
+def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleArray) -> None:
     """Numbers in place of the means: those found, and for the rest the quantile itself."""
     for start in range(0, signal.size, BLOCK):
         stop = min(start + BLOCK, signal.size)
         if outside(number[start:stop], _ZERO, _MOST) > 0:
             for i in range(start, stop):
                 if number[i] < _ZERO:
-                    signal[i] = quantile(words[i], further_bits(key, first + offset[i]), signal[i])
+                    signal[i] = quantile(bits[i], further_bits(key, first + i), signal[i])
     for i in range(signal.size):
         signal[i] = np.float64(number[i]) if number[i] >= _ZERO else signal[i]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def expand(mean: SingleArray, number: SingleArray) -> None:
     """Quantiles by the expansion, from the normal ones in `number` and in their place; −1 where it does not settle."""
     for i in range(number.size):
@@ -156,7 +147,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
         number[i] = whole if settled & (x > _ZERO) & (rate >= LOWEST) & (rate < HIGHEST) else _OPEN
 
 
-@numba.njit(inline="always")
+@kernel_with(inline="always")
 def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, for many numbers at once."""
     m = np.float32(np.rint(rate * _LOG2_E))
@@ -166,7 +157,7 @@ def _exp_minus(rate: np.float32) -> np.float32:
     return power
 
 
-@numba.njit(inline="always")
+@kernel_with(inline="always")
 def _next(
     rate: np.float32,
     u: np.float32,
@@ -187,13 +178,13 @@ def _next(
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
-def compare(words: Words, mean: SingleArray, number: SingleArray) -> None:
+@kernel
+def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
     """Quantiles of the means below `LOWEST` into `number`, −1 where not settled; others are left alone."""
-    for i in range(words.size):
+    for i in range(bits.size):
         rate = mean[i]
         p = _exp_minus(rate)
-        u = np.float32(words[i]) * _BELOW_LOWEST
+        u = np.float32(bits[i]) * _BELOW_LOWEST
         c, n, near = p, _ONE if u > p else _ZERO, np.float32(abs(u - p))
         p, c, n, near = _next(rate, u, 1, p, c, n, near)
         p, c, n, near = _next(rate, u, 2, p, c, n, near)
@@ -215,7 +206,7 @@ def compare(words: Words, mean: SingleArray, number: SingleArray) -> None:
         number[i] = found if rate < LOWEST else number[i]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     """Least n with P(≤ n) > u, u = (word + fraction)/2³², by the distribution function itself in double precision.
 
@@ -257,7 +248,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     return n
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def probability(n: float, mean: float) -> float:
     """Poisson probability of n, by its distance from the peak (Loader 2000): no large terms cancel."""
     if n == 0.0:
@@ -282,7 +273,7 @@ def probability(n: float, mean: float) -> float:
     return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * n)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def cumulative(n: float, mean: float) -> float:
     """P(≤ n) of Poisson's distribution."""
     term, total, k = 1.0, 1.0, n
@@ -293,7 +284,7 @@ def cumulative(n: float, mean: float) -> float:
     return float(probability(n, mean) * total)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def exceeding(n: float, mean: float) -> float:
     """P(> n) of Poisson's distribution."""
     term, total, k = 1.0, 1.0, n + 2.0

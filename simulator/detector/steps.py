@@ -1,7 +1,8 @@
-"""Effects that act on every pixel by itself, as steps: which kernel, with which numbers. `chain.py` has their order.
+"""Effects that act on every pixel by itself, as steps: which kernel, with which values. `chain.py` has their order.
 
-A row of them begins with what makes mean charge of light, if anything does: `LIGHT`, `PHOTO_RESPONSE`, `DARK_SIGNAL`.
-These alone may have a value of its own for each pixel, and are done together, while the pixels are fetched.
+A sequence of them begins with what makes mean charge of light, if anything does: `LIGHT`, `PHOTO_RESPONSE`,
+`DARK_CURRENT`. These alone may have a value of its own for each pixel, and are done together, while the pixels are
+fetched.
 """
 
 from __future__ import annotations
@@ -16,8 +17,12 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
-LIGHT, PHOTO_RESPONSE, DARK_SIGNAL, SHOT_NOISE, CLIP, NORMAL_NOISE, BEND, AMPLIFY, CONVERT = range(9)
-_BEGINNING = (LIGHT, PHOTO_RESPONSE, DARK_SIGNAL)
+TILE = 2048
+"""Pixels at a time. Part of what a seed means: pixel k takes word (k mod TILE) div (TILE/4) of the block of counter
+(k div TILE) (TILE/4) + k mod (TILE/4)."""
+
+LIGHT, PHOTO_RESPONSE, DARK_CURRENT, SHOT_NOISE, CLIP, GAUSSIAN_NOISE, BEND, AMPLIFY, CONVERT = range(9)
+_BEGINNING = (LIGHT, PHOTO_RESPONSE, DARK_CURRENT)
 _NO_MAP: SingleArray = np.zeros(0, dtype=np.float32)
 
 
@@ -38,36 +43,44 @@ def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
     return Step(kernel, map=np.ascontiguousarray(map_, dtype=np.float32).reshape(-1))
 
 
-_ALL_OF_IT, _NO_DARK = Step(PHOTO_RESPONSE, (1.0,)), Step(DARK_SIGNAL, (0.0,))
-
-
 class Collection(NamedTuple):
-    """How a row begins: mean charge = light × response + dark signal.
+    """How the pipeline begins: mean charge = light × response + dark current × exposure.
 
     Parameters
     ----------
-    light : bool
+    is_light : bool
         Whether the signal is light, which has to be finite and not negative.
-    response, dark_e : float
-        Of all pixels.
-    responses, darks_e : (N,) float32
-        Of each pixel, in place of those of all; empty where all are alike.
+    response, dark_e_s : float
+        Common to all pixels.
+    response_map : (N,) float32
+        Times `response`: of each pixel of the image, or ones for one tile, where `response_mapped` is false.
+    dark_map_e_s : (N,) float32
+        On top of `dark_e_s`: of each pixel, or zeros for one tile.
     """
 
-    light: bool
+    is_light: bool
     response: float
-    responses: SingleArray
-    dark_e: float
-    darks_e: SingleArray
+    response_map: SingleArray
+    response_mapped: bool
+    dark_e_s: float
+    dark_map_e_s: SingleArray
+    dark_mapped: bool
 
 
 def begin(steps: Sequence[Step]) -> tuple[Collection, list[Step]]:
-    """How a row begins, and what is left of it."""
+    """How the pipeline begins, and the steps that are left."""
     rest, first = list(steps), {}
     for kernel in _BEGINNING:
         if rest and rest[0].kernel == kernel:
             first[kernel] = rest.pop(0)
     if any(step.kernel in _BEGINNING for step in rest):
-        raise ValueError("light, photo response and dark signal begin a row of steps, in this order")
-    response, dark = first.get(PHOTO_RESPONSE, _ALL_OF_IT), first.get(DARK_SIGNAL, _NO_DARK)
-    return Collection(LIGHT in first, sum(response.values), response.map, sum(dark.values), dark.map), rest
+        raise ValueError("light, photo response and dark signal begin a sequence of steps, in this order")
+    response = _of_pixels(first.get(PHOTO_RESPONSE), 1.0)
+    return Collection(LIGHT in first, *response, *_of_pixels(first.get(DARK_CURRENT), 0.0)), rest
+
+
+def _of_pixels(step: Step | None, neutral: float) -> tuple[float, SingleArray, bool]:
+    """Common value, value of each pixel, and whether there is one; without a map the neutral one for a tile."""
+    if step is not None and step.map.size:
+        return neutral, step.map, True
+    return neutral if step is None else step.values[0], np.full(TILE, neutral, dtype=np.float32), False

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     return table
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     """Parallel transfer towards row 0: out[r] = Σₖ shares[k, r − k] electrons[r − k], a new array."""
     rows, columns = electrons.shape
@@ -81,7 +82,7 @@ def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def trail_columns(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     """Serial transfer towards column 0: out[:, x] = Σₖ shares[k, x − k] electrons[:, x − k], a new array."""
     rows, columns = electrons.shape

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.pixels import walk
-from simulator.detector.steps import NORMAL_NOISE, Step
-from simulator.scenario.schema import VideoSection
+from simulator.detector.parameters import Video
+from simulator.detector.pixels import apply_steps
+from simulator.detector.steps import GAUSSIAN_NOISE, Step
 
 __all__ = ["video_signal"]
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 _KERNEL_SIGMAS = 5.0
 
 
-def video_signal(signal_dn: FloatArray, section: VideoSection, rng: np.random.Generator) -> FloatArray:
+def video_signal(signal_dn: FloatArray, video: Video, rng: np.random.Generator) -> FloatArray:
     """Video signal (H, W), fractional DN: spread along the lines, with noise of the same bandwidth.
 
     The signal runs through a channel whose impulse response is a Gaussian of `line_blur_px` along the line. The noise
@@ -28,20 +28,20 @@ def video_signal(signal_dn: FloatArray, section: VideoSection, rng: np.random.Ge
     ----------
     signal_dn : (H, W) float64
         From the amplifier.
-    section : VideoSection
+    video : Video
         Noise and bandwidth.
     rng : Generator
         Draws the noise; not used without any.
     """
-    out = _band_limit(signal_dn, section.line_blur_px)
-    if section.noise_dn > 0.0:
+    out = _band_limit(signal_dn, video.line_blur_px)
+    if video.noise_dn > 0.0:
         noise = np.zeros_like(signal_dn)
-        walk(noise, [Step(NORMAL_NOISE, (1.0,), rng=rng)], noise)
-        noise = _band_limit(noise, section.line_blur_px)
+        apply_steps(noise, [Step(GAUSSIAN_NOISE, (1.0,), rng=rng)], noise)
+        noise = _band_limit(noise, video.line_blur_px)
         impulse = np.zeros(signal_dn.shape[1])
         impulse[len(impulse) // 2] = 1.0
-        left = float(np.sqrt(np.sum(_band_limit(impulse[None, :], section.line_blur_px) ** 2)))
-        out = out + noise * (section.noise_dn / left)
+        left = float(np.sqrt(np.sum(_band_limit(impulse[None, :], video.line_blur_px) ** 2)))
+        out = out + noise * (video.noise_dn / left)
     return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import overload
+from typing import Any, overload
 
 import erfa
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
+from startracker.interop import is_time, plain
 
 FloatArray = NDArray[np.float64]
 
@@ -70,12 +71,19 @@ class Clock:
         jd1, jd2 = self.tt_jd(t_s)
         return 2000.0 + ((jd1 - J2000_JD_TT) + jd2) / DAYS_PER_JULIAN_YEAR
 
-    def utc_jd(self, t_s: float) -> tuple[float, float]:
+    def elapsed_s(self, time: Any) -> float:
+        """SI seconds since the epoch, of a number of seconds, an astropy ``Quantity`` or an astropy ``Time``."""
+        if is_time(time):
+            tt = time.tt
+            return float(((tt.jd1 - self._tt[0]) + (tt.jd2 - self._tt[1])) * SECONDS_PER_DAY)
+        return float(plain(time, "s", "at_s"))
+
+    def utc_jd(self, t_s: float | FloatArray) -> tuple[Any, Any]:
         """Two-part quasi Julian date UTC (ERFA's form: a day with a leap second is one day long)."""
         tt1, tt2 = self.tt_jd(t_s)
         tai1, tai2, _ = erfa.ufunc.tttai(tt1, tt2)
         utc1, utc2, _ = erfa.ufunc.taiutc(tai1, tai2)
-        return float(utc1), float(utc2)
+        return utc1, utc2
 
     def isot(self, t_s: float) -> str:
         """UTC as ISO 8601 without a zone, rounded to milliseconds; a leap second is written as second 60."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import GyroSection
+from simulator.mission.parameters import Gyro
 
 FloatArray = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ DEG_H = math.radians(1.0) / 3600.0
 
 
 def gyro_samples(
-    section: GyroSection, turns_rad: FloatArray, step_s: float, rng: np.random.Generator
+    gyro: Gyro, turns_rad: FloatArray, step_s: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Measured mean rates over the steps of a sequence, and the true bias at their ends.
 
@@ -29,7 +29,7 @@ def gyro_samples(
 
     Parameters
     ----------
-    section : GyroSection
+    gyro : Gyro
         Its noise.
     turns_rad : array, shape (N, 3)
         True rotation vector of each step, in the gyro's axes: what a gyro whose coning is compensated adds up.
@@ -44,10 +44,10 @@ def gyro_samples(
         rad/s; the first bias is that before the first step.
     """
     constant, wander = rng.standard_normal((2, 3))
-    constant = constant * section.bias_deg_h * DEG_H
-    spread = section.bias_instability_deg_h * DEG_H
-    kept = math.exp(-step_s / section.bias_time_s)
-    fresh = math.sqrt(-math.expm1(-2.0 * step_s / section.bias_time_s))
+    constant = constant * gyro.bias_deg_h * DEG_H
+    spread = gyro.bias_instability_deg_h * DEG_H
+    kept = math.exp(-step_s / gyro.bias_time_s)
+    fresh = math.sqrt(-math.expm1(-2.0 * step_s / gyro.bias_time_s))
     biases = np.empty((len(turns_rad) + 1, 3))
     wander = wander * spread
     biases[0] = constant + wander
@@ -55,6 +55,6 @@ def gyro_samples(
     for k in range(len(turns_rad)):
         wander = kept * wander + spread * fresh * noise[k, 0]
         biases[k + 1] = constant + wander
-    white = section.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / math.sqrt(step_s) * noise[:, 1]
-    scale = 1.0 + section.scale_factor_ppm * 1e-6 * rng.standard_normal(3)
+    white = gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / math.sqrt(step_s) * noise[:, 1]
+    scale = 1.0 + gyro.scale_factor_ppm * 1e-6 * rng.standard_normal(3)
     return scale * turns_rad / step_s + 0.5 * (biases[:-1] + biases[1:]) + white, biases

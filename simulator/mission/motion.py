@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.mission.orbit import Orbit
+from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
 from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
-from simulator.scenario.schema import PointingSection, SequenceSection, SlewSection, SpinSection
 from startracker.attitude import Attitude
 
 __all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
@@ -101,7 +101,7 @@ class RateProfile:
         return turned
 
 
-def rate_profile(pointing: PointingSection, sequence: SequenceSection) -> RateProfile:
+def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> RateProfile:
     """Rate of the body against its reference over a sequence: steady rate, profile and slew in one."""
     points = np.array([p.at_s for p in sequence.rates])
     corners, speeds = _trapezoid(sequence.slew)
@@ -116,7 +116,7 @@ def rate_profile(pointing: PointingSection, sequence: SequenceSection) -> RatePr
     return RateProfile(times, rate)
 
 
-def _trapezoid(slew: SlewSection) -> tuple[FloatArray, FloatArray]:
+def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
     """Corners of a slew's speed, s and rad/s: a trapezoid whose area is the turn, or a triangle where that is short."""
     turn = math.radians(math.hypot(*slew.turn_deg))
     if turn == 0.0:
@@ -130,7 +130,7 @@ def _trapezoid(slew: SlewSection) -> tuple[FloatArray, FloatArray]:
 
 
 def motion(
-    pointing: PointingSection, sequence: SequenceSection, orbit: Orbit, start: Pointing, frames: int
+    pointing: PointingParameters, sequence: SequenceMotion, orbit: Orbit, start: Pointing, frames: int
 ) -> list[MotionState]:
     """True states at the first `frames` frames of a sequence.
 
@@ -173,7 +173,7 @@ def _inertial(start: Pointing) -> tuple[Callable[[float], Attitude], Callable[[f
     return lambda t_s: start.body, lambda t_s: np.zeros(3)
 
 
-def _spinning(spin: SpinSection) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
+def _spinning(spin: Spin) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
     """The principal axes of a body that spins freely, and their inertial rate in their own axes."""
     return lambda t_s: spin_attitude(spin, t_s), lambda t_s: spin_rate_rad_s(spin, t_s)
 

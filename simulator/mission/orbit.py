@@ -14,12 +14,12 @@ from datetime import UTC, datetime
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, teme, true_of_date
+from simulator.mission.parameters import OrbitParameters
 from simulator.mission.secular import (
     CircularElements,
     latitude_rate,
@@ -27,7 +27,6 @@ from simulator.mission.secular import (
     nodal_rate,
     sun_synchronous_inclination,
 )
-from simulator.scenario.schema import OrbitSection
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -36,8 +35,8 @@ __all__ = ["PROPAGATORS", "J2Orbit", "Orbit", "Sgp4Orbit", "build_orbit"]
 FloatArray = NDArray[np.float64]
 
 DEFAULT_LTAN_H = 22.5
-"""Local mean solar time of the ascending node where the section gives no node: 10:30, within 3° of the
-thesis' node (Ω = 155° at the vernal equinox)."""
+"""Local mean solar time of the ascending node where the section gives no node: 10:30, within 3° of
+Sunsat's node (Greyling 1995, Table 3.2: Ω = 155° at the vernal equinox)."""
 
 SPHERE_OF_INFLUENCE_KM = 925_000.0
 """Radius of the Earth's sphere of influence, a⊕ (m⊕/m☉)^(2/5); beyond it the Sun rules the orbit."""
@@ -132,36 +131,14 @@ class J2Orbit:
         t = np.asarray(t_s, dtype=float)
         cos_i, sin_i = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
         node = self.elements.raan_rad + self.nodal_rate_rad_s * t
-        u = self.elements.argument_of_latitude_rad + self._latitude_rate * t
+        u = (self.elements.argument_of_latitude_rad + self._latitude_rate * t)[..., None]
+        to_node = np.stack([np.cos(node), np.sin(node), np.zeros(t.shape)], axis=-1)
+        ahead = np.stack([-np.sin(node) * cos_i, np.cos(node) * cos_i, np.full(t.shape, sin_i)], axis=-1)
         radius = self.elements.semi_major_axis_km
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
-        r_km, v_km_s = np.empty((t.size, 3)), np.empty((t.size, 3))
-        matrices = true_of_date(self.clock, t).reshape(-1, 3, 3)
-        _on_circle(r_km, v_km_s, node.ravel(), u.ravel(), (cos_i, sin_i), (radius, speed), matrices)
-        return r_km.reshape(*t.shape, 3), v_km_s.reshape(*t.shape, 3)
-
-
-@njit(cache=True, error_model="numpy")
-def _on_circle(
-    r_km: FloatArray,
-    v_km_s: FloatArray,
-    node: FloatArray,
-    u: FloatArray,
-    tilt: tuple[float, float],
-    size: tuple[float, float],
-    matrices: FloatArray,
-) -> None:
-    """Kernel: states (N, 3) in GCRS on a circle of radius and speed `size`, at angles `u` (N,) from its `node` (N,) on
-    the equator of date, to which `matrices` (N, 3, 3) lead; `tilt`: cosine and sine of the inclination."""
-    cos_i, sin_i = tilt
-    for n in range(len(u)):
-        cos_n, sin_n, cos_u, sin_u = math.cos(node[n]), math.sin(node[n]), math.cos(u[n]), math.sin(u[n])
-        radial = (cos_n * cos_u - sin_n * cos_i * sin_u, sin_n * cos_u + cos_n * cos_i * sin_u, sin_i * sin_u)
-        ahead = (-cos_n * sin_u - sin_n * cos_i * cos_u, -sin_n * sin_u + cos_n * cos_i * cos_u, sin_i * cos_u)
-        for axis in range(3):
-            x, y, z = matrices[n, 0, axis], matrices[n, 1, axis], matrices[n, 2, axis]
-            r_km[n, axis] = size[0] * (radial[0] * x + radial[1] * y + radial[2] * z)
-            v_km_s[n, axis] = size[1] * (ahead[0] * x + ahead[1] * y + ahead[2] * z)
+        matrix = true_of_date(self.clock, t)
+        r_km = _to_gcrs(matrix, radius * (np.cos(u) * to_node + np.sin(u) * ahead))
+        return r_km, _to_gcrs(matrix, speed * (np.cos(u) * ahead - np.sin(u) * to_node))
 
 
 @dataclass(frozen=True)
@@ -232,12 +209,12 @@ PROPAGATORS: dict[str, Callable[[CircularElements, Clock], Orbit]] = {"j2": J2Or
 """Propagators by name; each makes an `Orbit` of mean elements and a clock."""
 
 
-def build_orbit(section: OrbitSection, epoch: datetime) -> Orbit:
+def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
     """Orbit of a scenario's section.
 
     Parameters
     ----------
-    section : OrbitSection
+    section : OrbitParameters
         Altitude above the equatorial radius, inclination or ``auto`` (sun-synchronous), node by right ascension or by
         local mean solar time (22.5 h where neither is given), argument of latitude, propagator.
     epoch : datetime

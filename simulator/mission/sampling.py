@@ -7,7 +7,13 @@ from __future__ import annotations
 
 import functools
 
+import numpy as np
+from numpy.typing import NDArray
+
 from simulator.randomness import stream
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 TROPICAL_YEAR_S = 365.2422 * 86_400.0
 """One turn of the seasons, and of a sun-synchronous node; Explanatory Supplement 2013."""
@@ -15,17 +21,17 @@ TROPICAL_YEAR_S = 365.2422 * 86_400.0
 _GOLDEN = 0.618_033_988_749_894_9
 
 
-def trial_time_s(sampling: str, seed: int, index: int, period_s: float) -> float:
-    """Seconds after the epoch of trial `index`.
+def trial_time_s(sampling: str, seed: int, index: IntArray, period_s: float) -> FloatArray:
+    """Seconds after the epoch of the trials `index`, of the shape of `index`.
 
     ``mission_year`` and ``orbit`` spread the trials over a year or over one round, an orbit of `period_s`, by the
     golden-ratio sequence from a random start: the first n trials are always evenly spread, whatever n (a lattice of
     lowest discrepancy in one dimension, Niederreiter 1992, chapter 3). ``sky`` stays at the epoch.
     """
     if sampling == "sky":
-        return 0.0
+        return np.zeros(np.shape(index))
     span = TROPICAL_YEAR_S if sampling == "mission_year" else period_s
-    return ((_start(seed) + index * _GOLDEN) % 1.0) * span
+    return np.asarray(((_start(seed) + np.asarray(index) * _GOLDEN) % 1.0) * span)
 
 
 @functools.lru_cache(maxsize=64)

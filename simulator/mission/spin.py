@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import SpinSection
+from simulator.mission.parameters import Spin
 from startracker.attitude import Attitude, radec_to_direction
 
 __all__ = ["cone_rate_rad_s", "spin_attitude", "spin_rate_rad_s"]
@@ -24,36 +24,36 @@ __all__ = ["cone_rate_rad_s", "spin_attitude", "spin_rate_rad_s"]
 FloatArray = NDArray[np.float64]
 
 
-def cone_rate_rad_s(section: SpinSection) -> float:
+def cone_rate_rad_s(spin: Spin) -> float:
     """Rate Ω at which the axis goes about the angular momentum, right-handed about it, rad/s."""
-    return section.inertia_ratio * math.radians(section.rate_deg_s) / math.cos(math.radians(section.cone_deg))
+    return spin.inertia_ratio * math.radians(spin.rate_deg_s) / math.cos(math.radians(spin.cone_deg))
 
 
-def spin_attitude(section: SpinSection, t_s: float) -> Attitude:
+def spin_attitude(spin: Spin, t_s: float) -> Attitude:
     """Attitude ICRS → principal axes, seconds after the epoch; these axes take the place of the local level.
 
     At rest they are east, north and the axis that stands still; the body is tilted from there onto its cone, by the
     smallest turn that does it, and turned about +Z.
     """
-    ra, dec = (math.radians(angle) for angle in section.axis_deg)
+    ra, dec = (math.radians(angle) for angle in spin.axis_deg)
     east = np.array([-math.sin(ra), math.cos(ra), 0.0])
     axis = radec_to_direction(ra, dec)
     still = Attitude.from_matrix(np.stack([east, np.cross(axis, east), axis]), "icrs", "local_level")
-    on_cone = math.radians(section.cone_phase_deg) - cone_rate_rad_s(section) * t_s  # north through east: left-handed
+    on_cone = math.radians(spin.cone_phase_deg) - cone_rate_rad_s(spin) * t_s  # north through east: left-handed
     node = np.array([-math.cos(on_cone), math.sin(on_cone), 0.0])
-    tilt = Attitude.from_rotation_vector(math.radians(section.cone_deg) * node, "local_level", "local_level")
-    angle = math.radians(section.phase_deg) + (_own_rate_rad_s(section) + cone_rate_rad_s(section)) * t_s
+    tilt = Attitude.from_rotation_vector(math.radians(spin.cone_deg) * node, "local_level", "local_level")
+    angle = math.radians(spin.phase_deg) + (_own_rate_rad_s(spin) + cone_rate_rad_s(spin)) * t_s
     turn = Attitude.from_rotation_vector([0.0, 0.0, math.remainder(angle, math.tau)], "local_level", "local_level")
     return turn @ tilt @ still
 
 
-def spin_rate_rad_s(section: SpinSection, t_s: float) -> FloatArray:
+def spin_rate_rad_s(spin: Spin, t_s: float) -> FloatArray:
     """Inertial angular velocity (3,) in principal axes, seconds after the epoch: (1 − r) ω about +Z and Ω about the
     angular momentum; its component along +Z is `rate_deg_s`."""
-    ra, dec = (math.radians(angle) for angle in section.axis_deg)
-    momentum = spin_attitude(section, t_s).apply(radec_to_direction(ra, dec))
-    return np.asarray(cone_rate_rad_s(section) * momentum + np.array([0.0, 0.0, _own_rate_rad_s(section)]))
+    ra, dec = (math.radians(angle) for angle in spin.axis_deg)
+    momentum = spin_attitude(spin, t_s).apply(radec_to_direction(ra, dec))
+    return np.asarray(cone_rate_rad_s(spin) * momentum + np.array([0.0, 0.0, _own_rate_rad_s(spin)]))
 
 
-def _own_rate_rad_s(section: SpinSection) -> float:
-    return (1.0 - section.inertia_ratio) * math.radians(section.rate_deg_s)
+def _own_rate_rad_s(spin: Spin) -> float:
+    return (1.0 - spin.inertia_ratio) * math.radians(spin.rate_deg_s)

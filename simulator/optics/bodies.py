@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
@@ -18,6 +17,7 @@ from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.kernels import kernel
 
 __all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "draw_body", "share_before_limb", "sun_angle_rad"]
 
@@ -70,7 +70,7 @@ def share_before_limb(
     return float(_share(_SHARE_SAMPLES, cosine, LAWS[law], (offset, curvature, between_rad)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
     """Kernel of `share_before_limb`: the Sun along +x, lines of samples along the way to the limb, cut where it is."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -225,7 +225,7 @@ def _samples(radius_cells: float) -> int:
     return min(max(math.ceil(256.0 / radius_cells), 2), 32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_lit_disk(
     image: FloatArray,
     centres: FloatArray,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics import pupil
+from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.psf_table import pixel_matrix, sample_grid
 from simulator.optics.zernike import NOLL
-from simulator.scenario.schema import FieldAberrationsSection, PsfSection
 
 FloatArray = NDArray[np.float64]
 
@@ -24,16 +24,16 @@ def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> flo
     return shift_um / (8.0 * f_number**2) / (wavelength_nm * 1e-3) / (2.0 * math.sqrt(3.0))
 
 
-def axial_coefficients(section: PsfSection, f_number: float) -> FloatArray:
+def axial_coefficients(psf_model: PsfModel, f_number: float) -> FloatArray:
     """Zernike coefficients (Noll 1 … 11), waves rms at `wavelength_nm`, in the middle of the field."""
     coefficients = np.zeros(pupil.TERMS)
     for name, index in NOLL.items():
-        coefficients[index - 1] = getattr(section.zernike_waves, name)
-    coefficients[NOLL["defocus"] - 1] += defocus_waves(section.defocus_um, f_number, section.wavelength_nm)
+        coefficients[index - 1] = getattr(psf_model.zernike_waves, name)
+    coefficients[NOLL["defocus"] - 1] += defocus_waves(psf_model.defocus_um, f_number, psf_model.wavelength_nm)
     return coefficients
 
 
-def field_coefficients(field: FieldAberrationsSection, h: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
+def field_coefficients(field: FieldAberrations, h: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
     """Zernike coefficients of the aberrations that grow with the field, waves rms.
 
     Third order (Welford 1986, Aberrations of Optical Systems, § 7): coma ∝ h with its axis along the radius, c h √8
@@ -41,7 +41,7 @@ def field_coefficients(field: FieldAberrationsSection, h: ArrayLike, azimuth_rad
 
     Parameters
     ----------
-    field : FieldAberrationsSection
+    field : FieldAberrations
         Values at the corners, h = 1.
     h, azimuth_rad : (...) arrays
         Distance from the centre of the image relative to the corners', and azimuth from +x (columns) to +y (rows).

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, f
         add_ellipse(image, float(x), float(y), float(radius_x), float(radius_y), float(electrons))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y: float, electrons: float) -> None:
     """Kernel: exact overlap of an ellipse along the axes with each pixel."""
     height, width = image.shape
@@ -46,7 +47,7 @@ def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y
             image[j, i] += electrons / math.pi * max(area, 0.0)  # rounding can leave −1e-17
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _corner(x: float, y: float) -> float:
     """Area of the part of the unit disk with X ≤ x and Y ≤ y."""
     x, y = min(max(x, -1.0), 1.0), min(max(y, -1.0), 1.0)
@@ -60,7 +61,7 @@ def _corner(x: float, y: float) -> float:
     return area
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _semicircle(t: float) -> float:
     """∫ √(1 − t²) dt."""
     area: float = 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel, kernel_with
 
 __all__ = ["error_function", "shares_of_pixels"]
 
@@ -36,7 +37,7 @@ def _series() -> FloatArray:
 _SERIES = _series()
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel_with(inline="always")
 def error_function(x: float) -> float:
     """Kernel: erf x of any finite or infinite x, within 4e-16."""
     size = min(abs(x), float(_END))
@@ -49,7 +50,7 @@ def error_function(x: float) -> float:
     return value if x >= 0.0 else -value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
     """Kernel: share of a Gaussian about `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
     low = error_function((first - 0.5 - centre) * scale)

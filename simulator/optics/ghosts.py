@@ -15,21 +15,32 @@ Optical Engineering* (2008), section on ghost images; the first-order formula fo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import GhostSection
 from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A pair of reflecting surfaces: share of the light, distance from the principal point against the star's, radius
+    of the disk."""
+
+    flux: float
+    scale: float
+    radius_px: float
+
 
 LEAST_ELECTRONS = 0.1
 """Ghosts of fewer electrons over their whole disk are left out."""
 
 
 def ghost_sources(
-    camera: Camera, xy: FloatArray, electrons: FloatArray, ghosts: Sequence[GhostSection]
+    camera: Camera, xy: FloatArray, electrons: FloatArray, ghosts: Sequence[Ghost]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Disks to draw for the ghosts of stars and bodies.
 
@@ -41,7 +52,7 @@ def ghost_sources(
         Places of the sources, pixels; NaN has no ghost.
     electrons : (N,) array
         Electrons of the sources over the exposure.
-    ghosts : sequence of GhostSection
+    ghosts : sequence of Ghost
         The pairs of reflecting surfaces.
 
     Returns

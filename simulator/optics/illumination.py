@@ -20,32 +20,54 @@ Am. 35 (1945) 283; R. Kingslake, *Optics in Photography* (1992), chapter 6.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.scenario.schema import VignettingSection
 from startracker.camera import Camera
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Vignetting:
+    """Which laws of vignetting hold, all off by default.
+
+    Parameters
+    ----------
+    natural : bool
+        Projected area of the pupil, cos θ.
+    mechanical_start_deg, mechanical_end_deg : float, float or None
+        Angles off the axis from which the barrel begins to close the pupil, and has closed it; None: never.
+    polynomial : (float, float, float)
+        a₁, a₂, a₃ of a measured curve.
+    """
+
+    natural: bool = False
+    mechanical_start_deg: float = 0.0
+    mechanical_end_deg: float | None = None
+    polynomial: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether everything is left as it is."""
+        return not self.natural and self.mechanical_end_deg is None and not any(self.polynomial)
+
 
 _STRIP_ROWS = 256
 _CHEBYSHEV: FloatArray = chebyshev.chebpts1(33)
 
 
-def is_off(section: VignettingSection) -> bool:
-    """Whether a section leaves everything as it is."""
-    return not section.natural and section.mechanical_end_deg is None and not any(section.polynomial)
-
-
-def relative_illumination(camera: Camera, section: VignettingSection, theta_rad: ArrayLike) -> FloatArray:
+def relative_illumination(camera: Camera, vignetting: Vignetting, theta_rad: ArrayLike) -> FloatArray:
     """Share of a star's light, against one at the principal point, by its angle from the boresight.
 
     Parameters
     ----------
     camera : Camera
         For its projection.
-    section : VignettingSection
+    vignetting : Vignetting
         Which laws hold.
     theta_rad : array
         Angles from the boresight, of any shape; NaN gives 0.
@@ -56,37 +78,37 @@ def relative_illumination(camera: Camera, section: VignettingSection, theta_rad:
     """
     theta = np.asarray(theta_rad, dtype=float)
     factor = np.ones_like(theta)
-    if section.natural:
+    if vignetting.natural:
         factor = np.maximum(np.cos(theta), 0.0)
     rho = _image_radius(camera, theta)
-    if section.mechanical_end_deg is not None:
-        start, end = _image_radius(camera, np.radians([section.mechanical_start_deg, section.mechanical_end_deg]))
+    if vignetting.mechanical_end_deg is not None:
+        start, end = _image_radius(camera, np.radians([vignetting.mechanical_start_deg, vignetting.mechanical_end_deg]))
         factor = factor * _open_share(rho, float(start), float(end))
-    if any(section.polynomial):
-        a1, a2, a3 = section.polynomial
+    if any(vignetting.polynomial):
+        a1, a2, a3 = vignetting.polynomial
         square = rho**2
         factor = factor * np.maximum(1.0 + square * (a1 + square * (a2 + square * a3)), 0.0)
     return np.where(np.isfinite(factor), factor, 0.0)
 
 
-def star_illumination(camera: Camera, section: VignettingSection, directions: ArrayLike) -> FloatArray:
+def star_illumination(camera: Camera, vignetting: Vignetting, directions: ArrayLike) -> FloatArray:
     """`relative_illumination` (N,) of unit vectors (N, 3) in camera axes."""
     v = np.atleast_2d(np.asarray(directions, dtype=float))
-    return relative_illumination(camera, section, np.arctan2(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))
+    return relative_illumination(camera, vignetting, np.arctan2(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))
 
 
-def illumination_map(camera: Camera, section: VignettingSection) -> FloatArray:
+def illumination_map(camera: Camera, vignetting: Vignetting) -> FloatArray:
     """Light of an even sky in every pixel (height, width), against that at the principal point of a lens without
     distortion: solid angle times vignetting. Pixels that see nothing are 0.
     """
     share = solid_angle_map(camera) * (camera.fx * camera.fy)
-    if is_off(section):
+    if vignetting.is_off:
         return share
     x = np.arange(camera.width, dtype=float)
     for first in range(0, camera.height, _STRIP_ROWS):
         rows = np.arange(first, min(first + _STRIP_ROWS, camera.height), dtype=float)
         directions = camera.unproject(np.stack(np.meshgrid(x, rows), axis=-1).reshape(-1, 2))
-        share[first : first + len(rows)] *= star_illumination(camera, section, directions).reshape(len(rows), -1)
+        share[first : first + len(rows)] *= star_illumination(camera, vignetting, directions).reshape(len(rows), -1)
     return share
 
 

@@ -21,11 +21,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.scenario.schema import JitterSection
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Random turning of the camera: rms angle about x, y, z (0: none), shape of its power spectrum, and its axes."""
+
+    rms_arcsec: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    psd: str = "lorentz"
+    corner_hz: float = 10.0
+    table: str | None = None
+    axes: str = "camera"
+
+    @property
+    def is_off(self) -> bool:
+        """Whether nothing turns."""
+        return not any(self.rms_arcsec)
+
 
 COMPONENTS = 256
 """Cosines an axis."""
@@ -78,8 +94,8 @@ class Spectrum:
         return np.asarray(np.interp(u, self.cumulative, self.frequency_hz), dtype=float)
 
 
-def load_spectrum(section: JitterSection, base_dir: str | Path = ".") -> Spectrum:
-    """Spectrum of a section: ``white`` up to the corner, ``lorentz`` 1/(1 + (f/corner)²), or a CSV ``table``.
+def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
+    """Spectrum: ``white`` up to the corner, ``lorentz`` 1/(1 + (f/corner)²), or a CSV ``table``.
 
     A table has the columns frequency (Hz, rising, from 0 or more) and power spectral density (any unit: `rms_arcsec`
     sets the variance); lines that begin with ``#`` or a letter are passed over.
@@ -89,13 +105,13 @@ def load_spectrum(section: JitterSection, base_dir: str | Path = ".") -> Spectru
     InputError
         When the table is missing, cannot be read, or is no spectrum.
     """
-    if section.psd == "white":
-        return Spectrum("white", section.corner_hz, section.corner_hz)
-    if section.psd == "lorentz":
-        return Spectrum("lorentz", section.corner_hz, LORENTZ_BAND * section.corner_hz)
-    if section.table is None:
+    if parameters.psd == "white":
+        return Spectrum("white", parameters.corner_hz, parameters.corner_hz)
+    if parameters.psd == "lorentz":
+        return Spectrum("lorentz", parameters.corner_hz, LORENTZ_BAND * parameters.corner_hz)
+    if parameters.table is None:
         raise InputError("pointing.jitter.psd: table needs pointing.jitter.table, a CSV file (frequency_hz, psd)")
-    path = Path(base_dir) / section.table
+    path = Path(base_dir) / parameters.table
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split(",") for line in lines if line.strip() and not line.lstrip()[0].isalpha() and line[0] != "#"]
@@ -113,7 +129,7 @@ def load_spectrum(section: JitterSection, base_dir: str | Path = ".") -> Spectru
     values = np.interp(fine, f, density / area)
     steps = np.diff(fine) * (values[1:] + values[:-1]) / 2.0
     cumulative = np.concatenate([[0.0], np.cumsum(steps)])
-    return Spectrum("table", section.corner_hz, float(f[-1]), fine, values, cumulative / cumulative[-1])
+    return Spectrum("table", parameters.corner_hz, float(f[-1]), fine, values, cumulative / cumulative[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +196,7 @@ class JitterPath:
 
 
 def draw_jitter(
-    section: JitterSection,
+    parameters: Jitter,
     spectrum: Spectrum,
     rng: np.random.Generator,
     body_to_camera: ArrayLike | None = None,
@@ -189,7 +205,7 @@ def draw_jitter(
 
     Parameters
     ----------
-    section : JitterSection
+    parameters : Jitter
         Variances and axes.
     spectrum : Spectrum
         Of `load_spectrum`.
@@ -204,12 +220,12 @@ def draw_jitter(
     where the stars' images have their centres; `JitterPath.mean` gives it and `JitterPath.centred` the rest, which
     blurs.
     """
-    if not any(section.rms_arcsec):
+    if parameters.is_off:
         return None
     parts = (np.arange(COMPONENTS)[:, None] + rng.uniform(size=(COMPONENTS, 3))) / COMPONENTS
-    sigma = np.array(section.rms_arcsec) * ARCSEC_RAD / math.sqrt(COMPONENTS)
+    sigma = np.array(parameters.rms_arcsec) * ARCSEC_RAD / math.sqrt(COMPONENTS)
     cosine, sine = rng.standard_normal((2, COMPONENTS, 3)) * sigma
-    matrix = np.asarray(body_to_camera, dtype=float) if section.axes == "body" else np.eye(3)
+    matrix = np.asarray(body_to_camera, dtype=float) if parameters.axes == "body" else np.eye(3)
     if matrix.shape != (3, 3):
         raise InputError("jitter in body axes needs the matrix (3, 3) of the mounting, body to camera")
     return JitterPath(spectrum.quantile(parts), cosine, sine, spectrum.max_hz, matrix)

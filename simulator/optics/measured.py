@@ -1,4 +1,4 @@
-"""Where a star image is measured to be: the centroid under the weight that a fit of a Gaussian gives its pixels."""
+"""Where a star image is measured to be: the mean, over its positions in a pixel, of what a fit of a Gaussian finds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import spence
+from scipy.special import erf
 
 from simulator.optics.diffraction import Images
 
@@ -14,27 +14,33 @@ __all__ = ["measured_centroid"]
 
 FloatArray = NDArray[np.float64]
 
-_STEP_PX = 0.25
 CONTRAST = 50.0
 """Photon noise over background noise (variances) in the brightest pixel of the star that defines the position: that of
 the stars that calibrations and attitudes rest upon."""
-
-_VARIANCE_SHARE = (1.0 + float(spence(1.0 + CONTRAST)) / CONTRAST) / (1.0 - math.log1p(CONTRAST) / CONTRAST)
-"""Variance of a Gaussian along one axis under the weight q g/(1 + q g), over its own: (1 + Li₂(−q)/q) / (1 −
-ln(1 + q)/q), from the integrals of q u/(1 + q u) and of that times −ln u over u = exp(−r²/2σ²) from 0 to 1."""
-_TOLERANCE_PX = 1e-5
-_MOST_STEPS = 200
+_PHASES = 7
+"""Positions in a pixel along each axis; odd, so that mirrored images have mirrored positions."""
+_LEAST_HALF_PX, _WIDTHS = 2, 2.5
+"""Half width of the fitted window, pixels and standard deviations of the Gaussian."""
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
+_POSITION, _ALL = 2, 5
+_STEP = 1e-4
+_LONGEST_STEP_PX = 0.2
+_TOLERANCE_PX = 1e-6
+_MOST_STEPS = 60
+_LEAST_VARIANCE_PX2 = 0.01
+_PIXEL_PX2, _NARROW_PX2 = 1.0 / 12.0, 0.05
+"""Variance of a pixel, and the least one at which fits start."""
 
 
 def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tuple[float, float]:
-    """Position (x, y), pixels, that a fit of a Gaussian finds for an image whose geometric centroid is at (0, 0).
+    """Position (x, y), pixels, at which fits of a Gaussian find an image whose geometric centroid is at (0, 0).
 
-    A least-squares fit of p, a symmetric star image, to the light d in pixels of variance b + p solves
-    Σ (x − c) p/(b + p) d = 0 for the centre c: a first moment under the weight p/(b + p), which is p itself for a
-    faint star and even for a bright one. The weight here is q g/(1 + q g), g = exp(−(x − c_x)²/2σ_x² −
-    (y − c_y)²/2σ_y²), q = `CONTRAST`, with the widths for which the variances of the image under the weight are those
-    of a Gaussian. Positions by much brighter and fainter stars differ: for coma by up to a third of the distance to the
-    geometric centroid.
+    A camera is calibrated with many stars at random positions in their pixels, so that the shift of its centroids from
+    the geometric one, averaged over the pixel, is part of its distortion and alignment. The image integrated over
+    pixels, at `_PHASES`² positions, is fitted with an elliptical Gaussian integrated over pixels; all are fitted again
+    with the median ellipse, as a frame's stars are; the position is the mean of these fits. Weights are 1/(1 + q p/m)
+    with p the model, m its maximum and q = `CONTRAST`. Positions of much brighter and fainter stars differ: for coma by
+    up to a third of the distance to the geometric centroid.
 
     Parameters
     ----------
@@ -45,24 +51,76 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     half_px : int
         How far from the geometric centroid the light is looked at.
     """
-    count = round(half_px / _STEP_PX)
-    at: FloatArray = np.arange(-count, count + 1, dtype=np.float64) * _STEP_PX
+    count = half_px * _PHASES
+    at: FloatArray = np.arange(-count, count + 1, dtype=np.float64) / _PHASES
     light = images.shares(spectrum, *images.matrices(at))
-    along_x, along_y = light.sum(axis=0), light.sum(axis=1)
-    total = light.sum()
-    x, y = float(along_x @ at / total), float(along_y @ at / total)
-    xx = max(float(along_x @ (at - x) ** 2 / total), 0.1)
-    yy = max(float(along_y @ (at - y) ** 2 / total), 0.1)
+    along_x, along_y = light.sum(axis=0) / light.sum(), light.sum(axis=1) / light.sum()
+    peak_y, peak_x = np.unravel_index(int(np.argmax(light)), light.shape)
+    xx = max(float(along_x @ np.minimum((at - at[peak_x]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
+    yy = max(float(along_y @ np.minimum((at - at[peak_y]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
+    half = min(max(_LEAST_HALF_PX, math.ceil(_WIDTHS * math.sqrt(max(xx, yy)))), half_px - 1)
+    pixels, stamps = _stamps(light, at, int(peak_x), int(peak_y), half)
+    fits = np.tile([at[peak_x], at[peak_y], xx, yy, 0.0], (len(stamps), 1))
+    fits = _fit(pixels, stamps, fits, _ALL)
+    fits[:, 2:] = np.median(fits[:, 2:], axis=0)
+    x, y = _fit(pixels, stamps, fits, _POSITION)[:, :2].mean(axis=0)
+    return float(x), float(y)
+
+
+def _stamps(light: FloatArray, at: FloatArray, x: int, y: int, half: int) -> tuple[FloatArray, FloatArray]:
+    """Middles of the pixels (P, 2, W), x and y, and light in them (P, W, W), of windows about the pixel nearest to the
+    peak at column x and row y of `light`, for all positions of the star in a pixel."""
+    shifts = np.arange(_PHASES) - _PHASES // 2
+    pixels, stamps = [], []
+    steps = np.arange(-half, half + 1) * _PHASES
+    for down in shifts:
+        for across in shifts:
+            rows = np.clip(y + down + steps, 0, len(at) - 1)
+            columns = np.clip(x + across + steps, 0, len(at) - 1)
+            pixels.append((at[columns], at[rows]))
+            stamps.append(light[np.ix_(rows, columns)])
+    return np.array(pixels), np.array(stamps)
+
+
+def _fit(pixels: FloatArray, stamps: FloatArray, start: FloatArray, free: int) -> FloatArray:
+    """Parameters (P, 5) x, y, variances and covariance of Gaussians, the first `free` of them fitted by Gauss-Newton;
+    the flux is fitted along."""
+    fits = start.copy()
+    data = stamps.reshape(len(stamps), -1)
     for _ in range(_MOST_STEPS):
-        core = np.exp(-((at - y) ** 2) / (2.0 * yy))[:, None] * np.exp(-((at - x) ** 2) / (2.0 * xx))
-        weighted = light * core / (1.0 + CONTRAST * core)
-        total = weighted.sum()
-        along_x, along_y = weighted.sum(axis=0) / total, weighted.sum(axis=1) / total
-        dx, dy = float(along_x @ (at - x)), float(along_y @ (at - y))
-        xx = float(along_x @ (at - x) ** 2) / _VARIANCE_SHARE
-        yy = float(along_y @ (at - y) ** 2) / _VARIANCE_SHARE
-        # the moment of a Gaussian falls short of its offset
-        x, y = x + 1.3 * dx, y + 1.3 * dy
-        if max(abs(dx), abs(dy)) < _TOLERANCE_PX:
+        shape = _gaussian(pixels, fits)
+        slopes = np.empty((free + 1, *shape.shape))
+        slopes[0] = shape
+        for k in range(free):
+            moved = np.zeros(5)
+            moved[k] = _STEP
+            slopes[k + 1] = (_gaussian(pixels, fits + moved) - _gaussian(pixels, fits - moved)) / (2.0 * _STEP)
+        flux = (shape * data).sum(axis=1) / (shape**2).sum(axis=1)
+        model = flux[:, None] * shape
+        weight = 1.0 / (1.0 + CONTRAST * model / model.max(axis=1, keepdims=True))
+        slopes[1:] *= flux[:, None]
+        normal = np.einsum("apn,pn,bpn->pab", slopes, weight, slopes)
+        right = np.einsum("apn,pn,pn->pa", slopes, weight, data - model)
+        normal[:, range(free + 1), range(free + 1)] *= 1.0 + 1e-9
+        step = np.linalg.solve(normal, right[:, :, None])[:, 1:, 0]
+        step *= np.minimum(1.0, _LONGEST_STEP_PX / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+        fits[:, :free] += step
+        fits[:, 2:4] = np.maximum(fits[:, 2:4], _LEAST_VARIANCE_PX2)
+        bound = 0.9 * np.sqrt(fits[:, 2] * fits[:, 3])
+        fits[:, 4] = np.clip(fits[:, 4], -bound, bound)
+        if np.abs(step).max() < _TOLERANCE_PX:
             break
-    return x, y
+    return fits
+
+
+def _gaussian(pixels: FloatArray, fits: FloatArray) -> FloatArray:
+    """Elliptical Gaussians (P, W²) integrated over pixels: along x exactly, by Gauss and Legendre's rule along y."""
+    x, y, xx, yy, xy = fits.T[:, :, None, None]
+    rows = (pixels[:, 1, :, None] + 0.5 * _NODES).reshape(len(fits), -1)[:, :, None] - y
+    density = np.exp(-0.5 * rows**2 / yy) / np.sqrt(2.0 * math.pi * yy)
+    columns = pixels[:, 0, None, :] - x - xy / yy * rows
+    narrow = np.sqrt(2.0 * (xx - xy**2 / yy))
+    shares = 0.5 * density * (erf((columns + 0.5) / narrow) - erf((columns - 0.5) / narrow))
+    side = pixels.shape[2]
+    integrals = np.einsum("prnc,n->prc", shares.reshape(len(fits), side, -1, side), 0.5 * _NODE_WEIGHTS)
+    return np.asarray(integrals.reshape(len(fits), -1))

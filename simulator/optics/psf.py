@@ -7,15 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
 from simulator.optics import airy, diffraction
 from simulator.optics.measured import measured_centroid
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
-from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.registry import lookup
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 SIGMA_PER_RING = 1.34985 / 3.831705970207512
 """σ of the Gaussian that fits the core of an Airy pattern, over the radius of its first dark ring: the minimax fit of
 Greyling 1995, § 4.1. His 1.34985 is in units of the argument of [2J₁(v)/v]², whose first dark ring lies at v =
-3.8317: σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as the thesis goes on to do, it belongs to a ring at 3.83 px,
+3.8317: σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as in his § 4.3.3, it belongs to a ring at 3.83 px,
 not 2.)"""
 
 WING_LIMIT_E = 0.02
@@ -57,7 +57,7 @@ _INTERPOLATION = 2e-4
 
 @dataclass(frozen=True)
 class Lens:
-    """What of lens and detector makes the image of a star, besides the section of the PSF.
+    """What of lens and detector makes the image of a star, besides the model of the PSF.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class Psf:
         return float(self.core[middle, middle].max())
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) -> FloatArray:
     """Kernel: where Gaussians whose peak is electrons (N,) / `limit_e` of the limit fall to it, and not too near."""
     out = np.empty(len(electrons))
@@ -192,7 +192,7 @@ def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:
 
 
 def build_psf(
-    section: PsfSection,
+    psf_model: PsfModel,
     f_number: float,
     pitch_um: tuple[float, float],
     obscuration: float = 0.0,
@@ -204,7 +204,7 @@ def build_psf(
 
     Parameters
     ----------
-    section : PsfSection
+    psf_model : PsfModel
         Model and width.
     f_number : float
         Focal length over aperture.
@@ -220,39 +220,39 @@ def build_psf(
     InputError
         For an unknown model, or keys that contradict each other.
     """
-    return lookup("psfs", PSFS, section.model)(section, Lens(f_number, pitch_um, obscuration, diffusion_um))
+    return lookup("psfs", PSFS, psf_model.model)(psf_model, Lens(f_number, pitch_um, obscuration, diffusion_um))
 
 
-def gaussian(section: PsfSection, lens: Lens) -> Psf:
+def gaussian(psf_model: PsfModel, lens: Lens) -> Psf:
     """Gaussian integrated exactly over pixels (products of differences of the error function).
 
     σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring of `first_dark_ring_px`, or else of
     the diffraction by a clear aperture: σ = 0.3523 r_ring (`SIGMA_PER_RING`); charge diffusion adds in square. It is
     round on the detector: with pixels that are not square σ along rows is σ × pitch_x / pitch_y pixels.
     """
-    if section.sigma_px is not None and section.first_dark_ring_px is not None:
+    if psf_model.sigma_px is not None and psf_model.first_dark_ring_px is not None:
         raise InputError("a PSF takes sigma_px or first_dark_ring_px, not both")
-    _no_aberrations(section)
-    sigma = section.sigma_px or SIGMA_PER_RING * first_dark_ring_px(section, lens)
+    _no_aberrations(psf_model)
+    sigma = psf_model.sigma_px or SIGMA_PER_RING * first_dark_ring_px(psf_model, lens)
     if lens.diffusion_um > 0.0:
         sigma = math.hypot(sigma, lens.diffusion_px)
     aspect = lens.aspect
     return Psf("gaussian", sigma, sigma * aspect, min(sigma, sigma * aspect), aspect=aspect)
 
 
-def airy_disk(section: PsfSection, lens: Lens) -> Psf:
+def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
     """Airy pattern of a circular aperture, I(r) = π/(4λ²N²(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πr/(λN),
     integrated over pixels (Born & Wolf, § 8.6.2); ε is the central obscuration.
 
     The first dark ring lies at 1.21967 λN for a clear aperture (`airy.first_ring`), or where `first_dark_ring_px` puts
-    it: defocus as the thesis models it, a pattern scaled up (Greyling 1995, § 4.1). Near the star the table is exact
+    it: defocus as a scaled pattern (Greyling 1995, § 4.1). Near the star the table is exact
     at `phases` offsets a pixel and interpolated between them (error below 5e-5 of the peak); further out the mean over
     a ring as wide as a pixel stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
     """
-    if section.sigma_px is not None:
+    if psf_model.sigma_px is not None:
         raise InputError("an Airy PSF takes first_dark_ring_px, not sigma_px; or set model: gaussian")
-    _no_aberrations(section)
-    ring, aspect, hole = first_dark_ring_px(section, lens), lens.aspect, lens.obscuration
+    _no_aberrations(psf_model)
+    ring, aspect, hole = first_dark_ring_px(psf_model, lens), lens.aspect, lens.obscuration
     lambda_n = max(ring / airy.first_ring(hole), least_lambda_n_px(aspect))
     finest, widest = lambda_n * min(1.0, aspect), lambda_n * max(1.0, aspect)
     phases = 2 * max(2, math.ceil(6.0 / finest))  # twelve a period of the highest frequency the optics pass
@@ -268,15 +268,15 @@ def airy_disk(section: PsfSection, lens: Lens) -> Psf:
     return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, wing, drawn, aspect=aspect)
 
 
-def diffracted(section: PsfSection, lens: Lens) -> Psf:
+def diffracted(psf_model: PsfModel, lens: Lens) -> Psf:
     """Image by a lens with aberrations in the middle of the field, at one wavelength, by diffraction; see
     `simulator.optics.pupil`."""
-    coefficients = diffraction.axial_coefficients(section, lens.f_number)
-    return aberrated(section, lens, coefficients, np.array([section.wavelength_nm]), np.ones((1, 1)))[0]
+    coefficients = diffraction.axial_coefficients(psf_model, lens.f_number)
+    return aberrated(psf_model, lens, coefficients, np.array([psf_model.wavelength_nm]), np.ones((1, 1)))[0]
 
 
 def aberrated(
-    section: PsfSection, lens: Lens, coefficients: FloatArray, wavelengths_nm: FloatArray, weights: FloatArray
+    psf_model: PsfModel, lens: Lens, coefficients: FloatArray, wavelengths_nm: FloatArray, weights: FloatArray
 ) -> list[Psf]:
     """PSFs of one wavefront for several spectra.
 
@@ -290,18 +290,18 @@ def aberrated(
 
     Parameters
     ----------
-    section : PsfSection
-        The section.
+    psf_model : PsfModel
+        The psf_model.
     lens : Lens
         Lens and detector.
     coefficients : (T,) array
-        Zernike coefficients (Noll 1 … T), waves rms at `section.wavelength_nm`: the same path at all wavelengths.
+        Zernike coefficients (Noll 1 … T), waves rms at `psf_model.wavelength_nm`: the same path at all wavelengths.
     wavelengths_nm : (K,) array
         Wavelengths.
     weights : (C, K) array
         Share of the electrons at each, for each spectrum; rows sum to 1.
     """
-    if section.sigma_px is not None or section.first_dark_ring_px is not None:
+    if psf_model.sigma_px is not None or psf_model.first_dark_ring_px is not None:
         raise InputError(
             "a PSF of model diffraction, or a polychromatic one, has the width of its optics: leave sigma_px and "
             "first_dark_ring_px out; defocus_um and zernike_waves put a lens out of focus"
@@ -310,7 +310,7 @@ def aberrated(
     true_px = wavelengths_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
     lambda_n = np.maximum(true_px, least_lambda_n_px(aspect))
     # the same path at all wavelengths; where λN is drawn too wide the geometric image keeps its size
-    waves = np.outer(section.wavelength_nm / wavelengths_nm * true_px / lambda_n, coefficients)
+    waves = np.outer(psf_model.wavelength_nm / wavelengths_nm * true_px / lambda_n, coefficients)
     finest, widest = float(lambda_n.min()) * min(1.0, aspect), float(lambda_n.max()) * max(1.0, aspect)
     spread = (diffraction.spread_px(waves, lambda_n, hole) + 3.0 * lens.diffusion_px) * max(1.0, aspect)
     margin = 4.0 * widest + 3.0
@@ -353,13 +353,13 @@ def aberrated(
     return psfs
 
 
-def first_dark_ring_px(section: PsfSection, lens: Lens) -> float:
+def first_dark_ring_px(psf_model: PsfModel, lens: Lens) -> float:
     """Radius of the first dark ring in pixels along columns: the chosen one, or that of the diffraction (1.21967 λN
     for a clear aperture)."""
-    if section.first_dark_ring_px is not None:
-        return section.first_dark_ring_px
-    hole = lens.obscuration if section.model != "gaussian" else 0.0
-    return airy.first_ring(hole) * section.wavelength_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
+    if psf_model.first_dark_ring_px is not None:
+        return psf_model.first_dark_ring_px
+    hole = lens.obscuration if psf_model.model != "gaussian" else 0.0
+    return airy.first_ring(hole) * psf_model.wavelength_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
 
 
 def least_lambda_n_px(aspect: float) -> float:
@@ -373,16 +373,16 @@ def stamp_half_px(least: int, wing: FloatArray, peak: float, aspect: float) -> i
     return min(max(4, least, math.ceil(reach) - 1), MAX_HALF_PX)
 
 
-def _no_aberrations(section: PsfSection) -> None:
-    nothing = PsfSection()
+def _no_aberrations(psf_model: PsfModel) -> None:
+    nothing = PsfModel()
     for key in ("zernike_waves", "defocus_um", "field"):
-        if getattr(section, key) != getattr(nothing, key):
-            raise InputError(f"a PSF of model {section.model} takes no {key}; set model: diffraction")
+        if getattr(psf_model, key) != getattr(nothing, key):
+            raise InputError(f"a PSF of model {psf_model.model} takes no {key}; set model: diffraction")
 
 
-PSFS: dict[str, Callable[[PsfSection, Lens], Psf]] = {
+PSFS: dict[str, Callable[[PsfModel, Lens], Psf]] = {
     "gaussian": gaussian,
     "airy": airy_disk,
     "diffraction": diffracted,
 }
-"""Models by name: (section, lens) → Psf."""
+"""Models by name: (psf_model, lens) → Psf."""

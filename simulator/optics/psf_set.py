@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics import diffraction
 from simulator.optics.psf import Lens, Psf, aberrated, build_psf
-from simulator.scenario.schema import FieldAberrationsSection, PsfSection
+from simulator.optics.psf_model import FieldAberrations, PsfModel
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +51,7 @@ class PsfSet:
 
     Parameters
     ----------
-    section : PsfSection
+    psf_model : PsfModel
         Model, aberrations, colours.
     lens : Lens
         Lens and detector.
@@ -59,7 +59,7 @@ class PsfSet:
         Columns and rows of the detector.
     weights_of : callable, optional
         ``weights_of(b_v (N,), edges_nm (K + 1,), giant (N,)) -> (N, K)`` electrons (or their share) that stars of these
-        colours and classes leave between edges of wavelength; needed where `section.polychromatic` is set.
+        colours and classes leave between edges of wavelength; needed where `psf_model.polychromatic` is set.
 
     Raises
     ------
@@ -68,20 +68,20 @@ class PsfSet:
     """
 
     def __init__(
-        self, section: PsfSection, lens: Lens, size_px: tuple[int, int], weights_of: WeightsOf | None = None
+        self, psf_model: PsfModel, lens: Lens, size_px: tuple[int, int], weights_of: WeightsOf | None = None
     ) -> None:
-        self._section, self._lens, self._size_px = section, lens, size_px
-        field = section.field
-        self._varies = field != FieldAberrationsSection(rings=field.rings, azimuths=field.azimuths)
-        if self._varies and section.model != "diffraction":
-            raise InputError(f"a PSF of model {section.model} takes no field aberrations; set model: diffraction")
-        if not (section.polychromatic or self._varies):
-            single = build_psf(section, lens.f_number, lens.pitch_um, lens.obscuration, lens.diffusion_um)
+        self._model, self._lens, self._size_px = psf_model, lens, size_px
+        field = psf_model.field
+        self._varies = field != FieldAberrations(rings=field.rings, azimuths=field.azimuths)
+        if self._varies and psf_model.model != "diffraction":
+            raise InputError(f"a PSF of model {psf_model.model} takes no field aberrations; set model: diffraction")
+        if not (psf_model.polychromatic or self._varies):
+            single = build_psf(psf_model, lens.f_number, lens.pitch_um, lens.obscuration, lens.diffusion_um)
             self._psfs: dict[int, list[Psf]] = {0: [single]}
-            self._colours, self._means_nm = np.array([DEFAULT_B_V]), np.array([section.wavelength_nm])
+            self._colours, self._means_nm = np.array([DEFAULT_B_V]), np.array([psf_model.wavelength_nm])
             corner = single
         else:
-            made = _spectra(section, weights_of, self._varies)
+            made = _spectra(psf_model, weights_of, self._varies)
             self._colours, self._means_nm, self._wavelengths_nm, self._weights = made
             self._psfs = {}
             self._made: dict[tuple[float, ...], list[Psf]] = {}
@@ -118,7 +118,7 @@ class PsfSet:
             Every star is in one group; with a single image there is one group, of all stars.
         """
         xy = np.asarray(xy, dtype=float)
-        if not (self._section.polychromatic or self._varies):
+        if not (self._model.polychromatic or self._varies):
             return [(np.arange(len(xy)), self._psfs[0][0])]
         colour = np.asarray(b_v, dtype=float)
         colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
@@ -148,7 +148,7 @@ class PsfSet:
         """
         xy = np.asarray(xy, dtype=float)
         count = len(self._means_nm)
-        if not (self._section.polychromatic or self._varies):
+        if not (self._model.polychromatic or self._varies):
             return [(np.arange(len(xy)), np.ones(len(xy)), self._psfs[0][0])]
         zone, stars = self.zones(xy) * count, np.arange(len(xy))
         at = np.interp(np.asarray(wavelength_nm, dtype=float), self._means_nm, np.arange(count))
@@ -168,7 +168,7 @@ class PsfSet:
         """Zone of each place: 0 in the middle, then ring by ring, each from azimuth 0 on."""
         if not self._varies:
             return np.zeros(len(xy), dtype=np.int64)
-        field = self._section.field
+        field = self._model.field
         h, azimuth = self._polar(np.asarray(xy, dtype=float))
         # the middle zone reaches to half a ring; then rings of equal width, the last about the corners
         ring = np.minimum(np.floor(np.minimum(h, 1.0) * field.rings + 0.5).astype(np.int64), field.rings)
@@ -178,11 +178,11 @@ class PsfSet:
     @property
     def coloured(self) -> bool:
         """Whether images depend on the spectra of the stars."""
-        return self._section.polychromatic
+        return self._model.polychromatic
 
     @property
     def _zone_count(self) -> int:
-        return 1 + self._section.field.rings * self._section.field.azimuths if self._varies else 1
+        return 1 + self._model.field.rings * self._model.field.azimuths if self._varies else 1
 
     def _polar(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance from the centre of the image relative to the corners', and azimuth from 0 to 2π."""
@@ -196,9 +196,9 @@ class PsfSet:
     def _zone(self, zone: int) -> list[Psf]:
         """The images of a zone, one for each colour."""
         if zone not in self._psfs:
-            field = self._section.field
+            field = self._model.field
             ring, sector = (0, 0) if zone == 0 else divmod(zone - 1 + field.azimuths, field.azimuths)
-            coefficients = diffraction.axial_coefficients(self._section, self._lens.f_number)
+            coefficients = diffraction.axial_coefficients(self._model, self._lens.f_number)
             if self._varies:
                 turned = sector * math.tau / field.azimuths
                 coefficients = coefficients + diffraction.field_coefficients(field, ring / field.rings, turned)
@@ -216,7 +216,7 @@ class PsfSet:
             made = self._made.get(_key(diffraction.mirrored(coefficients, swap, sign_x, sign_y)))
             if made is not None:
                 return [_mirrored(psf, swap, sign_x, sign_y) for psf in made]
-        made = aberrated(self._section, self._lens, coefficients, self._wavelengths_nm, self._weights)
+        made = aberrated(self._model, self._lens, coefficients, self._wavelengths_nm, self._weights)
         self._made[_key(coefficients)] = made
         return made
 
@@ -239,7 +239,7 @@ def _mirrored(psf: Psf, swap: bool, sign_x: int, sign_y: int) -> Psf:
 
 
 def build_psf_set(
-    section: PsfSection,
+    psf_model: PsfModel,
     f_number: float,
     pitch_um: tuple[float, float],
     size_px: tuple[int, int],
@@ -249,11 +249,11 @@ def build_psf_set(
     weights_of: WeightsOf | None = None,
 ) -> PsfSet:
     """The PSFs of a scenario; parameters as in `simulator.optics.psf.Lens` and `PsfSet`."""
-    return PsfSet(section, Lens(f_number, pitch_um, obscuration, diffusion_um), size_px, weights_of)
+    return PsfSet(psf_model, Lens(f_number, pitch_um, obscuration, diffusion_um), size_px, weights_of)
 
 
 def _spectra(
-    section: PsfSection, weights_of: WeightsOf | None, varies: bool
+    psf_model: PsfModel, weights_of: WeightsOf | None, varies: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """B−V (C,) and mean wavelengths (C,), rising, of spectra; wavelengths (K,) of their images and weights (C, K).
 
@@ -261,11 +261,13 @@ def _spectra(
     the electrons at λ count for four nodes by Lagrange's weights (some of them negative), and the sum over a spectrum
     is good to 1e-3 of the peak with seven nodes. They are spread over all but 0.05 % of the electrons on each side.
     """
-    if not section.polychromatic:
-        one = np.array([section.wavelength_nm])
+    if not psf_model.polychromatic:
+        one = np.array([psf_model.wavelength_nm])
         return np.array([DEFAULT_B_V]), one, one, np.ones((1, 1))
-    if section.model not in ("airy", "diffraction"):
-        raise InputError(f"a PSF of model {section.model} is the same in every colour; set model: airy or diffraction")
+    if psf_model.model not in ("airy", "diffraction"):
+        raise InputError(
+            f"a PSF of model {psf_model.model} is the same in every colour; set model: airy or diffraction"
+        )
     if weights_of is None:
         raise InputError("a polychromatic PSF needs the spectra of the stars: pass weights_of")
     b_v, giant = np.array(FEW_SPECTRA_MADE if varies else SPECTRA_MADE).T

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simulator.optics import pupil
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def least_radius(half: int, aspect: float) -> float:
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fade(r: float, radius: float) -> float:
     """1 to `radius`, 0 from `radius` + `TAPER_PX` on, smooth (3t² − 2t³) between."""
     t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)
@@ -175,7 +175,7 @@ def _fades(r: FloatArray, radius: float) -> FloatArray:
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def outside(
     at_px: FloatArray, half: int, wing: FloatArray, wing_per_px: float, row_px: float, radius: float
 ) -> FloatArray:

@@ -150,7 +150,7 @@ def frame_transfer_smear(
         Exposure time.
     line_time_s : float
         Time a line of charge stands in each row of the transfer. A full-frame CCD that is read out under light has the
-        time of reading a whole line here, 1/9.6 kHz for the thesis' TC211 (Greyling 1995, section 6.2).
+        time of reading a whole line here, 1/9.6 kHz for a TC211 (Greyling 1995, section 6.2).
     direction : str
         ``up``: charge leaves past row 0; ``down``: past the last row.
     phases : str

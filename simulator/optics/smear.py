@@ -6,12 +6,12 @@ import functools
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.jitter import JitterPath
 from startracker.camera import Camera
 from startracker.image_map import ImageMap, to_pixels
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def star_paths(
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
     if jitter is None:
         nodes, weights = exposure_nodes(streak_px, feature_px)
-        xy = _turning_places(directions, turn, nodes / 2.0, math.cos(limit_rad), camera.image_map)
+        xy = _turning_positions(directions, turn, nodes / 2.0, math.cos(limit_rad), camera.image_map)
         return np.asarray(xy), weights
     wander_px = wander_length_px(camera, jitter, exposure_s, limit_rad)
     nodes, weights = exposure_nodes(streak_px + wander_px, feature_px, jitter.max_hz * exposure_s)
@@ -139,7 +139,7 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
         return 0.0
     # of a turn by θ a chord misses θ²/24 of its arc: few suffice for the small turns of most exposures
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
-    return float(_longest_turning(directions, turn, _ends(chords), math.cos(limit_rad), camera.image_map))
+    return float(_longest(_turning_positions(directions, turn, _ends(chords), math.cos(limit_rad), camera.image_map)))
 
 
 @functools.lru_cache(maxsize=64)
@@ -148,7 +148,7 @@ def _ends(chords: int) -> FloatArray:
     return np.arange(-chords, chords + 1, 2) / (2.0 * chords)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest(xy: FloatArray) -> float:
     """Kernel: length of the longest of paths (N, K, 2); chords from or to a NaN do not count."""
     longest = 0.0
@@ -163,26 +163,17 @@ def _longest(xy: FloatArray) -> float:
     return longest
 
 
-@njit(cache=True, error_model="numpy")
-def _turning_places(
+@kernel
+def _turning_positions(
     directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float, image: ImageMap
 ) -> FloatArray:
     """Kernel: pixels (N, K, 2) of `_turned` by the rotation vectors `moments` (K,) × `turn`."""
     vectors = _turned(directions, _rotations(turn, moments), least_z)
-    places: FloatArray = to_pixels(vectors, image).reshape(len(directions), len(moments), 2)
-    return places
+    positions: FloatArray = to_pixels(vectors, image).reshape(len(directions), len(moments), 2)
+    return positions
 
 
-@njit(cache=True, error_model="numpy")
-def _longest_turning(
-    directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float, image: ImageMap
-) -> float:
-    """Kernel: `_longest` of the paths of `_turning_places`."""
-    length: float = _longest(_turning_places(directions, turn, moments, least_z, image))
-    return length
-
-
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turned(directions: FloatArray, rotations: FloatArray, least_z: float) -> FloatArray:
     """Kernel: (N K, 3) directions (N, 3) turned by each matrix (K, 3, 3); NaN where z comes out below `least_z`."""
     out = np.empty((len(directions) * len(rotations), 3))
@@ -209,7 +200,7 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
     """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` × `turn`."""
     out = np.zeros((len(moments), 3, 3))
@@ -217,9 +208,11 @@ def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
     x, y, z = (turn[0] / angle, turn[1] / angle, turn[2] / angle) if angle > 0.0 else (0.0, 0.0, 0.0)
     for k in range(len(moments)):
         sine, versine = math.sin(angle * moments[k]), 2.0 * math.sin(0.5 * angle * moments[k]) ** 2
-        out[k, 0] = 1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y
-        out[k, 1] = versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x
-        out[k, 2] = versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y)
+        out[k, 0, 0], out[k, 0, 1] = 1.0 - versine * (y * y + z * z), versine * x * y - sine * z
+        out[k, 0, 2], out[k, 1, 2] = versine * x * z + sine * y, versine * y * z - sine * x
+        out[k, 1, 0], out[k, 1, 1] = versine * x * y + sine * z, 1.0 - versine * (x * x + z * z)
+        out[k, 2, 0], out[k, 2, 1] = versine * x * z - sine * y, versine * y * z + sine * x
+        out[k, 2, 2] = 1.0 - versine * (x * x + y * y)
     return out
 
 

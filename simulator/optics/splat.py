@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS, fade
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def add_stars(image: FloatArray, xy: FloatArray, weights: FloatArray, electrons:
         )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_gaussians(
     image: FloatArray,
     xy: FloatArray,
@@ -112,7 +112,7 @@ def add_gaussians(
                     image[j, left + i] += line * column[i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_tabulated(
     image: FloatArray,
     xy: FloatArray,
@@ -191,7 +191,7 @@ def add_tabulated(
             _add_stamp(image, stamp, drawn_x, drawn_y, half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill(stamp: FloatArray, amount: float) -> None:
     """Scale a stamp to hold an amount of light."""
     held = stamp.sum()
@@ -199,7 +199,7 @@ def _fill(stamp: FloatArray, amount: float) -> None:
         stamp *= amount / held
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: int, half: int) -> None:
     """Add the part of a square stamp that lies on the image."""
     height, width = image.shape
@@ -211,7 +211,7 @@ def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: in
             image[j, i] += stamp[start + i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _lagrange(out: FloatArray, position: float, scale: float) -> int:
     """Weights of TAPS points around `position` on a grid of whole numbers, times `scale`; returns the first point."""
     first = math.floor(position) - TAPS // 2 + 1
@@ -225,7 +225,7 @@ def _lagrange(out: FloatArray, position: float, scale: float) -> int:
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_wings(
     image: FloatArray,
     lines: FloatArray,
@@ -268,7 +268,7 @@ def _add_wings(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_wing(
     image: FloatArray,
     lines: FloatArray,
@@ -334,7 +334,7 @@ def _add_wing(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _wing_row(
     line: FloatArray, left: int, right: int, x: float, dy: float, amount: float, wing: FloatArray, wing_per_px: float
 ) -> None:
@@ -351,7 +351,7 @@ def _wing_row(
         pixels[i] = amount * (low + (position - np.int32(position)) * (wing[m + np.uint32(1)] - low))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _wing_rim(
     line: FloatArray,
     left: int,

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.scenario.schema import BaffleSection
 from startracker.errors import InputError
 
 __all__ = ["Baffle", "build_baffle", "stray_light_e_s_pixel"]
@@ -71,8 +70,14 @@ class Baffle:
         return sorted(found)
 
 
-def build_baffle(section: BaffleSection, base_dir: str | Path | None = None) -> Baffle | None:
-    """Baffle of a scenario; None, and so no stray light, where `pst` is null.
+def build_baffle(
+    pst: str | None,
+    sun_exclusion_deg: float,
+    moon_exclusion_deg: float,
+    earth_exclusion_deg: float,
+    base_dir: str | Path | None = None,
+) -> Baffle | None:
+    """A baffle; None, and so no stray light, where `pst` is None.
 
     ``pst: vane`` is a model: log PST falls linearly with the angle from 10⁻³ on the boresight to 10⁻⁹ at the Sun's
     exclusion angle, keeps that to 90° and is zero behind. Anything else is a CSV file with the header
@@ -80,8 +85,10 @@ def build_baffle(section: BaffleSection, base_dir: str | Path | None = None) -> 
 
     Parameters
     ----------
-    section : BaffleSection
-        ``optics.baffle``.
+    pst : str or None
+        Point-source transmittance: ``vane`` or a CSV file.
+    sun_exclusion_deg, moon_exclusion_deg, earth_exclusion_deg : float
+        Exclusion angles.
     base_dir : path, optional
         Folder that a relative path starts from.
 
@@ -90,17 +97,17 @@ def build_baffle(section: BaffleSection, base_dir: str | Path | None = None) -> 
     InputError
         For a file that is missing or wrong (with its line).
     """
-    if section.pst is None:
+    if pst is None:
         return None
     exclusion = {
-        "Sun": math.radians(section.sun_exclusion_deg),
-        "Moon": math.radians(section.moon_exclusion_deg),
-        "Earth": math.radians(section.earth_exclusion_deg),
+        "Sun": math.radians(sun_exclusion_deg),
+        "Moon": math.radians(moon_exclusion_deg),
+        "Earth": math.radians(earth_exclusion_deg),
     }
-    if section.pst == "vane":
-        points = [(0.0, IN_FIELD_PST), (section.sun_exclusion_deg, BEYOND_EXCLUSION_PST), (90.0, BEYOND_EXCLUSION_PST)]
+    if pst == "vane":
+        points = [(0.0, IN_FIELD_PST), (sun_exclusion_deg, BEYOND_EXCLUSION_PST), (90.0, BEYOND_EXCLUSION_PST)]
     else:
-        points = _read(Path(base_dir or ".") / section.pst)
+        points = _read(Path(base_dir or ".") / pst)
     table = np.array(points)
     return Baffle(np.radians(table[:, 0]), table[:, 1], exclusion)
 

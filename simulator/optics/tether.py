@@ -1,11 +1,11 @@
 """A tether before the camera: a thin, straight, matt cylinder lit by Sun or Moon, out of focus where it is near.
 
-An element ds of a Lambert cylinder of diameter D and albedo A at the distance d, its axis at the angles β_l to the lamp
-and β_o to the camera, sends towards the camera the share
+An element ds of a Lambert cylinder of diameter D and albedo A at the distance d, its axis at the angles β_s to the
+source and β_o to the camera, sends towards the camera the share
 
-    dE / E_lamp = A / π · sin β_l sin β_o · D / 4 · [(π − φ) cos φ + sin φ] · ds / d²
+    dE / E_source = A / π · sin β_s sin β_o · D / 4 · [(π − φ) cos φ + sin φ] · ds / d²
 
-of its light, φ being the angle between lamp and camera as seen along the axis: the integral of cos i cos e over what
+of its light, φ being the angle between source and camera as seen along the axis: the integral of cos i cos e over what
 is both lit and seen (φ = 0: lit from behind the camera; φ = π: from ahead, dark). A lens of aperture a focused on
 infinity spreads a point at the depth z into an even disk of the angular diameter a / z.
 """
@@ -18,12 +18,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import TetherSection
 from startracker.camera import Camera
 
-__all__ = ["TetherPoints", "cylinder_share", "tether_points"]
+__all__ = ["Tether", "TetherPoints", "cylinder_share", "tether_points"]
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tether:
+    """A straight tether: diameter (0: none), its ends in camera axes (along columns, along rows, ahead), albedo."""
+
+    diameter_mm: float = 0.0
+    near_m: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    far_m: tuple[float, float, float] = (0.0, 0.0, 1000.0)
+    albedo: float = 0.5
+
 
 _STEP_PX = 0.5
 """Distance of the points by which the tether is drawn."""
@@ -38,7 +48,7 @@ class TetherPoints:
     direction : array, shape (N, 3)
         Unit vectors in camera axes.
     share : array, shape (N,)
-        Irradiance at the lens over that of the lamp.
+        Irradiance at the lens over that of the source.
     blur_rad : array, shape (N,)
         Angular radius of the disk out of focus.
     """
@@ -48,21 +58,21 @@ class TetherPoints:
     blur_rad: FloatArray
 
 
-def tether_points(section: TetherSection, camera: Camera, aperture_mm: float, lamp: FloatArray) -> TetherPoints:
+def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: FloatArray) -> TetherPoints:
     """Pieces of a tether, half a pixel long in the middle of the image.
 
     Parameters
     ----------
-    section : TetherSection
+    tether : Tether
         With a diameter; both ends before the lens, and not in one line with it, which scenarios are checked for.
     camera : Camera
         Gives the size of a pixel.
     aperture_mm : float
         Diameter of the lens.
-    lamp : array, shape (3,)
+    source : array, shape (3,)
         Unit vector to Sun or Moon, camera axes.
     """
-    near, far = np.array(section.near_m), np.array(section.far_m)
+    near, far = np.array(tether.near_m), np.array(tether.far_m)
     length = float(np.linalg.norm(far - near))
     axis = (far - near) / length
     foot = near - (near @ axis) * axis  # nearest point of its line to the lens
@@ -74,27 +84,27 @@ def tether_points(section: TetherSection, camera: Camera, aperture_mm: float, la
     direction = np.cos(middle)[:, None] * (foot / distance) + np.sin(middle)[:, None] * axis
     range_m = distance / np.cos(middle)
     piece_m = distance * np.diff(np.tan(edges))
-    share = cylinder_share(axis, lamp, direction, section.diameter_mm * 1e-3, section.albedo) * piece_m / range_m**2
+    share = cylinder_share(axis, source, direction, tether.diameter_mm * 1e-3, tether.albedo) * piece_m / range_m**2
     return TetherPoints(direction, share, 0.5e-3 * aperture_mm / (range_m * direction[:, 2]))
 
 
 def cylinder_share(
-    axis: FloatArray, lamp: FloatArray, direction: FloatArray, diameter_m: float, albedo: float
+    axis: FloatArray, source: FloatArray, direction: FloatArray, diameter_m: float, albedo: float
 ) -> FloatArray:
-    """dE / E_lamp · d² / ds (N,), m: what a metre of a Lambert cylinder sends of the lamp's light, at one metre.
+    """dE / E_source · d² / ds (N,), m: what a metre of a Lambert cylinder sends of the source's light, at one metre.
 
     Parameters
     ----------
-    axis, lamp : array, shape (3,)
-        Unit vectors along the cylinder and to the lamp.
+    axis, source : array, shape (3,)
+        Unit vectors along the cylinder and to the source.
     direction : array, shape (N, 3)
         Unit vectors from the lens to the elements.
     """
-    across_lamp = lamp - (lamp @ axis) * axis
+    across_source = source - (source @ axis) * axis
     across_camera = -direction + (direction @ axis)[:, None] * axis
-    sine_lamp, sine_camera = float(np.linalg.norm(across_lamp)), np.linalg.norm(across_camera, axis=1)
-    product = sine_lamp * sine_camera  # sin β_l sin β_o, which cos φ is to be multiplied with
-    cosine = np.divide(across_camera @ across_lamp, product, out=np.zeros_like(product), where=product > 0.0)
+    sine_source, sine_camera = float(np.linalg.norm(across_source)), np.linalg.norm(across_camera, axis=1)
+    product = sine_source * sine_camera  # sin β_s sin β_o, which cos φ is to be multiplied with
+    cosine = np.divide(across_camera @ across_source, product, out=np.zeros_like(product), where=product > 0.0)
     phase = np.arccos(np.clip(cosine, -1.0, 1.0))
     form = (math.pi - phase) * np.cos(phase) + np.sin(phase)
     return np.asarray(albedo / math.pi * product * diameter_m / 4.0 * form)

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from simulator.scenario.schema import ThermalSection
 from startracker.camera import Camera
 
 
-def true_camera(calibrated: Camera, section: ThermalSection) -> Camera:
-    """Camera at `section.temperature_c`; `calibrated` itself where nothing has changed."""
-    change = section.expansion_ppm_k * 1e-6 * (section.temperature_c - section.reference_c)
+def true_camera(calibrated: Camera, expansion_ppm_k: float, warmer_k: float) -> Camera:
+    """Camera at a temperature `warmer_k` above that of its calibration; itself where nothing has changed."""
+    change = expansion_ppm_k * 1e-6 * warmer_k
     if change == 0.0:
         return calibrated
     return replace(calibrated, fx=calibrated.fx * (1.0 + change), fy=calibrated.fy * (1.0 + change))

@@ -111,7 +111,7 @@ def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
             for name, info in section.model_fields.items()
         ]
     else:
-        words = _parameter_docs(section.__doc__ or "")
+        words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
         rows = [(f.name, f.default, words.get(f.name, "")) for f in dataclasses.fields(cast(Any, section))]
     for name, default, description in rows:
         annotation = limits.get(name, hints[name])

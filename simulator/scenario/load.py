@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -22,6 +23,8 @@ from simulator.scenario.errors import Place, Problem, ScenarioError
 from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.overrides import apply_overrides, merge, set_option
 from simulator.scenario.schema import ScenarioModel
+from startracker.errors import InputWarning
+from startracker.identification_settings import unread_keys
 
 FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
 """Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
@@ -298,7 +301,17 @@ def _build(
             problems.append(Problem(_place_of(tree, path), path, message))
     if problems:
         raise ScenarioError(problems)
+    for problem in _unread(tree, flat):
+        warnings.warn(str(problem), InputWarning, stacklevel=3)
     return cls.model_validate(nest(flat))
+
+
+def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:
+    """What is asked of the identification, other than its defaults, and not read by the identifier."""
+    identifier = flat["tracker.identifier"]
+    keys = (f"tracker.identification.{name}" for name in unread_keys(identifier))
+    message = f"the identifier '{identifier}' does not read it"
+    return [Problem(_place_of(tree, key), key, message) for key in keys if flat[key] != _KEYS[key].default]
 
 
 def _advice(violation: physics.Violation) -> str:

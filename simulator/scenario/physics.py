@@ -297,7 +297,7 @@ def _guide_stars(v: Values) -> Iterator[Violation]:
 
 def _least_and_most(low: str, high: str) -> Rule:
     def rule(v: Values) -> Iterator[Violation]:
-        if v[high] < v[low]:
+        if v[high] is not None and v[high] < v[low]:
             yield _impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")
 
     return rule

@@ -30,7 +30,7 @@ from simulator.scenario.schema_sequence import (
     SequenceSection,
     SlewSection,
 )
-from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, OperationSettings
+from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
 __all__ = [
     "KNOB_LIMITS",
@@ -179,8 +179,8 @@ class TrackerSection(Section):
     """Knobs of the detection."""
     centroid: CentroidSettings = CentroidSettings()
     """Knobs of the centroiding."""
-    identification: IdentificationSettings = IdentificationSettings()
-    """Knobs of the identification."""
+    identification: AnyIdentificationSettings = AnyIdentificationSettings()
+    """Knobs of the identification; those that the `identifier` does not read are named when the scenario is loaded."""
 
 
 class StudySection(Section):
@@ -190,7 +190,10 @@ class StudySection(Section):
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
     """``mission_year``: times spread over a year; ``orbit``: over one orbit, or one turn of a body that spins; ``sky``:
-    random attitudes at the epoch, with no Earth in the way."""
+    random attitudes at the epoch."""
+    sky_without_earth: bool = True
+    """With `sampling: sky` and no `pointing.target`: leave the Earth out, which would hide a third of the sky; it then
+    neither hides nor shines. False: as `sky.earth` says."""
 
 
 class SpecificationSection(Section):
@@ -255,11 +258,11 @@ KNOB_LIMITS: dict[type, dict[str, Any]] = {
         "window_px": Annotated[int, Field(ge=3, le=101)],
         "psf_sigma_px": Positive | None,
     },
-    IdentificationSettings: {
+    AnyIdentificationSettings: {
         "separation_tolerance_deg": Positive | None,
         "magnitude_tolerance": Positive,
         "min_stars": Annotated[int, Field(ge=2)],
-        "max_stars": Annotated[int, Field(ge=2)],
+        "max_stars": Annotated[int, Field(ge=2)] | None,
         "group_threshold": Count,
         "max_groups_per_star": Count,
         "close_pair_deg": NonNegative,

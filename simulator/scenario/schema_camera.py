@@ -54,8 +54,8 @@ class PsfSection(Section):
     sigma_px: Positive | None = None
     """Standard deviation of the Gaussian, pixels along columns."""
     first_dark_ring_px: Positive | None = None
-    """Radius of the first dark ring, pixels: defocus as the thesis chooses it (2.0). Left out, an Airy image is
-    diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits that Airy."""
+    """Radius of the first dark ring, pixels: defocus as a scaled pattern (Greyling 1995: 2.0). Left out, an Airy image
+    is diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits that Airy."""
     wavelength_nm: Positive = 600.0
     """Effective wavelength of the diffraction."""
     polychromatic: bool = False

@@ -53,7 +53,7 @@ def relative_albedo(name: str, wavelength_nm: FloatArray) -> FloatArray:
     bodies without one.
 
     The published albedo of a wide band is a mean over it. The values at the effective wavelengths of U, B, V, Rc and Ic
-    are drawn up or down until the means of sunlight reflected in Bessell's bands are those published (steep albedos, as
+    are scaled until the means of sunlight reflected in Bessell's bands are those published (steep albedos, as
     of Uranus, are otherwise 0.1 mag off in V − Rc).
     """
     bands = _table().get(name)

@@ -23,7 +23,7 @@ from startracker.catalog import load_catalog
 from startracker.distortion import Distortion
 
 if TYPE_CHECKING:
-    from simulator.scenario.schema import SkySection
+    from simulator.sky.parameters import Sky
 
 __all__ = [
     "ECLIPTIC",
@@ -75,8 +75,8 @@ _GRID_PX = 32
 _LEAST_ELONGATION_DEG = 1.0
 
 
-def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, section: SkySection) -> FloatArray:
-    """Brightness (N,) of the diffuse sky, S10, by the section's `background_model`.
+def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, sky: Sky) -> FloatArray:
+    """Brightness (N,) of the diffuse sky, S10, by its `background_model`.
 
     ``constant``: `background_s10` everywhere. ``leinert1998``: `zodiacal_s10` plus `starlight_s10`.
 
@@ -86,19 +86,19 @@ def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, section:
         Unit vectors, ICRS.
     sun_direction : array_like, shape (3,)
         Apparent direction of the Sun, ICRS.
-    section : SkySection
+    sky : Sky
         Its `background`, `background_model`, `background_s10`, `catalog`, `magnitude_limit`.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
-    if not section.background:
+    if not sky.background:
         return np.zeros(len(directions))
-    if section.background_model == "constant":
-        return np.full(len(directions), section.background_s10)
-    return zodiacal_s10(directions, sun_direction) + starlight_s10(directions, section.catalog, section.magnitude_limit)
+    if sky.background_model == "constant":
+        return np.full(len(directions), sky.background_s10)
+    return zodiacal_s10(directions, sun_direction) + starlight_s10(directions, sky.catalog, sky.magnitude_limit)
 
 
 def diffuse_sky_s10(
-    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection
+    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 ) -> float | FloatArray:
     """All diffuse light in the field, S10: the sky, the Earth before it and the Earth's limb.
 
@@ -110,22 +110,22 @@ def diffuse_sky_s10(
         Projection; ICRS → camera at mid-exposure.
     r_km, sun_direction : array_like, shape (3,)
         Position of the spacecraft (GCRS); direction of the Sun.
-    section : SkySection
-        The scenario's ``sky``.
+    sky : Sky
+        What shines, and the Earth.
     """
-    earth = earth_radiance_map(camera, attitude, r_km, sun_direction, section)
-    even = section.background_model == "constant" or not section.background
-    sky: float | FloatArray = section.background_s10 if section.background else 0.0
+    earth = earth_radiance_map(camera, attitude, r_km, sun_direction, sky)
+    even = sky.background_model == "constant" or not sky.background
+    beyond: float | FloatArray = sky.background_s10 if sky.background else 0.0
     if not even:
-        sky = background_map(camera, attitude, sun_direction, section)
+        beyond = background_map(camera, attitude, sun_direction, sky)
     if earth is None:
-        return sky
+        return beyond
     s10, hidden = earth
-    return np.where(hidden, 0.0, sky) + s10
+    return np.where(hidden, 0.0, beyond) + s10
 
 
 def background_map(
-    camera: Camera, attitude: Attitude, sun_direction: ArrayLike, section: SkySection, grid_px: int = _GRID_PX
+    camera: Camera, attitude: Attitude, sun_direction: ArrayLike, sky: Sky, grid_px: int = _GRID_PX
 ) -> FloatArray:
     """Brightness (height, width) of the diffuse sky in every pixel, S10.
 
@@ -139,7 +139,7 @@ def background_map(
         Projection.
     attitude : Attitude
         ICRS → camera at mid-exposure.
-    sun_direction, section
+    sun_direction, sky
         As in `sky_brightness_s10`.
     """
     x = np.unique(np.append(np.arange(0, camera.width, grid_px), camera.width - 1)).astype(float)
@@ -149,9 +149,9 @@ def background_map(
     lost = ~np.isfinite(seen).all(axis=1)
     if lost.any():
         seen[lost] = replace(camera, distortion=Distortion()).unproject(nodes[lost])
-    sky = np.isfinite(seen).all(axis=1)
+    known = np.isfinite(seen).all(axis=1)
     flat = np.zeros(len(nodes))
-    flat[sky] = sky_brightness_s10(attitude.inverse.apply(seen[sky]), sun_direction, section)
+    flat[known] = sky_brightness_s10(attitude.inverse.apply(seen[known]), sun_direction, sky)
     value = flat.reshape(len(y), len(x))
     columns = np.arange(camera.width, dtype=float)
     rows = np.arange(camera.height, dtype=float)

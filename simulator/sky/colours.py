@@ -99,19 +99,19 @@ def _colour_of_type(letter: str, subtype: float, giant: bool) -> float:
     """B−V of a type, between the published ones; a missing subtype counts as 5. NaN for a letter off the sequence."""
     if letter not in _ORDER:
         return math.nan
-    place = _ORDER.index(letter) * 10 + (5.0 if math.isnan(subtype) else subtype)
-    places, colours = _places("giants")
-    if not giant or place < places[0]:
-        places, colours = _places("dwarfs")
-    return float(np.interp(place, places, colours))
+    at = _ORDER.index(letter) * 10 + (5.0 if math.isnan(subtype) else subtype)
+    subtypes, colours = _subtypes("giants")
+    if not giant or at < subtypes[0]:
+        subtypes, colours = _subtypes("dwarfs")
+    return float(np.interp(at, subtypes, colours))
 
 
 @functools.cache
-def _places(kind: str) -> tuple[FloatArray, FloatArray]:
+def _subtypes(kind: str) -> tuple[FloatArray, FloatArray]:
     """Published types as numbers, ten a letter, and their B−V."""
     pairs = []
     for name, colours in published_colours(kind).items():
         letter, subtype, _ = parse_type(name)
         pairs.append((_ORDER.index(letter) * 10 + subtype, colours["b_v"]))
-    places, b_v = np.array(sorted(pairs)).T
-    return places, b_v
+    subtypes, b_v = np.array(sorted(pairs)).T
+    return subtypes, b_v

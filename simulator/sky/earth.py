@@ -10,7 +10,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
@@ -18,9 +17,10 @@ from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.kernels import kernel
 
 if TYPE_CHECKING:
-    from simulator.scenario.schema import SkySection
+    from simulator.sky.parameters import Sky
     from simulator.sky.solar_system import Bodies
 
 __all__ = [
@@ -107,19 +107,19 @@ def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tupl
     return (away - horizon) / radius, radius * math.cos(horizon) / math.sin(horizon)
 
 
-def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection) -> FloatArray:
+def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky) -> FloatArray:
     """Share (N,) of the light of Sun, Moon and planets that the Earth leaves free: 0 or 1, or between where its limb
     runs over the disk, as in the penumbra.
 
     Brightness over the disk is that of its phase and scattering law (`simulator.optics.bodies`).
     """
-    if not section.earth or not len(bodies):
+    if not sky.earth or not len(bodies):
         return np.ones(len(bodies))
     offset, curvature = limbs(bodies.direction, bodies.angular_radius_rad, r_km)
     share = (offset > 0.0).astype(float)
     nadir = -np.asarray(r_km, dtype=float)
     for k in np.flatnonzero(np.abs(offset) < 1.0):
-        lit = float(bodies.illuminated_fraction[k]) if section.phases else 1.0
+        lit = float(bodies.illuminated_fraction[k]) if sky.phases else 1.0
         between = _angle_at(bodies.direction[k], np.asarray(sun_direction, dtype=float), nadir)
         law = LAW_OF_BODY.get(str(bodies.name[k]), "lambert")
         share[k] = share_before_limb(float(offset[k]), float(curvature[k]), between, lit, law)
@@ -177,7 +177,7 @@ def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, 
 
 
 def earth_radiance_map(
-    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, section: SkySection
+    camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 ) -> tuple[FloatArray, BoolArray] | None:
     """The Earth in every pixel; None where it is not in the field, or `earth` is off.
 
@@ -190,7 +190,7 @@ def earth_radiance_map(
         Projection; ICRS → camera.
     r_km, sun_direction : array_like, shape (3,)
         Position of the spacecraft; direction of the Sun.
-    section : SkySection
+    sky : Sky
         Its `earth` and `earth_albedo`.
 
     Returns
@@ -200,17 +200,17 @@ def earth_radiance_map(
     hidden : (height, width) bool
         Whether the solid Earth hides the sky.
     """
-    if not section.earth or not earth_in_field(camera, attitude, r_km):
+    if not sky.earth or not earth_in_field(camera, attitude, r_km):
         return None
     shape = (camera.height, camera.width)
     x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     seen = attitude.inverse.apply(camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1)))
-    s10 = earth_s10(seen, r_km, sun_direction, section.earth_albedo)
+    s10 = earth_s10(seen, r_km, sun_direction, sky.earth_albedo)
     return s10.reshape(shape), occulted(seen, r_km).reshape(shape)
 
 
 def stray_sources(
-    bodies: Bodies, r_km: ArrayLike, section: SkySection, rings: int = 24, sectors: int = 48
+    bodies: Bodies, r_km: ArrayLike, sky: Sky, rings: int = 24, sectors: int = 48
 ) -> tuple[NDArray[np.str_], FloatArray, FloatArray]:
     """What may shine into the baffle: Sun, Moon, and the lit Earth in pieces.
 
@@ -224,7 +224,7 @@ def stray_sources(
         From `solar_system`; without the Sun in it nothing shines.
     r_km : array_like, shape (3,)
         Position of the spacecraft.
-    section : SkySection
+    sky : Sky
         Its `earth` (false: the Earth neither hides nor shines) and `earth_albedo`.
 
     Returns
@@ -237,14 +237,14 @@ def stray_sources(
         Brightness.
     """
     sun = np.flatnonzero(bodies.name == "Sun")
-    lamps = bodies.select(np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"])))
-    share = unhidden(lamps, r_km, bodies.direction[sun[0]] if len(sun) else np.zeros(3), section)
+    sources = bodies.select(np.flatnonzero(np.isin(bodies.name, ["Sun", "Moon"])))
+    share = unhidden(sources, r_km, bodies.direction[sun[0]] if len(sun) else np.zeros(3), sky)
     free = np.flatnonzero(share > 0.0)
-    names, directions = lamps.name[free], lamps.direction[free]
-    v_mag = lamps.v_mag[free] - 2.5 * np.log10(share[free])
-    if section.earth and len(sun):
+    names, directions = sources.name[free], sources.direction[free]
+    v_mag = sources.v_mag[free] - 2.5 * np.log10(share[free])
+    if sky.earth and len(sun):
         pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
-        light = earth_s10(pieces, r_km, bodies.direction[sun[0]], section.earth_albedo) * square_degrees
+        light = earth_s10(pieces, r_km, bodies.direction[sun[0]], sky.earth_albedo) * square_degrees
         lit = np.flatnonzero(light > 0.0)
         names = np.concatenate([names, np.full(len(lit), "Earth")])
         directions = np.concatenate([directions, pieces[lit]])
@@ -267,7 +267,7 @@ def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, flo
     return pieces.reshape(-1, 3), 2.0 * math.pi * span / (rings * sectors) / math.radians(1.0) ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _radiance(
     out: FloatArray, lines: FloatArray, r: FloatArray, sun: FloatArray, albedo: float, sun_s10: float
 ) -> None:
@@ -303,7 +303,7 @@ def _radiance(
         out[n] = sun_s10 * phase / (4.0 * math.pi) * share * math.exp(-RAYLEIGH_DEPTH * way_in)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _air_mass(cosine: float) -> float:
     """Depth of the air above a point towards a zenith distance, over the vertical one; half the line at 90°."""
     return 1.0 / (cosine + 2.0 / _AIR_MASSES * math.exp(-11.0 * cosine))

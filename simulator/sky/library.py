@@ -1,4 +1,4 @@
-"""Library spectra of stars, drawn onto the published colours of their types.
+"""Library spectra of stars, adjusted to the published colours of their types.
 
 A spectrum of the library (Pickles 1998) has the jumps, lines and bands of its type; its broad-band colours are off from
 the published sequences by up to 0.1 mag (V−I by 0.07 in the median, 0.15 at most). So each is multiplied by a smooth

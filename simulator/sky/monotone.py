@@ -47,7 +47,7 @@ class MonotoneCubic:
         return cls(x, y, slope)
 
     def __call__(self, at: FloatArray) -> FloatArray:
-        """Values (K,) or (K, M) at places (K,) within those of the points."""
+        """Values (K,) or (K, M) at abscissas (K,) within those of the points."""
         k = np.clip(np.searchsorted(self.x, at, side="right") - 1, 0, len(self.x) - 2)
         h = (self.x[k + 1] - self.x[k]).reshape(-1, *[1] * (self.y.ndim - 1))
         t = (at - self.x[k]).reshape(h.shape) / h

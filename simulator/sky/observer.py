@@ -5,20 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from simulator.sky.ephemeris import EARTH, state, tdb_jd
+from simulator.sky.ephemeris import barycentric, de421, sky_time
 from startracker.constants import AU_KM
 from startracker.observer import Observer
 
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
 
-__all__ = ["observe"]
+__all__ = ["barycentric_state", "is_sunlit", "observe"]
+
+FloatArray = NDArray[np.float64]
 
 
-def observe(clock: Clock, t_s: float, r_km: ArrayLike, v_km_s: ArrayLike) -> Observer:
-    """Epoch, barycentric position and barycentric velocity of the spacecraft.
+def barycentric_state(
+    clock: Clock, t_s: float | FloatArray, r_km: ArrayLike, v_km_s: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Barycentric position, au, and velocity, km/s, of the spacecraft; (3,), or (N, 3) for times (N,).
 
     The geocentric (GCRS) state is added to the Earth's barycentric one (BCRS) as it stands: the Lorentz terms between
     the two systems are 1e-8 of it, that is 7 cm and 0.1 mm/s.
@@ -27,19 +31,29 @@ def observe(clock: Clock, t_s: float, r_km: ArrayLike, v_km_s: ArrayLike) -> Obs
     ----------
     clock : Clock
         The scenario's clock.
-    t_s : float
+    t_s : float or array, shape (N,)
         Seconds since its epoch.
-    r_km, v_km_s : array_like, shape (3,)
+    r_km, v_km_s : array_like, shape (3,) or (N, 3)
         Geocentric position and velocity, GCRS axes.
 
     Raises
     ------
     InputError
-        When the date lies outside DE421 (1899 to 2053).
+        When a date lies outside DE421 (1899 to 2053).
     """
-    earth_km, earth_km_s = state(EARTH, tdb_jd(*clock.tt_jd(t_s)))
-    return Observer(
-        epoch_jyear=float(clock.jyear(t_s)),
-        velocity_km_s=earth_km_s + np.asarray(v_km_s, dtype=float),
-        position_au=(earth_km + np.asarray(r_km, dtype=float)) / AU_KM,
-    )
+    earth = barycentric("Earth", sky_time(clock, t_s))
+    position_au = earth.xyz.au.T + np.asarray(r_km, dtype=float) / AU_KM
+    return position_au, earth.velocity.km_per_s.T + np.asarray(v_km_s, dtype=float)
+
+
+def observe(clock: Clock, t_s: float, r_km: ArrayLike, v_km_s: ArrayLike) -> Observer:
+    """Epoch and `barycentric_state` of the spacecraft at one instant."""
+    position_au, velocity_km_s = barycentric_state(clock, t_s, r_km, v_km_s)
+    return Observer(float(clock.jyear(t_s)), velocity_km_s=velocity_km_s, position_au=position_au)
+
+
+def is_sunlit(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> NDArray[np.bool_]:
+    """Whether the Sun's centre is clear of the Earth's body, a sphere; Skyfield's ``is_sunlit``; () or (N,)."""
+    from skyfield.positionlib import Geocentric
+
+    return np.asarray(Geocentric(r_km.T / AU_KM, t=sky_time(clock, t_s)).is_sunlit(de421()), dtype=bool)

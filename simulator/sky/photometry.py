@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
-from simulator.sky.colours import GIANT_SHARE
+from simulator.sky.colours import population_giant_share
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.registry import lookup
 
 FloatArray = NDArray[np.float64]
@@ -235,15 +235,18 @@ def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> Floa
     tail = tables[0].shape[1:]
     flat = [table.reshape(len(table), -1) for table in tables]
     out = np.empty((colour.size, flat[0].shape[1]))
+    unknown = np.isnan(share)
+    if unknown.any():
+        known_colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
+        share = np.where(unknown, population_giant_share(known_colour), share)
     _look_up(out, colour.ravel(), share.ravel(), *flat)
     return out.reshape(colour.shape + tail)
 
 
-_SHARE_B_V, _SHARE = np.array(GIANT_SHARE).T.copy()
 _B_V_STEP, _LATE_STEP = float(_B_V_GRID[1] - _B_V_GRID[0]), float(_LATE_GRID[1] - _LATE_GRID[0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look_up(
     out: FloatArray, b_v: FloatArray, giant: FloatArray, dwarfs: FloatArray, giants: FloatArray, late: FloatArray
 ) -> None:
@@ -253,8 +256,6 @@ def _look_up(
         if math.isnan(colour):
             colour = DEFAULT_B_V
         colour = min(max(colour, B_V_RANGE[0]), B_V_RANGE[1])
-        if math.isnan(share):
-            share = np.interp(colour, _SHARE_B_V, _SHARE)
         if share >= LATE_GIANT[0]:
             row, part = _place((share - LATE_GIANT[0]) / _LATE_STEP, len(late))
             for k in range(out.shape[1]):
@@ -267,9 +268,9 @@ def _look_up(
             out[n, k] = dwarf * (1.0 - share) + (giants[row, k] * (1.0 - part) + giants[row + 1, k] * part) * share
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(at: float, rows: int) -> tuple[int, float]:
-    """Row of an even table below a place counted in rows, and the part of a step beyond it; ends are kept beyond."""
+    """Row of an even table below a position counted in rows, and the part of a step beyond it; ends are kept beyond."""
     at = min(max(at, 0.0), rows - 1.0)
     row = min(int(at), rows - 2)
     return row, at - row

@@ -43,7 +43,7 @@ V_GRID_NM = np.arange(470.0, 700.5, 0.5)
 def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0) -> FloatArray:
     """Photon flux density of V = 0 stars with the colours of real dwarfs and giants.
 
-    Library spectra of each type (Pickles 1998, PASP 110, 863), drawn onto the published U−B, B−V, V−R and V−I of that
+    Library spectra of each type (Pickles 1998, PASP 110, 863), adjusted to the published U−B, B−V, V−R and V−I of that
     type by a smooth factor (`simulator.sky.library`), form a sequence of dwarfs (B0 to M6; Mamajek 2018 after Pecaut &
     Mamajek 2013, ApJS 208, 9) and one of giants (G0 to K5; medians of the Bright Star Catalogue and Hipparcos; bluer
     ones as dwarfs). Between two types ln n_λ is a monotone cubic in B−V. Redder than the end (2.0, 1.51) the last

@@ -1,4 +1,4 @@
-"""What a camera is told to hold: a direction, a star by name or number, a body of the solar system."""
+"""What a camera is to hold: a direction, a star by name or number, a body of the solar system."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario.schema import PointingSection
+from simulator.mission.parameters import PointingParameters
 from simulator.sky.solar_system import RADIUS_KM, Bodies
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.catalog.names import designation_rows, proper_names
@@ -56,11 +56,11 @@ def _folded(name: str) -> str:
     return "".join(name.split()).casefold()
 
 
-def attitude_towards(direction: FloatArray, section: PointingSection) -> Attitude:
-    """Camera attitude (ICRS → camera) that puts a direction (3,) at the section's offset from the boresight."""
+def attitude_towards(direction: FloatArray, parameters: PointingParameters) -> Attitude:
+    """Camera attitude (ICRS → camera) that puts a direction (3,) at the offset from the boresight."""
     ra, dec = (math.degrees(float(angle)) for angle in direction_to_radec(direction))
-    centred = Attitude.from_radec_roll(ra, dec, section.target_roll_deg)
-    x, y = (math.tan(math.radians(angle)) for angle in section.target_offset_deg)
+    centred = Attitude.from_radec_roll(ra, dec, parameters.target_roll_deg)
+    x, y = (math.tan(math.radians(angle)) for angle in parameters.target_offset_deg)
     seen = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
     # the smallest turn of the camera that moves the target from the boresight to `seen`
     axis = np.cross([0.0, 0.0, 1.0], seen)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -25,6 +24,7 @@ from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
+from startracker.kernels import clock
 
 if TYPE_CHECKING:
     from simulator.study.trials.trial import TrialRunner
@@ -137,7 +137,7 @@ def _run(
     force: bool,
     progress: Progress | None,
 ) -> Study:
-    started = time.perf_counter()
+    started = clock()
     done = run_trials(
         scenario,
         scenario.study.trials,
@@ -148,7 +148,7 @@ def _run(
         force=force,
         progress=progress,
     )
-    elapsed_s = time.perf_counter() - started
+    elapsed_s = clock() - started
     if done.finished == 0:
         raise BoresightError("interrupted before the first trial was finished: nothing to report")
     notes = tuple(done.store.notes)

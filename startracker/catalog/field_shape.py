@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
+from startracker.kernels import kernel
 
 __all__ = ["FieldShape", "field_shape", "in_shape"]
 
@@ -73,7 +73,7 @@ def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArra
     return vectors[np.isfinite(vectors).all(axis=1)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
     """Whether a unit vector of the camera frame is on the image."""
     axes = shape.axes

@@ -1,6 +1,6 @@
 """The guide-star database: the stars a camera can tell apart and the pairs they make, ready for identification.
 
-Thesis section 5.2.1: stars down to the camera's limit, doubles merged, close pairs kept out of the patterns, and the
+Stars down to the camera's limit, doubles merged, close pairs kept out of the patterns, and the
 list of separations that fit into the field, sorted.
 """
 
@@ -77,8 +77,8 @@ def close_pairs(
 ) -> NDArray[np.bool_]:
     """Stars (N,) whose measured position a neighbour can pull away.
 
-    A star is marked when another lies within `separation_rad` that is brighter, or less than `magnitude` fainter (the
-    thesis program's 0.08° and 0.77 mag).
+    A star is marked when another lies within `separation_rad` that is brighter, or less than `magnitude` fainter
+    (Greyling 1995, section 5.2.1: 0.08° and 0.77 mag).
     """
     marked = np.zeros(len(directions), dtype=bool)
     if len(directions) < 2 or separation_rad <= 0:

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 """Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
 
 POSITION_SIGMA_RAD = 0.04 * ARCSEC_RAD

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = ["seen_directions"]
 
 FloatArray = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def seen_directions(
     start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, place_au: FloatArray, beta: FloatArray
 ) -> FloatArray:

@@ -10,10 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
+from startracker.kernels import kernel, kernel_with
+from startracker.sorting import sort
 
 __all__ = ["VoxelGrid", "star_within", "stars_around", "stars_in_cone", "stars_on_image", "voxel_grid"]
 
@@ -58,14 +59,14 @@ def voxel_grid(directions: FloatArray) -> VoxelGrid:
     return VoxelGrid(per_axis, start, members.astype(np.int32))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel_with(inline="always")
 def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
     low = int((centre - reach + 1.0) * (0.5 * per_axis))
     high = int((centre + reach + 1.0) * (0.5 * per_axis))
     return min(max(low, 0), per_axis - 1), min(max(high, 0), per_axis - 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def star_within(x: float, y: float, z: float, chord2: float, directions: FloatArray, grid: VoxelGrid) -> bool:
     """Whether a star is within √`chord2` of the unit vector (x, y, z)."""
     reach = math.sqrt(chord2) + DRIFT
@@ -83,7 +84,7 @@ def star_within(x: float, y: float, z: float, chord2: float, directions: FloatAr
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stars_in_cone(
     x: float, y: float, z: float, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> NDArray[np.int32]:
@@ -101,23 +102,28 @@ def stars_in_cone(
                 star = grid.members[m]
                 if directions[star, 0] * x + directions[star, 1] * y + directions[star, 2] * z >= cosine:
                     if count == len(out):
-                        out = np.concatenate((out, np.empty_like(out)))
+                        longer = np.empty(2 * count, np.int32)
+                        for k in range(count):
+                            longer[k] = out[k]
+                        out = longer
                     out[count] = star
                     count += 1
     return out[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stars_around(
     matrix: FloatArray, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> tuple[IntArray, FloatArray]:
     """Stars about the boresight at the attitude `matrix` (3, 3), to an angle of this cosine, ascending, and their
     vectors (K, 3) in the camera frame."""
-    near = np.sort(stars_in_cone(matrix[2, 0], matrix[2, 1], matrix[2, 2], cosine, directions, grid))
+    near = stars_in_cone(matrix[2, 0], matrix[2, 1], matrix[2, 2], cosine, directions, grid)
     index, vectors = np.empty(len(near), np.int64), np.empty((len(near), 3))
     for k in range(len(near)):
-        star = near[k]
-        index[k] = star
+        index[k] = near[k]
+    sort(index)
+    for k in range(len(near)):
+        star = index[k]
         for axis in range(3):
             vectors[k, axis] = (
                 matrix[axis, 0] * directions[star, 0]
@@ -127,7 +133,7 @@ def stars_around(
     return index, vectors
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stars_on_image(
     matrix: FloatArray, cosine: float, margin_px: float, directions: FloatArray, grid: VoxelGrid, image: ImageMap
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -139,6 +145,8 @@ def stars_on_image(
     count = 0
     for k in range(len(index)):
         if low <= xy[k, 0] < right and low <= xy[k, 1] < bottom:
-            index[count], vectors[count], xy[count] = index[k], vectors[k], xy[k]
+            index[count], xy[count, 0], xy[count, 1] = index[k], xy[k, 0], xy[k, 1]
+            for axis in range(3):
+                vectors[count, axis] = vectors[k, axis]
             count += 1
     return index[:count], vectors[:count], xy[:count]

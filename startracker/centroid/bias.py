@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = [
     "centres_of_means",
@@ -36,7 +37,7 @@ SMALLEST_SIGMA_PX = 0.1
 """Narrower images lie within one pixel wherever they are; their position is not in the moments."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def window_moments(
     centre: float, sigma: float, low: int, high: int
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -80,7 +81,7 @@ def window_moments(
     return m0, middle + mean, square - mean * mean, mean_c, mean_s, variance_c, variance_s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[float, float]:
     """Centre of the pixel-integrated Gaussian whose mean over the window is `moment`, and d(centre)/d(moment).
 
@@ -91,7 +92,7 @@ def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[flo
     return centre, slope
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) -> tuple[float, float, float]:
     """The same from a first guess; also the light in the window of a Gaussian at the last place but one."""
     middle = 0.5 * (low + high)
@@ -125,7 +126,7 @@ def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) 
     return centre, 1.0 / slope, light
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def centres_of_means(sigma: float, half: int) -> FloatArray:
     """Means over a whole window of Gaussians that many eighths of a pixel off its middle, and d(centre)/d(mean)."""
     out = np.empty((_GUESSES, 2))
@@ -135,7 +136,7 @@ def centres_of_means(sigma: float, half: int) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def guess_centre(moment: float, table: FloatArray) -> float:
     """Centre by cubic interpolation in a table of `centres_of_means`, to some 1e-6 px; beyond it the moment."""
     mean, k = abs(moment), 0
@@ -151,7 +152,7 @@ def guess_centre(moment: float, table: FloatArray) -> float:
     return math.copysign(centre, moment) if math.isfinite(centre) else moment
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[float, float]:
     """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window.
 
@@ -193,10 +194,10 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
 def moment_bias(
     offset_px: FloatArray | float, sigma_px: float, window_px: int = 5, *, integrated: bool = True
 ) -> FloatArray:
-    """Offset of a star from the centre of its window minus the first moment measured there: thesis Table 4.1.
+    """Offset of a star from the centre of its window minus the first moment measured there (Greyling 1995, Table 4.1).
 
     b(d) = d − Σ k p_k(d) / Σ p_k(d), k = −n … n, with p_k the light of a Gaussian in pixel k
-    (``integrated``: Φ((k + ½ − d)/σ) − Φ((k − ½ − d)/σ); else its value at the pixel's centre, as in the thesis).
+    (``integrated``: Φ((k + ½ − d)/σ) − Φ((k − ½ − d)/σ); else its value at the pixel's centre, as in Greyling 1995).
 
     Parameters
     ----------

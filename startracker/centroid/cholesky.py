@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = ["factorise", "substitute"]
 
 FloatArray = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def factorise(matrix: FloatArray, size: int) -> bool:
     """Cholesky's factor in place; False when the matrix is not positive definite."""
     for i in range(size):
@@ -30,7 +31,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
     """Solution of L Lᵀ z = right, in place."""
     for i in range(size):

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
@@ -17,7 +16,9 @@ from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, as_pixels, is_value
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
+from startracker.sorting import median
 
 __all__ = [
     "SYSTEMATIC_PX",
@@ -26,7 +27,6 @@ __all__ = [
     "first_moment",
     "measure_moments",
     "measure_psf_sigma",
-    "median",
     "prepare",
 ]
 
@@ -53,9 +53,9 @@ def first_moment(
 ) -> Centroids:
     """Centroids by the first moment of the signal over a window about the brightest pixel.
 
-    The moment of a truncated window falls short of the offset (thesis Table 4.1). For a star image that is a Gaussian
-    integrated over pixels the shortfall along x depends on x alone, and is undone exactly, axis by axis, by solving
-    m(d) = m for the offset d (see `startracker.centroid.bias`), windows cut off by the image's border included.
+    The moment of a truncated window falls short of the offset (Greyling 1995, Table 4.1). For a star image that is a
+    Gaussian integrated over pixels the shortfall along x depends on x alone, and is undone exactly, axis by axis, by
+    solving m(d) = m for the offset d (see `startracker.centroid.bias`), windows cut off by the image's border included.
     Smear widens the Gaussian along its axis: widths are per axis. When the offset exceeds half a pixel the window is
     moved and measured again, so that it does not matter which of two equal pixels was taken for the brightest.
 
@@ -112,7 +112,7 @@ def first_moment(
     return collect(table, sigmas, spots, frame.half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _any_gap(image: Image, xs: IntArray, ys: IntArray, half: int) -> bool:
     """Whether a pixel in one of the windows is not finite, though most of that window is."""
     height, width = image.shape
@@ -197,7 +197,6 @@ def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[fl
     return table, (sigma_x, sigma_y)
 
 
-@njit(cache=True, error_model="numpy")
 def _measure_frame(
     image: Image,
     level: Plane,
@@ -222,13 +221,10 @@ def _measure_frame(
     )  # fmt: skip
     # known no better than a star image, or a pixel, is wide: what is there is no star image
     limit = max(sigma_x, sigma_y, 1.0) ** 2
-    for n in range(len(xs)):
-        if max(table[n, 3], table[n, 4]) > limit and not saturated[n]:
-            table[n] = np.nan
+    table[(np.maximum(table[:, 3], table[:, 4]) > limit) & ~saturated] = np.nan
     return table, sigma_x, sigma_y
 
 
-@njit(cache=True, error_model="numpy")
 def _frame_widths(
     image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, saturated: Flags, edge: Flags, half: int
 ) -> tuple[float, float]:
@@ -271,48 +267,34 @@ def measure_psf_sigma(image: Image, background: Background, spots: Spots, window
     return sigma_x, sigma_y
 
 
-@njit(cache=True, error_model="numpy")
-def median(values: FloatArray) -> float:
-    """Of finite values, in a fraction of `numpy.median`'s time."""
-    ordered = np.sort(values)
-    return float(0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]))
-
-
-@njit(cache=True, error_model="numpy")
 def _collect(
     table: FloatArray, sigma_x: float, sigma_y: float, half: int, together: IntArray, systematic_px: float
 ) -> tuple[IntArray, FloatArray]:
     """Finite rows of a table of measurements, brightest first, and their covariances (M, 2, 2), see `collect`."""
-    keys, count = np.full(len(table), np.inf), 0
-    for n in range(len(table)):
-        if np.isfinite(table[n]).all():
-            keys[n] = -table[n, 2]
-            count += 1
-    order = np.argsort(keys, kind="mergesort")[:count]
-    intrusion = _intrusion(table[order, :2], table[order, 2], sigma_x, sigma_y, half, together[order])
-    covariance = np.empty((count, 2, 2))
-    for k in range(count):
-        row, more = table[order[k]], systematic_px**2 + intrusion[k]
-        covariance[k, 0, 0], covariance[k, 1, 1] = row[3] + more, row[4] + more
-        covariance[k, 0, 1] = covariance[k, 1, 0] = row[5]
+    finite = np.isfinite(table).all(axis=1)
+    order = np.argsort(np.where(finite, -table[:, 2], np.inf), kind="stable")[: np.count_nonzero(finite)]
+    rows = table[order]
+    more = systematic_px**2 + _intrusion(rows, sigma_x, sigma_y, half, together[order])
+    covariance = np.empty((len(order), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = rows[:, 3] + more, rows[:, 4] + more
+    covariance[:, 0, 1] = covariance[:, 1, 0] = rows[:, 5]
     return order, covariance
 
 
-@njit(cache=True, error_model="numpy")
-def _intrusion(
-    xy: FloatArray, flux: FloatArray, sigma_x: float, sigma_y: float, half: int, together: IntArray
-) -> FloatArray:
+@kernel
+def _intrusion(table: FloatArray, sigma_x: float, sigma_y: float, half: int, together: IntArray) -> FloatArray:
     """Variance (N,), px², of either axis for other stars' light in a star's window: (share × half a window)²."""
-    variance = np.zeros(len(flux))
+    variance = np.zeros(len(table))
     reach = half + 4.0 * max(sigma_x, sigma_y)
-    for star in range(len(flux)):
-        for other in range(len(flux)):
-            near = abs(xy[other, 0] - xy[star, 0]) < reach and abs(xy[other, 1] - xy[star, 1]) < reach
+    for star in range(len(table)):
+        x, y = table[star, 0], table[star, 1]
+        for other in range(len(table)):
+            near = abs(table[other, 0] - x) < reach and abs(table[other, 1] - y) < reach
             if not near or together[star] == together[other]:
                 continue
-            dx, dy = xy[other, 0] - np.rint(xy[star, 0]), xy[other, 1] - np.rint(xy[star, 1])
+            dx, dy = table[other, 0] - np.rint(x), table[other, 1] - np.rint(y)
             light = window_moments(dx, sigma_x, -half, half)[0] * window_moments(dy, sigma_y, -half, half)[0]
-            variance[star] += (half * light * flux[other] / flux[star]) ** 2
+            variance[star] += (half * light * table[other, 2] / table[star, 2]) ** 2
     return variance
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
@@ -13,6 +12,7 @@ from startracker.centroid.psf_sums import fill_window, sums_of_one
 from startracker.centroid.window import read_pixels
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = [
     "ACCEPTED_PX",
@@ -44,7 +44,7 @@ WEIGHINGS = 3
 LARGEST_GROWTH = 2.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
     """Flux by unweighted least squares, Σ p d / Σ p², over the pixels of finite variance."""
     above, below = 0.0, 0.0
@@ -55,7 +55,7 @@ def amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
     return above / below if below > 0.0 else np.nan
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def note_star(
     row: FloatArray, x: float, y: float, flux: float, chi2: float, freedom: int, normal: FloatArray, first: int,
     column: FloatArray,
@@ -71,7 +71,7 @@ def note_star(
         row[5] = column[first]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fit_alone(
     image: Image,
     level: Plane,
@@ -91,7 +91,9 @@ def fit_alone(
 ) -> None:
     """Fits of the stars of which `stars` are the numbers, see `startracker.centroid.psf_kernel.fit_stars`, to `out`."""
     height, width = image.shape
-    side = 2 * halves.max() + 1 if len(halves) else 0
+    side = 0
+    for index in stars:
+        side = max(side, 2 * halves[index] + 1)
     every_signal, every_dark, every_variance = np.empty(side * side), np.empty(side * side), np.empty(side * side)
     shares, lines, weights = np.empty((3, side * side)), np.empty((4, side)), np.empty((2, 8))
     normal, right, column = np.empty((3, 3)), np.empty(3), np.empty(3)

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.moments import Prepared, collect, measure_moments, prepare
@@ -21,6 +20,7 @@ from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
 __all__ = ["SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
@@ -191,7 +191,6 @@ def _fit(
     return found if common is None or not common.any() else replace(found, common_px2=common)
 
 
-@njit(cache=True, error_model="numpy")
 def _fit_found(
     image: Image,
     level: Plane,
@@ -214,15 +213,11 @@ def _fit_found(
     fits = fit_stars(
         image, level, noise, table, axes, oversampling, group, x, y, halves, ceilings, inverse_gain, flat_error, reweigh
     )
-    out = np.empty((len(x), MEASURED))
-    for n in range(len(x)):
-        fit = fits[n]
-        misfit, usual = fit[6] / fit[7], 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / fit[7])
-        out[n] = fit[:MEASURED]
-        out[n, 3:] *= misfit if misfit > usual else 1.0
-        if not np.isfinite(out[n]).all():
-            # a star measured by its moment counts as apart from its group
-            out[n], group[n] = moments[n], len(x) + n
+    out, misfit = fits[:, :MEASURED].copy(), fits[:, 6] / fits[:, 7]
+    out[:, 3:] *= np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)[:, None]
+    failed = np.flatnonzero(~np.isfinite(out).all(axis=1))
+    # a star measured by its moment counts as apart from its group
+    out[failed], group[failed] = moments[failed], len(x) + failed
     return out, group
 
 
@@ -249,7 +244,7 @@ def _start(
     return psf, start, np.minimum(half + flat, reach), ceilings
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _start_values(
     image: Image,
     level: Plane,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
@@ -24,6 +23,7 @@ from startracker.centroid.psf_alone import (
 from startracker.centroid.psf_sums import fill, interpolate, interpolated, sums
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = ["FITTED", "MOST_TOGETHER", "fit_stars", "group_stars", "weighted_moments"]
 
@@ -35,7 +35,7 @@ MOST_TOGETHER = 8
 """Stars fitted jointly at most."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
     """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
 
@@ -57,7 +57,7 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
     return group
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _without(
     px: IntArray,
     py: IntArray,
@@ -85,7 +85,7 @@ def _without(
     return kept
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fit_group(
     image: Image,
     level: Plane,
@@ -107,18 +107,22 @@ def _fit_group(
     height, width = image.shape
     m = len(members)
     size = 3 * m
-    x, y, flux = xs[members], ys[members], np.empty(m)
-    cx, cy, half = np.empty(m, np.int64), np.empty(m, np.int64), halves[members]
-    pixels = 0
+    x, y, flux = np.empty(m), np.empty(m), np.empty(m)
+    cx, cy, half = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
+    pixels, lowest_ceiling = 0, np.inf
+    low_x, high_x, low_y, high_y = image.shape[1], -1, image.shape[0], -1
     for k in range(m):
+        x[k], y[k], half[k] = xs[members[k]], ys[members[k]], halves[members[k]]
         cx[k], cy[k] = round(x[k]), round(y[k])
         pixels += (2 * half[k] + 1) ** 2
+        low_x, high_x = min(low_x, cx[k] - half[k]), max(high_x, cx[k] + half[k])
+        low_y, high_y = min(low_y, cy[k] - half[k]), max(high_y, cy[k] + half[k])
+        lowest_ceiling = min(lowest_ceiling, ceilings[members[k]])
     # the pixels' places, signal above the background and its variance; those of overlapping windows once
     px, py, signal, dark = np.empty(pixels, np.int64), np.empty(pixels, np.int64), np.empty(pixels), np.empty(pixels)
-    low_x, low_y = (cx - half).min(), (cy - half).min()
-    extent = max((cx + half).max() - low_x, (cy + half).max() - low_y) + 1
+    extent = max(high_x - low_x, high_y - low_y) + 1
     shares, weights, lines = np.empty((m, 3, pixels)), np.empty((2, 8)), np.empty((4, extent))
-    used, lowest_ceiling = 0, ceilings[members].min()
+    used = 0
     for k in range(m):
         end = used
         for j in range(max(cy[k] - half[k], 0), min(cy[k] + half[k] + 1, height)):
@@ -138,7 +142,7 @@ def _fit_group(
     if used <= size:
         return
     px, py, signal, dark = px[:used], py[:used], signal[:used], dark[:used]
-    variances, gradient = np.empty(used), np.empty(size)
+    variances, gradient, score = np.empty(used), np.empty(size), np.empty(size)
     normal, right = np.zeros((size, size)), np.zeros(size)
     chi2, step = 0.0, 1.0
     for iteration in range(ITERATIONS):
@@ -148,7 +152,8 @@ def _fit_group(
         chi2 = sums(shares, flux, signal, dark, variances, inverse_gain, flat_error, weigh, gradient, normal, right)
         if not factorise(normal, size):
             return
-        score = right.copy()
+        for a in range(size):
+            score[a] = right[a]
         substitute(normal, size, right)
         longest, gain = 0.0, 0.0
         for a in range(size):
@@ -177,7 +182,6 @@ def _fit_group(
         note_star(out[members[star]], x[star], y[star], flux[star], chi2, used - size, normal, 3 * star, column)
 
 
-@njit(cache=True, error_model="numpy")
 def fit_stars(
     image: Image,
     level: Plane,
@@ -220,23 +224,20 @@ def fit_stars(
     Parameters of a star: x, y and ln(flux), so that the normal matrix is well scaled.
     """
     out = np.full((len(xs), FITTED), np.nan)
-    number = np.zeros(len(xs), np.int64)
-    for index in range(len(xs)):
-        number[group[index]] += 1
+    number = np.bincount(group, minlength=len(xs))
     fit_alone(
-        image, level, noise, table, axes, oversampling, np.flatnonzero(number == 1), xs, ys, halves, ceilings,
+        image, level, noise, table, axes, oversampling, np.flatnonzero(number[group] == 1), xs, ys, halves, ceilings,
         inverse_gain, flat_error, reweigh, out,
     )  # fmt: skip
-    for index in range(len(xs)):
-        if number[index] > 1:
-            _fit_group(
-                image, level, noise, table, axes, oversampling, np.flatnonzero(group == index), xs, ys, halves,
-                ceilings, inverse_gain, flat_error, reweigh, out,
-            )  # fmt: skip
+    for index in np.flatnonzero(number > 1):
+        _fit_group(
+            image, level, noise, table, axes, oversampling, np.flatnonzero(group == index), xs, ys, halves,
+            ceilings, inverse_gain, flat_error, reweigh, out,
+        )  # fmt: skip
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def weighted_moments(
     image: Image,
     level: FloatImage,

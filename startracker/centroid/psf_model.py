@@ -8,10 +8,10 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
+from startracker.kernels import kernel
 
 __all__ = ["PsfModel", "gaussian_axes", "gaussian_psf", "load_psf"]
 
@@ -201,7 +201,7 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
     return PsfModel(np.ascontiguousarray(table), oversampling, (xx, yy, xy))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gaussian_axes(xx: float, yy: float, xy: float, oversampling: int, middle: int, terms: int) -> FloatArray:
     """Axes (2 K, n) of which a pixel-integrated Gaussian of small correlation ρ is the sum of products.
 

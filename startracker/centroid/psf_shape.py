@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.moments import Prepared, median
+from startracker.centroid.moments import Prepared
 from startracker.centroid.psf_kernel import fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.centroid.psf_sums import normal_equations
@@ -18,6 +17,8 @@ from startracker.centroid.window import read_pixels
 from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
+from startracker.kernels import kernel
+from startracker.sorting import median
 
 __all__ = ["fit_gaussians", "frame_psf", "is_alone"]
 
@@ -37,7 +38,7 @@ _STREAK_RATIO = 1.5
 """Ratio of the axes from which a line is tried instead of an ellipse."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fit_gaussians(
     image: Image,
     level: Plane,
@@ -137,7 +138,9 @@ def fit_gaussians(
             if not factorise(normal, 6):
                 break
             substitute(normal, 6, right)
-            largest = np.abs(right).max()
+            largest = 0.0
+            for k in range(6):
+                largest = max(largest, abs(right[k])) if math.isfinite(right[k]) else np.inf
             if not math.isfinite(largest):
                 break
             short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
@@ -146,24 +149,18 @@ def fit_gaussians(
             if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
                 break
             if largest < _CONVERGED:
-                out[index] = (a, b, c)
+                out[index, 0], out[index, 1], out[index, 2] = a, b, c
                 break
     return out
 
 
-@njit(cache=True, error_model="numpy")
 def is_alone(positions: FloatArray, chosen: IntArray, reach: float) -> NDArray[np.bool_]:
     """Which of the chosen positions have no other nearer than `reach` on both axes."""
-    out = np.ones(len(chosen), np.bool_)
-    for k in range(len(chosen)):
-        x, y = positions[chosen[k], 0], positions[chosen[k], 1]
-        for other in range(len(positions)):
-            near = abs(positions[other, 0] - x) < reach and abs(positions[other, 1] - y) < reach
-            out[k] &= not near or other == chosen[k]
-    return out
+    near: NDArray[np.bool_] = np.all(np.abs(positions - positions[chosen][:, None]) < reach, axis=2)
+    near[np.arange(len(chosen)), chosen] = False
+    return np.asarray(~np.any(near, axis=1))
 
 
-@njit(cache=True, error_model="numpy")
 def _frame_shape(
     image: Image,
     level: Plane,
@@ -188,7 +185,7 @@ def _frame_shape(
         xx, yy, xy = median(shapes[told, 0]), median(shapes[told, 1]), median(shapes[told, 2])
         if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
             xx, yy, xy = start_xx, start_yy, 0.0
-    return x, y, (xx, yy, xy), np.sum(told)
+    return x, y, (xx, yy, xy), int(np.count_nonzero(told))
 
 
 def frame_psf(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel, kernel_with
 
 __all__ = ["fill", "fill_window", "interpolate", "interpolated", "normal_equations", "sums", "sums_of_one"]
 
@@ -14,7 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def interpolate(size: int, oversampling: int, distance: float, weights: FloatArray, row: int) -> int:
     """Point of the table before a pixel at `distance` from the star; the weights of four points about it go to
     a row of `weights`, and those of the derivative by the place in the table.
@@ -31,7 +32,7 @@ def interpolate(size: int, oversampling: int, distance: float, weights: FloatArr
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def interpolated(
     table: FloatArray, oversampling: int, i: int, j: int, weights: FloatArray, row: int
 ) -> tuple[float, float, float]:
@@ -55,7 +56,7 @@ def interpolated(
     return value, by_x * oversampling, by_y * oversampling
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill(
     table: FloatArray,
     axes: FloatArray,
@@ -102,7 +103,7 @@ def fill(
             by_y[n] += share_x[i] * slope_y[j]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill_window(
     table: FloatArray,
     axes: FloatArray,
@@ -143,7 +144,7 @@ def fill_window(
                 n += np.uint64(1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _along(
     axis: FloatArray, oversampling: int, first: int, weights: FloatArray, value: FloatArray, slope: FloatArray
 ) -> None:
@@ -157,7 +158,7 @@ def _along(
             slope[k] = oversampling * (weights[4] * p0 + weights[5] * p1 + weights[6] * p2 + weights[7] * p3)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def sums(
     shares: FloatArray,
     flux: FloatArray,
@@ -203,7 +204,7 @@ def sums(
 
 
 # sums in any order: added up in the order of the pixels each sum waits for the one before, five times as long
-@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+@kernel_with(fastmath={"reassoc"})
 def sums_of_one(
     shares: FloatArray,
     flux: float,
@@ -237,7 +238,7 @@ def sums_of_one(
     return chi2
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+@kernel_with(fastmath={"reassoc"})
 def normal_equations(
     slopes: FloatArray,
     weights: FloatArray,

@@ -23,13 +23,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.cholesky import factorise, substitute
 from startracker.centroid.window import read_pixels
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = ["REFERENCE_CONTRAST", "correct_skewness", "shifts"]
 
@@ -52,7 +52,7 @@ _LEAST_CHI2 = 7.8
 _PIXEL = 1.0 / 12.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expansion(u: float, v: float, xx: float, yy: float, xy: float, out: FloatArray) -> None:
     """A unit Gaussian at (u, v) from its centre, and what one unit of x, y, its variances and covariance, and its third
     cumulants adds, to `out` (10,); the pixel's width is taken into the variances."""
@@ -67,7 +67,7 @@ def _expansion(u: float, v: float, xx: float, yy: float, xy: float, out: FloatAr
     out[8], out[9] = g * (s * (t * t - b) - 2.0 * c * t) / 2.0, g * t * (t * t - 3.0 * b) / 6.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def shifts(
     variance: float, flux: float, half: int, xx: float, yy: float, xy: float, inverse_gain: float, flat_error: float
 ) -> FloatArray:
@@ -90,7 +90,7 @@ def shifts(
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expansions(half: int, xx: float, yy: float, xy: float) -> FloatArray:
     """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
     side = 2 * half + 1
@@ -100,7 +100,7 @@ def _expansions(half: int, xx: float, yy: float, xy: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
     """`shifts` by the expansions over the window."""
     normal, row = np.zeros((3, 3)), np.empty(3)
@@ -118,31 +118,36 @@ def _shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: 
     out = np.zeros((2, _CUMULANTS))
     if factorise(normal, 3):
         for k in range(_CUMULANTS):
-            row[:] = right[k]
+            row[0], row[1], row[2] = right[k, 0], right[k, 1], right[k, 2]
             substitute(normal, 3, row)
             out[0, k], out[1, k] = row[1], row[2]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _chosen(table: FloatArray, unfit: BoolArray) -> IntArray:
     """Brightest stars with no other nearby."""
     out, count = np.empty(_STARS, np.int64), 0
-    flux = np.where(unfit | ~np.isfinite(table[:, 2]), -np.inf, table[:, 2])
-    for n in np.argsort(-flux)[: 3 * _STARS]:
-        alone = np.isfinite(flux[n]) and math.isfinite(table[n, 0] + table[n, 1])
+    looked_at = np.zeros(len(table), np.bool_)
+    for _ in range(min(3 * _STARS, len(table))):
+        best = -1
+        for n in range(len(table)):
+            usable = not (looked_at[n] or unfit[n]) and math.isfinite(table[n, 0] + table[n, 1] + table[n, 2])
+            if usable and (best < 0 or table[n, 2] > table[best, 2]):
+                best = n
+        if best < 0 or count == _STARS:
+            break
+        looked_at[best], alone = True, True
         for m in range(len(table)):
-            near = abs(table[m, 0] - table[n, 0]) < _APART_PX and abs(table[m, 1] - table[n, 1]) < _APART_PX
-            alone &= not near or m == n
+            near = abs(table[m, 0] - table[best, 0]) < _APART_PX and abs(table[m, 1] - table[best, 1]) < _APART_PX
+            alone = alone and (not near or m == best)
         if alone:
-            out[count] = n
+            out[count] = best
             count += 1
-            if count == _STARS:
-                break
     return out[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def common_skewness(
     image: Image,
     level: Plane,
@@ -215,7 +220,7 @@ def common_skewness(
     return mean, covariance, chi2 / factor, variance / count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def correct_skewness(
     image: Image,
     level: Plane,

@@ -6,12 +6,12 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel
 
 __all__ = ["MEASURED", "measure_stars", "measure_widths", "read_pixels", "read_window"]
 
@@ -30,7 +30,7 @@ _WITHIN_PIXEL = 0.35
 _PIXEL_VARIANCE = 1.0 / 12.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, FloatImage, np.float32]:
     """A stretch of one row of a map: the lines above and below it, and how far it is from the one to the other."""
     cell = plane.cell[y]
@@ -38,7 +38,7 @@ def _row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, Flo
     return plane.lines[cell, left : left + wide], plane.lines[below, left : left + wide], plane.share[y]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def read_pixels(
     image: Image,
     level: Plane,
@@ -70,7 +70,7 @@ def read_pixels(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def read_window(image: Image, level: Plane, noise: Plane, x: int, y: int, half: int, inverse_gain: float) -> Moments:
     """Moments of the signal over the pixels within `half` of (x, y) that lie on the image.
 
@@ -131,7 +131,7 @@ def read_window(image: Image, level: Plane, noise: Plane, x: int, y: int, half: 
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def measure_widths(image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, half: int) -> FloatArray:
     """Gaussian widths (N, 2) of stars whose brightest pixels are given; NaN where the window does not tell.
 
@@ -150,7 +150,7 @@ def measure_widths(image: Image, level: Plane, noise: Plane, xs: IntArray, ys: I
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _recentred(image: Image, level: Plane, noise: Plane, x: int, y: int, half: int) -> tuple[int, int]:
     """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
     height, width = image.shape
@@ -165,7 +165,7 @@ def _recentred(image: Image, level: Plane, noise: Plane, x: int, y: int, half: i
     return x, y
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _centre(
     moment: float, sigma: float, low: int, high: int, half: int, centres: FloatArray
 ) -> tuple[float, float, float]:
@@ -175,7 +175,7 @@ def _centre(
     return centre, slope, light
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def measure_stars(
     image: Image,
     level: Plane,
@@ -219,7 +219,8 @@ def measure_stars(
             # charge that ran along one axis shows as a difference of the widths
             bloomed = math.sqrt(max(w[3], 0.0)) - math.sqrt(max(w[4], 0.0))
             extra = flat_top_error**2 + (_BLOOM_SHARE * bloomed) ** 2
-            out[index] = (x + w[1], y + w[2], w[0], w[5] + extra, w[6] + extra, w[7])
+            out[index, 0], out[index, 1], out[index, 2] = x + w[1], y + w[2], w[0]
+            out[index, 3], out[index, 4], out[index, 5] = w[5] + extra, w[6] + extra, w[7]
             continue
         for attempt in range(_RECENTRINGS):
             w = read_window(image, level, noise, x, y, half, inverse_gain)

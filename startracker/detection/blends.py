@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from startracker.detection.objects import add_pixel
-from startracker.detection.spots import COLUMNS, EDGE, PEAK_RESIDUAL, PIXELS
+from startracker.detection.sources import SOURCE, Sources, add_pixel
+from startracker.detection.thresholds import RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = ["part_blends"]
 
-_VALLEY = 0.8
-"""Two peaks are two stars when the signal between them falls below this share of the lower …"""
-_VALLEY_SIGMA = 4.0
-"""… and by this many times the noise."""
-_RING_SHARE = 0.05
-"""Fainter peaks are the brighter star's own: the first ring of an Airy pattern has 0.0175 of its centre."""
 _FEWEST_PIXELS = 6
 _SMALLEST_DISTANCE_PX2 = 4
 
@@ -25,7 +19,7 @@ FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     """Whether no neighbour is brighter; of equal neighbours the first in reading order is the peak."""
     height, width = np.uint64(image.shape[0]), np.uint64(image.shape[1])
@@ -43,7 +37,7 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     return not (higher | same | (before & (image[y, left] == value)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _valley(image: Image, level: FloatImage, x0: int, y0: int, x1: int, y1: int) -> float:
     """Least signal on the straight way from one pixel to another.
 
@@ -64,17 +58,17 @@ def _valley(image: Image, level: FloatImage, x0: int, y0: int, x1: int, y1: int)
     return least
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def part_blends(
     runs: IntArray,
     number: IntArray,
-    table: NDArray[np.float64],
+    table: Sources,
     most_pixels: int,
     image: Image,
     level: FloatImage,
     noise: FloatImage,
     saturation: float,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Sources, int]:
     """Table of objects in which those with several peaks are replaced by one object a peak, and how many were.
 
     A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight way
@@ -90,7 +84,7 @@ def part_blends(
     peak_object, signal = np.empty(pixels + 1, np.int64), np.empty(pixels + 1)
     last = np.uint64(0)
     for index in range(len(runs)):
-        size = table[number[index], PIXELS]
+        size = table["pixels"][number[index]]
         if size < _FEWEST_PIXELS or size > most_pixels:
             continue
         y = np.uint64(runs[index, 0])
@@ -123,9 +117,9 @@ def part_blends(
             depth = signal[candidate] - least
             separate = (
                 distance >= _SMALLEST_DISTANCE_PX2
-                and signal[candidate] > _RING_SHARE * signal[other]
-                and least < _VALLEY * signal[candidate]
-                and depth > _VALLEY_SIGMA * noise[y, x]
+                and signal[candidate] > RING_SHARE * signal[other]
+                and least < VALLEY_SHARE * signal[candidate]
+                and depth > VALLEY_SIGMA * noise[y, x]
             )
             other = following[other]
         if separate:
@@ -134,7 +128,7 @@ def part_blends(
             head[peak_object[candidate]] = candidate
     if not several.any():
         return table, 0
-    parts = np.zeros((peaks, COLUMNS))
+    parts = np.zeros(peaks, SOURCE)
     for index in range(len(runs)):
         if not several[number[index]]:
             continue
@@ -150,9 +144,9 @@ def part_blends(
                 other = following[other]
             add_pixel(parts[nearest], x, y, image[y, x], level[y, x], saturation)
             if x == 0 or y == 0 or x == width - 1 or y == height - 1:
-                parts[nearest, EDGE] = 1.0
+                parts["edge"][nearest] = True
     # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
     for peak in range(peaks):
-        if parts[peak, PIXELS] > 0 and parts[peak, PEAK_RESIDUAL] > signal[peak]:
-            parts[peak, PIXELS] = 0.0
-    return np.concatenate((table[~several], parts[parts[:, PIXELS] > 0])), int(np.sum(several))
+        if parts["pixels"][peak] > 0 and parts["peak_residual"][peak] > signal[peak]:
+            parts["pixels"][peak] = 0.0
+    return np.concatenate((table[~several], parts[parts["pixels"] > 0])), int(np.sum(several))

@@ -5,31 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from startracker.detection.background import Background, as_image
-from startracker.detection.objects import add_pixel, find_runs, join_runs
+from startracker.detection.objects import find_runs, join_runs
 from startracker.detection.selection import select_spots
-from startracker.detection.spots import (
-    AT_PEAK,
-    COLUMNS,
-    EDGE,
-    FLUX,
-    PEAK,
-    PEAK_RESIDUAL,
-    PIXELS,
-    SUM_X,
-    SUM_Y,
-    X_PEAK,
-    Y_PEAK,
-    Spots,
-)
+from startracker.detection.sources import SOURCE, Sources, add_pixel
+from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
 __all__ = ["adaptive_radius", "cluster_pixels", "find_clusters", "merge_clusters"]
@@ -54,13 +42,13 @@ def find_clusters(
 ) -> Spots:
     """Star candidates by clustering: every bright pixel joins the nearest cluster within τ, or founds one.
 
-    Pixels above background + `threshold_sigma` × noise, or above `threshold_dn` as in the thesis, are met once, in
+    Pixels above background + `threshold_sigma` × noise, or above `threshold_dn` as in Yee 1999, are met once, in
     reading order. One that lies within τ of the running centre of a cluster joins the nearest such, whose centre moves;
-    else it becomes a new cluster (thesis section 2.2). Two things the thesis' conclusion asks for are added: τ adapts,
+    else it becomes a new cluster (Yee 1999, section 2.2). Two things that its section 5.2 asks for are added: τ adapts,
     to the frame (`adaptive_radius`) in place of trial and error and, growing as √n with the pixels that a cluster has,
     to each star; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
-    merged. A `cluster_radius_px` of one's own is kept as it is. Those of fewer than `min_pixels` are dropped (the
-    thesis: 10).
+    merged. A `cluster_radius_px` of one's own is kept as it is. Those of fewer than `min_pixels` are dropped (Yee
+    1999: 10).
 
     Parameters
     ----------
@@ -76,7 +64,7 @@ def find_clusters(
     Returns
     -------
     Spots
-        Brightest first, as every detector's. The thesis sorts by the number of pixels: its order is
+        Brightest first, as every detector's. Yee 1999 sorts by the number of pixels: that order is
         ``np.argsort(-spots.pixels, kind="stable")``.
 
     Raises
@@ -122,10 +110,10 @@ def adaptive_radius(runs: IntArray, max_pixels: int) -> float:
     return min(max(_LEAST_RADIUS_PX, float(np.quantile(side, _LARGE_QUANTILE))), _LARGEST_RADIUS_PX)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cluster_pixels(
     runs: IntArray, tau: float, image: FloatImage, level: FloatImage, saturation: float, growth: float = 0.0
-) -> FloatArray:
+) -> Sources:
     """Table of clusters (see `select_spots`) of the pixels in runs.
 
     The centre that pixels are compared with is the mean of the cluster's pixels, each counting alike. A cluster of n
@@ -133,7 +121,7 @@ def cluster_pixels(
     columns, of the rows still within reach, keeps the search short.
     """
     height, width = image.shape
-    table = np.zeros((64, COLUMNS))
+    table = np.zeros(64, SOURCE)
     centre = np.zeros((64, 2))
     following = np.full(64, -1)  # chain of clusters in a cell of columns
     cells = int(width / tau) + 2
@@ -152,7 +140,7 @@ def cluster_pixels(
                 while other >= 0:
                     after = following[other]
                     dy = y - centre[other, 1]
-                    reach = max(tau, min(growth * np.sqrt(table[other, PIXELS]), _LARGEST_RADIUS_PX))
+                    reach = max(tau, min(growth * np.sqrt(table["pixels"][other]), _LARGEST_RADIUS_PX))
                     if dy > reach:  # no later pixel reaches it: rows only grow
                         if previous < 0:
                             head[c] = after
@@ -176,10 +164,10 @@ def cluster_pixels(
             row = table[found]
             add_pixel(row, x, y, image[y, x], level[y, x], saturation)
             if x == 0 or y == 0 or x == width - 1 or y == height - 1:
-                row[EDGE] = 1.0
-            widest = max(widest, min(growth * np.sqrt(row[PIXELS]), _LARGEST_RADIUS_PX))
-            centre[found, 0] += (x - centre[found, 0]) / row[PIXELS]
-            centre[found, 1] += (y - centre[found, 1]) / row[PIXELS]
+                row["edge"] = True
+            widest = max(widest, min(growth * np.sqrt(row["pixels"]), _LARGEST_RADIUS_PX))
+            centre[found, 0] += (x - centre[found, 0]) / row["pixels"]
+            centre[found, 1] += (y - centre[found, 1]) / row["pixels"]
             moved = int(centre[found, 0] / tau)
             if moved != cell_of[found]:
                 if cell_of[found] >= 0:
@@ -196,16 +184,16 @@ def cluster_pixels(
     return table[:count]
 
 
-def merge_clusters(table: FloatArray, tau: float, growth: float = 0.0) -> FloatArray:
+def merge_clusters(table: Sources, tau: float, growth: float = 0.0) -> Sources:
     """Table in which clusters whose centres are within the reach of either are one, the fainter added to the brighter.
 
     A cluster of n pixels reaches as far as the larger of τ and `growth` × √n, 64 px at most.
     """
     if len(table) < 2:
         return table
-    signal = np.where(table[:, FLUX] > 0, table[:, FLUX], np.inf)
-    centre = np.column_stack([table[:, SUM_X], table[:, SUM_Y]]) / signal[:, None]
-    reach = np.maximum(tau, np.minimum(growth * np.sqrt(table[:, PIXELS]), _LARGEST_RADIUS_PX))
+    signal = np.where(table["flux"] > 0, table["flux"], np.inf)
+    centre = np.column_stack([table["sum_x"], table["sum_y"]]) / signal[:, None]
+    reach = np.maximum(tau, np.minimum(growth * np.sqrt(table["pixels"]), _LARGEST_RADIUS_PX))
     pairs = cKDTree(centre).query_pairs(reach.max(), output_type="ndarray")
     apart = np.linalg.norm(centre[pairs[:, 0]] - centre[pairs[:, 1]], axis=1)
     pairs = pairs[apart <= np.maximum(reach[pairs[:, 0]], reach[pairs[:, 1]])]
@@ -213,13 +201,13 @@ def merge_clusters(table: FloatArray, tau: float, growth: float = 0.0) -> FloatA
         return table
     link = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(table), len(table)))
     count, label = connected_components(link, directed=False)
-    merged = np.zeros((count, COLUMNS))
-    np.add.at(merged, label, table)
-    merged[:, EDGE] = np.minimum(merged[:, EDGE], 1.0)
+    merged = np.zeros(count, SOURCE)
+    for column in ("pixels", "flux", "saturated", "edge", "sum_x", "sum_y", "sum_xx", "sum_yy", "sum_xy"):
+        np.add.at(merged[column], label, table[column])  # of flags: whether any is set
     # in the order of rising peaks the highest writes last; of equal ones the first in reading order
-    order = np.lexsort((-table[:, X_PEAK], -table[:, Y_PEAK], table[:, PEAK]))
-    for column in (X_PEAK, Y_PEAK, PEAK, PEAK_RESIDUAL):
-        merged[label[order], column] = table[order, column]
-    top = table[:, PEAK] == merged[label, PEAK]
-    merged[:, AT_PEAK] = np.bincount(label, weights=np.where(top, table[:, AT_PEAK], 0.0), minlength=count)
+    order = np.lexsort((-table["x_peak"], -table["y_peak"], table["peak"]))
+    for column in ("x_peak", "y_peak", "peak", "peak_residual"):
+        merged[column][label[order]] = table[column][order]
+    top = table["peak"] == merged["peak"][label]
+    merged["at_peak"] = np.bincount(label, weights=np.where(top, table["at_peak"], 0.0), minlength=count)
     return merged

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel
 
 __all__ = ["fill_gaps", "has_crowd", "mask_extremes", "mask_impulses"]
 
@@ -63,7 +63,7 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     return np.where(bad, np.float32(np.nan), pixels), int(np.count_nonzero(bad))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _last_light(image: FloatImage, middle: float, limit: float) -> float:
     """Upper end of the values before the first gap beyond a limit, as distances from the middle; infinite for none.
 
@@ -104,7 +104,7 @@ def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
     return np.where(bad, np.float32(np.nan), pixels.astype(np.float32, copy=False)), count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int]:
     """Hot pixels, how many have no bright neighbour, and how many bright pixels are hot or the highest of nine."""
     height, width = image.shape
@@ -139,7 +139,7 @@ def fill_gaps(pixels: Image) -> Image:
     return np.asarray(_filled(pixels))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _filled(image: FloatImage) -> FloatImage:
     height, width = image.shape
     out = image.copy()

@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
-from startracker.detection.spots import (
-    AT_PEAK,
-    COLUMNS,
-    EDGE,
-    FLUX,
-    PEAK,
-    PEAK_RESIDUAL,
-    PIXELS,
-    SATURATED,
-    SUM_X,
-    SUM_XX,
-    SUM_XY,
-    SUM_Y,
-    SUM_YY,
-    X_PEAK,
-    Y_PEAK,
-)
+from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = [
-    "add_pixel",
     "cut_runs",
     "find_runs",
     "join_runs",
@@ -42,33 +25,7 @@ IntArray = NDArray[np.int64]
 FloatImage = NDArray[np.float32]
 
 
-@njit(cache=True, error_model="numpy")
-def add_pixel(row: NDArray[np.float64], x: int, y: int, value: float, level: float, saturation: float) -> None:
-    """Add a pixel to an object's row of the table; of equal peaks the first in reading order stays."""
-    signal = np.float64(value) - np.float64(level)
-    if row[PIXELS] == 0.0:
-        row[PEAK] = -np.inf
-    row[PIXELS] += 1.0
-    row[FLUX] += signal
-    row[SUM_X] += signal * x
-    row[SUM_Y] += signal * y
-    row[SUM_XX] += signal * x * x
-    row[SUM_YY] += signal * y * y
-    row[SUM_XY] += signal * x * y
-    if value >= saturation:
-        row[SATURATED] += 1.0
-    if value > row[PEAK]:
-        row[PEAK], row[AT_PEAK] = value, 1.0
-        row[PEAK_RESIDUAL] = signal
-        row[X_PEAK], row[Y_PEAK] = x, y
-    elif value == row[PEAK]:
-        row[AT_PEAK] += 1.0
-        if y < row[Y_PEAK] or (y == row[Y_PEAK] and x < row[X_PEAK]):
-            row[X_PEAK], row[Y_PEAK] = x, y
-            row[PEAK_RESIDUAL] = signal
-
-
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_runs(image: Image, level: NDArray[np.float32], noise: NDArray[np.float32], threshold: np.float32) -> IntArray:
     """Runs (row, first column, last column + 1), shape (R, 3), of pixels above level + threshold × noise.
 
@@ -92,14 +49,14 @@ def find_runs(image: Image, level: NDArray[np.float32], noise: NDArray[np.float3
     return runs[:count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def row_marks(width: int) -> NDArray[np.uint8]:
     """Bytes for the pixels of a row, to a whole number of blocks of 64; those beyond the row stay zero."""
     block = _GROUP * _GROUP
     return np.zeros((width + block - 1) // block * block, np.uint8)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def row_edges(marks: NDArray[np.uint8], width: int, edges: IntArray) -> int:
     """Number of places, written to `edges`, where a run of marked pixels begins or ends, in turn.
 
@@ -128,7 +85,7 @@ def row_edges(marks: NDArray[np.uint8], width: int, edges: IntArray) -> int:
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cut_runs(
     runs: IntArray, signal: FloatImage, keep: NDArray[np.bool_], noise: Plane, threshold: np.float32
 ) -> tuple[IntArray, FloatImage]:
@@ -156,7 +113,7 @@ def cut_runs(
     return out[:count].copy(), values[:used].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _root(parent: IntArray, index: int) -> int:
     while parent[index] != index:
         parent[index] = parent[parent[index]]
@@ -164,7 +121,7 @@ def _root(parent: IntArray, index: int) -> int:
     return index
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def join_runs(runs: IntArray) -> tuple[IntArray, int]:
     """Object number of each run, and the number of objects: runs of neighbouring rows that touch, corners included.
 
@@ -203,7 +160,7 @@ def join_runs(runs: IntArray) -> tuple[IntArray, int]:
     return number, count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def measure_objects(
     runs: IntArray,
     number: IntArray,
@@ -211,15 +168,15 @@ def measure_objects(
     image: Image,
     level: NDArray[np.float32],
     saturation: float,
-) -> NDArray[np.float64]:
+) -> Sources:
     """Table (count, 14) of objects given by numbered runs; see `startracker.detection.spots.select_spots`."""
     height, width = image.shape
-    table = np.zeros((count, COLUMNS))
+    table = np.zeros(count, SOURCE)
     for index in range(len(runs)):
         row = table[number[index]]
         y, x0, x1 = runs[index]
         if y == 0 or y == height - 1 or x0 == 0 or x1 == width:
-            row[EDGE] = 1.0
+            row["edge"] = True
         for x in range(x0, x1):
             add_pixel(row, x, y, image[y, x], level[y, x], saturation)
     return table

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = ["Plane", "as_plane", "fill_plane", "sample_plane"]
 
@@ -61,7 +63,7 @@ def _plane_getitem(plane: Any, place: Any) -> Callable[..., Any] | None:
     return None
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def sample_plane(plane: Plane, step_y: int, step_x: int) -> FloatImage:
     """Values of every so manyth row and column, flat."""
     height, width = len(plane.cell), plane.lines.shape[1]
@@ -73,7 +75,7 @@ def sample_plane(plane: Plane, step_y: int, step_x: int) -> FloatImage:
     return out[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill_plane(plane: Plane) -> FloatImage:
     """The whole map, shape (H, W)."""
     height, width = len(plane.cell), plane.lines.shape[1]

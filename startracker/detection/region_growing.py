@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
-from startracker.detection.objects import add_pixel
 from startracker.detection.selection import select_spots
-from startracker.detection.spots import COLUMNS, EDGE, Spots
+from startracker.detection.sources import SOURCE, Sources, add_pixel
+from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
 __all__ = ["grow_objects", "grow_regions"]
+
+FloatImage = NDArray[np.float32]
 
 
 def grow_regions(
@@ -26,12 +28,12 @@ def grow_regions(
     """Star candidates by growing regions from every third pixel.
 
     The image is searched left to right, top to bottom on a pattern that skips `settings.search_step_px` columns and
-    rows, every other row moved by one pixel (thesis Fig. 4.6: about a ninth of the pixels). From a pixel above
+    rows, every other row moved by one pixel (Greyling 1995, Fig. 4.6: about a ninth of the pixels). From a pixel above
     background + `threshold_sigma` × noise the object grows to its four neighbours while they are above it, and is
-    erased as it is collected, so that it is met once. Objects outside `min_pixels` to `max_pixels` (the thesis: 7 to
+    erased as it is collected, so that it is met once. Objects outside `min_pixels` to `max_pixels` (Greyling: 7 to
     36), and streaks, are cleared but not kept; so the Moon goes.
 
-    The thesis stops at the eighth star found, in reading order; here all are collected and the brightest
+    Greyling's `grow.m` stops at the eighth star found, in reading order; here all are collected and the brightest
     `max_stars` kept. An object narrower than the step can slip through the pattern.
 
     Parameters
@@ -56,46 +58,38 @@ def grow_regions(
     if settings.search_step_px < 1:
         raise InputError(f"detection.search_step_px is {settings.search_step_px}; it must be at least 1")
     saturation = np.inf if saturation_dn is None else float(saturation_dn)
-    table, _ = grow_objects(
-        pixels,
-        background.level,
-        background.noise,
-        np.float32(settings.threshold_sigma),
-        settings.search_step_px,
-        np.float32(saturation),
-    )
+    limit = background.level + np.float32(settings.threshold_sigma) * background.noise
+    table, _ = grow_objects(pixels, background.level, limit, settings.search_step_px, np.float32(saturation))
     return select_spots(table, settings, saturation_dn is not None, pixels, background)
 
 
-@njit(cache=True, error_model="numpy")
-def _above(value: float, level: float, noise: float, threshold: float) -> bool:
-    """Whether a pixel belongs to an object; one that is not finite does not."""
-    return value > level + threshold * noise and value < np.inf
-
-
-@njit(cache=True, error_model="numpy")
+@kernel
 def grow_objects(
-    image: NDArray[np.float32],
-    level: NDArray[np.float32],
-    noise: NDArray[np.float32],
-    threshold: float,
-    step: int,
-    saturation: float,
-) -> tuple[NDArray[np.float64], int]:
-    """Table of objects (see `select_spots`) met on the search pattern, and the number of pixels looked at for them.
+    image: FloatImage, level: FloatImage, limit: FloatImage, step: int, saturation: float
+) -> tuple[Sources, int]:
+    """Sources met on the search pattern, in that order, and the number of pixels that it has.
 
-    The recursion of the thesis is a stack here: an object may be as large as the image.
+    The recursion of `grow.m` is a stack here: an object may be as large as the image.
+
+    Parameters
+    ----------
+    image, level, limit : array, shape (H, W)
+        Pixels above their limit, and finite, belong to sources; signals are above the level.
+    step : int
+        Of the pattern, pixels.
+    saturation : float
+        DN.
     """
     height, width = image.shape
-    table = np.zeros((64, COLUMNS))
-    found, visited = 0, 0
-    erased = np.zeros((height, width), np.bool_)
+    table, found, visited = np.zeros(64, SOURCE), 0, 0
+    # erased at once: what belongs to no object
+    erased = ~((image > limit) & (image < np.inf))
     stack = np.empty(256, np.int64)
     for y0 in range(step - 1, height - step + 1, step):
         shift = (y0 // step) % 2 if step > 1 else 0
         for x0 in range(step - 1 + shift, width - step + 1, step):
             visited += 1
-            if erased[y0, x0] or not _above(image[y0, x0], level[y0, x0], noise[y0, x0], threshold):
+            if erased[y0, x0]:
                 continue
             if found == len(table):
                 table = np.concatenate((table, np.zeros_like(table)))
@@ -109,15 +103,13 @@ def grow_objects(
                 y, x = stack[depth] // width, stack[depth] % width
                 add_pixel(row, x, y, image[y, x], level[y, x], saturation)
                 if x == 0 or y == 0 or x == width - 1 or y == height - 1:
-                    row[EDGE] = 1.0
+                    row["edge"] = True
                 if depth + 4 > len(stack):
                     stack = np.concatenate((stack, np.empty_like(stack)))
                 for direction in range(4):
                     xn = x + (1 if direction == 2 else -1 if direction == 0 else 0)
                     yn = y + (1 if direction == 1 else -1 if direction == 3 else 0)
-                    if xn < 0 or yn < 0 or xn >= width or yn >= height or erased[yn, xn]:
-                        continue
-                    if _above(image[yn, xn], level[yn, xn], noise[yn, xn], threshold):
+                    if 0 <= xn < width and 0 <= yn < height and not erased[yn, xn]:
                         erased[yn, xn] = True
                         stack[depth] = yn * width + xn
                         depth += 1

@@ -10,12 +10,12 @@ takes as long as a hundred pixels. Indices have no sign, as one that may be nega
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.objects import row_marks
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel
 
 __all__ = ["UNFILTERED", "kernel_half", "runs_above", "search_rows"]
 
@@ -41,7 +41,7 @@ UNFILTERED = kernel_half(np.ones(1))
 """The filter that changes nothing."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.uint64) -> None:
     """Image minus level; zero where the image is not finite."""
     share, lines, row, cell = level.share[y], level.lines, np.uint64(y), np.uint64(level.cell[y])
@@ -51,7 +51,7 @@ def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.
         work[out + x] = signal if is_value(image[row, x]) else zero
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint64, width: int) -> None:
     """Correlation along x of a row that has zeros on both sides."""
     before, weight = row, half[0]
@@ -64,7 +64,7 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
         before, weight = out, np.float32(1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
@@ -82,7 +82,7 @@ def _filter_columns(
         before, weight = out, np.float32(1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
     """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
@@ -94,7 +94,7 @@ def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out:
         work[out + x] = threshold * value * less
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sample_row(
     work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, first: int, stride: int, sample: FloatImage,
     count: int,
@@ -104,10 +104,10 @@ def _sample_row(
     for x in range(np.uint64(first), np.uint64(image.shape[1]), np.uint64(stride)):
         sample[place] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         place += np.uint64(is_value(image[row, x]))
-    return int(place)
+    return int(np.int64(place))  # a signed number, as callers count with
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def search_rows(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
 ) -> tuple[Places, FloatImage, FloatImage]:
@@ -192,7 +192,7 @@ def search_rows(
     return groups[:count].copy(), found[:count].copy(), sample[:samples].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def runs_above(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float
 ) -> tuple[IntArray, FloatImage]:

@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background
+from startracker.detection.classify import REASONS, STAR, classify_sources
 from startracker.detection.forms import brightest_first, is_halo, measure_forms
 from startracker.detection.matched import quantiles
 from startracker.detection.plane import Plane, sample_plane
 from startracker.detection.scan import UNFILTERED
-from startracker.detection.smear import agrees, frame_motion, motion_at
-from startracker.detection.spots import (
-    AT_PEAK,
-    EDGE,
-    FLUX,
-    PEAK,
-    PIXELS,
-    SATURATED,
-    X_PEAK,
-    Y_PEAK,
-    Spots,
-)
+from startracker.detection.sources import Sources
+from startracker.detection.spots import Spots
 from startracker.detection.surroundings import ring_pixels
 from startracker.detection.values import Image
-from startracker.detection.verdicts import REASONS, STAR, judge_objects
+from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
-__all__ = ["select_smeared", "select_spots"]
+__all__ = ["FAINTER", "is_saturated", "select_spots"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -38,17 +28,16 @@ Columns = tuple[IntArray, IntArray, FloatArray, IntArray, Flags, Flags, FloatArr
 
 _FLAT_TOP_PIXELS = 5
 """Pixels that share the highest value of a flat top; a star centred on a corner has four of them."""
-_STREAK_PIXELS, _STREAK_RATIO = 12, 1.5
 _LOOKED_AT, _LOOKED_AT_MORE = 6, 36
 """Objects examined for each star asked for: the brightest; an image full of noise has thousands. More where these are
 too few stars, or all as sharp as hot pixels, of which a warm detector has thousands too."""
 _QUIET_QUANTILE = 0.25
 _QUIET_STEP_PX = 16
-_FAINTER = "fainter than the brightest"
+FAINTER = "fainter than the brightest"
 
 
 def select_spots(
-    table: FloatArray,
+    table: Sources,
     settings: DetectionSettings,
     saturation_known: bool,
     image: Image,
@@ -94,7 +83,7 @@ def select_spots(
     for looked_at in (_LOOKED_AT * most, _LOOKED_AT_MORE * most):
         objects, saturated, left_out = _brightest(table, saturation_known, fewest, settings.max_pixels, looked_at)
         forms = measure_forms(objects, settings.max_axis_ratio)
-        columns, verdicts, told = _judge(
+        columns, left_out_kinds, told = _judge(
             objects,
             saturated,
             forms.long,
@@ -111,16 +100,16 @@ def select_spots(
         )
         if len(objects) < looked_at or (told and len(columns[0]) == most):
             break
-    reasons = ("too small", "too large", "without signal", _FAINTER, *REASONS)
-    for reason, number in zip(reasons, (*left_out, *verdicts.tolist()), strict=True):
+    reasons = ("too small", "too large", "without signal", FAINTER, *REASONS)
+    for reason, number in zip(reasons, (*left_out, *left_out_kinds.tolist()), strict=True):
         if number > 0:
             rejected[reason] = rejected.get(reason, 0) + number
     return Spots(*columns, rejected)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _brightest(
-    table: FloatArray, saturation_known: bool, fewest: int, largest: int, most: int
+    table: Sources, saturation_known: bool, fewest: int, largest: int, most: int
 ) -> tuple[FloatArray, Flags, tuple[int, int, int, int]]:
     """The brightest objects, which of them are saturated, and how many are too small, large, dark and faint."""
     saturated = is_saturated(table, saturation_known)
@@ -130,9 +119,9 @@ def _brightest(
     return table[index], saturated[index], (small, large, dark, fainter)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _judge(
-    table: FloatArray,
+    table: Sources,
     saturated: Flags,
     long: Flags,
     centre: FloatArray,
@@ -147,84 +136,35 @@ def _judge(
     isolation: float,
     most: int,
 ) -> tuple[Columns, IntArray, bool]:
-    """Columns of `Spots` for the objects that are stars, the number of the others by verdict, and whether hits could be
-    told from stars."""
-    verdict, told = judge_objects(
+    """Columns of `Spots` for the objects that are stars, the number of the others by class, and whether cosmic rays
+    could be distinguished from stars."""
+    kind, told = classify_sources(
         table, saturated, is_halo(table), long, image, level, noise, half, reject_hits, offsets, ends, quiet, isolation,
         most,
     )  # fmt: skip
     number = np.zeros(len(REASONS) + 1, np.int64)
-    for n in range(len(verdict)):
-        number[verdict[n]] += 1
-    chosen = np.flatnonzero(verdict == STAR)
+    for n in range(len(kind)):
+        number[kind[n]] += 1
+    chosen = np.flatnonzero(kind == STAR)
     stars = table[chosen]
     columns = (
-        stars[:, X_PEAK].astype(np.int64),
-        stars[:, Y_PEAK].astype(np.int64),
-        stars[:, FLUX].copy(),
-        stars[:, PIXELS].astype(np.int64),
+        stars["x_peak"].astype(np.int64),
+        stars["y_peak"].astype(np.int64),
+        stars["flux"].copy(),
+        stars["pixels"].astype(np.int64),
         saturated[chosen],
-        stars[:, EDGE] > 0.0,
+        stars["edge"].copy(),
         centre[chosen],
         np.zeros((len(chosen), 2)),
     )
     return columns, number[1:], told or not reject_hits
 
 
-@njit(cache=True, error_model="numpy")
-def is_saturated(table: FloatArray, saturation_known: bool) -> Flags:
+@kernel
+def is_saturated(table: Sources, saturation_known: bool) -> Flags:
     """Objects with a saturated pixel; the level not known: those of the highest value, if one has a flat top."""
     if saturation_known or not len(table):
-        return table[:, SATURATED] > 0.0
-    highest = table[:, PEAK] == table[:, PEAK].max()
-    flat: Flags = highest & np.any(highest & (table[:, AT_PEAK] >= _FLAT_TOP_PIXELS))
+        return table["saturated"] > 0
+    highest = table["peak"] == table["peak"].max()
+    flat: Flags = highest & np.any(highest & (table["at_peak"] >= _FLAT_TOP_PIXELS))
     return flat
-
-
-def select_smeared(
-    table: FloatArray,
-    settings: DetectionSettings,
-    saturation_known: bool,
-    background: Background,
-    excess: float,
-) -> Spots | None:
-    """Stars of a smeared frame: objects that are long and fit the one motion; None where there is no such motion.
-
-    Parameters
-    ----------
-    table, settings, saturation_known, background, excess
-        As for `select_spots`; the objects found at half the threshold, which faint streaks fall apart above. In
-        exchange an object needs 12 pixels and, as a whole, twice the threshold. To be a streak it need only be longer
-        than broad: the limit on the axis ratio, somewhere in which streaks of one length scatter, is for single ones.
-    """
-    at_peak = table[:, Y_PEAK].astype(np.intp), table[:, X_PEAK].astype(np.intp)
-    noise = excess * background.noise_plane[*at_peak]
-    strong = table[:, FLUX] > 2.0 * settings.threshold_sigma * noise * np.sqrt(table[:, PIXELS])
-    table = table[strong & (table[:, PIXELS] >= _STREAK_PIXELS)]
-    forms = measure_forms(table, _STREAK_RATIO)
-    whole = np.flatnonzero(forms.long & (table[:, EDGE] == 0))
-    order = whole[np.lexsort((table[whole, X_PEAK], table[whole, Y_PEAK], -table[whole, FLUX]))]
-    middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)
-    motion = frame_motion(forms.centre[order] - middle, forms.lines[order])
-    if motion is None:
-        return None
-    expected = motion_at(forms.centre[order] - middle, motion)
-    fits = agrees(forms.lines[order], expected)
-    chosen, drawn = order[fits][: max(settings.max_stars, 0)], expected[fits][: max(settings.max_stars, 0)]
-    rejected = {
-        "streak": int(np.count_nonzero(forms.long)) - int(np.count_nonzero(fits)),
-        "not smeared as the frame": int(np.count_nonzero(~forms.long)),
-        _FAINTER: int(np.count_nonzero(fits)) - len(chosen),
-    }
-    nearest = np.rint(forms.centre[chosen]).astype(np.int64)
-    return Spots(
-        nearest[:, 0],
-        nearest[:, 1],
-        table[chosen, FLUX].copy(),
-        table[chosen, PIXELS].astype(np.int64),
-        is_saturated(table, saturation_known)[chosen],
-        np.zeros(len(chosen), np.bool_),
-        forms.centre[chosen],
-        drawn,
-        {reason: count for reason, count in rejected.items() if count},
-    )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel
 
 __all__ = ["MAJOR", "MINOR", "PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
 
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: FloatArray) -> None:
     """exp(−(k − shift)² / 2 variance) for k = −n … n, from its values for no shift: (k − d)² = k² − 2 k d + d²."""
     half = len(centred) - 1
@@ -36,7 +36,7 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
         out[half + k], out[half - k] = up * centred[k], down * centred[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def measure_shapes(
     image: Image,
     level: FloatImage,

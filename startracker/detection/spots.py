@@ -1,4 +1,4 @@
-"""Star candidates: the table of objects that detectors fill, and what they hand on."""
+"""Star candidates: what detectors hand on."""
 
 from __future__ import annotations
 
@@ -8,26 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLUMNS", "Spots"]
-
-COLUMNS = 14
-"""Columns of the table of objects: see `startracker.detection.selection.select_spots`."""
-(
-    PIXELS,
-    FLUX,
-    X_PEAK,
-    Y_PEAK,
-    PEAK,
-    AT_PEAK,
-    SATURATED,
-    EDGE,
-    SUM_X,
-    SUM_Y,
-    SUM_XX,
-    SUM_YY,
-    SUM_XY,
-    PEAK_RESIDUAL,
-) = range(COLUMNS)
+__all__ = ["Spots"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +36,9 @@ class Spots:
     other : Spots, optional
         Where the frame shows streaks of one motion: the candidates under the hypothesis that was not chosen, points
         where these are streaks, streaks where these are points.
+    direction_rad : float, optional
+        Direction, from x to y, in which neighbouring objects line up far more often than by chance: these may be pieces
+        of long trails.
     """
 
     x_peak: NDArray[np.int64]
@@ -67,6 +51,7 @@ class Spots:
     streak: NDArray[np.float64] | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
     other: Spots | None = None
+    direction_rad: float | None = None
 
     def __len__(self) -> int:
         return len(self.flux)

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
+from startracker.kernels import kernel
 
 __all__ = ["filter_stamp", "filtered_at", "stamp_pitch"]
 
 FloatImage = NDArray[np.float32]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stamp_pitch(half: FloatImage, radius: int) -> int:
     """Numbers from one row of a stamp to the next."""
     return 2 * (radius + len(half)) - 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def filter_stamp(
     image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, work: FloatImage, out: FloatImage
 ) -> None:
@@ -62,7 +62,7 @@ def filter_stamp(
                     out[j * pitch + i] = np.nan
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _correlate(values: FloatImage, half: FloatImage, step: int, out: FloatImage, count: int) -> None:
     """Sums of 2 reach + 1 numbers that are `step` apart, the first of them at the place of the sum."""
     reach = len(half) - 1
@@ -79,7 +79,7 @@ def _correlate(values: FloatImage, half: FloatImage, step: int, out: FloatImage,
                 out[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def filtered_at(image: Image, level: Plane, half: FloatImage, x0: int, y0: int) -> float:
     """Filtered signal of one pixel; not a number where the image is not finite."""
     height, width = image.shape

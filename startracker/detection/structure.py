@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel
 
 __all__ = ["follow_structure", "has_structure"]
 
@@ -44,7 +44,7 @@ def has_structure(image: Image, background: Background) -> bool:
     return bool(0.0 < spread * _NOISE_TIMES < 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _spread(image: Image, noise: Plane) -> float:
     """Robust standard deviation of the differences of a thousand pixels, in units of the background's noise."""
     height, width = image.shape
@@ -96,7 +96,7 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
     """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
     height, width = image.shape
@@ -124,7 +124,7 @@ def _medians(bins: FloatArray) -> FloatArray:
     return np.asarray(_median_filter(padded.astype(np.float32), reach))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _median_filter(padded: FloatImage, reach: int) -> FloatArray:
     height, width, side = padded.shape[0] - 2 * reach, padded.shape[1] - 2 * reach, 2 * reach + 1
     out, sample = np.empty((height, width)), np.empty(side * side, np.float32)

@@ -6,13 +6,13 @@ import math
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
 from startracker.detection.values import Image
+from startracker.kernels import kernel
 
 __all__ = ["is_clutter", "ring_pixels", "ring_space"]
 
@@ -49,7 +49,7 @@ def ring_pixels() -> tuple[IntArray, IntArray]:
     return offsets, np.array(ends, np.int64)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ring_space(half: FloatImage, offsets: IntArray) -> RingSpace:
     """Working space of `is_clutter`."""
     pixels = stamp_pitch(half, _LARGEST_RADIUS_PX + 2 + _RING_PX) ** 2
@@ -59,7 +59,7 @@ def ring_space(half: FloatImage, offsets: IntArray) -> RingSpace:
     return np.empty(pixels, np.float32), np.empty(2 * pixels, np.float32), sample, masks
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_calm(stamp: FloatImage, mask: Masks, quiet: float) -> bool:
     """Whether the median of a ring exceeds its highest value less `quiet`, and all its values are finite.
 
@@ -79,7 +79,7 @@ def _is_calm(stamp: FloatImage, mask: Masks, quiet: float) -> bool:
     return bool(below <= pixels // 2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def is_clutter(
     image: Image,
     level: Plane,

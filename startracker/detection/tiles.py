@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
+from startracker.kernels import kernel, kernel_with
 
 __all__ = ["find_kth", "interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
 
@@ -30,7 +30,7 @@ _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
     """Value at place k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
     left, right = start, stop - 1
@@ -58,7 +58,7 @@ def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> fl
     return float(values[k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def whole_step(values: NDArray[np.float32]) -> int:
     """Greatest common divisor of the differences of whole numbers; 1 where all are the same, 0 where one is not whole.
 
@@ -82,7 +82,7 @@ def whole_step(values: NDArray[np.float32]) -> int:
     return max(divisor, 1) if count else 0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
     """Value at place k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
@@ -114,7 +114,7 @@ def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near:
 
 
 # whole numbers, and what lies on a lattice, have the same sums in any order
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+@kernel_with(fastmath={"reassoc", "nsz"})
 def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width: float) -> tuple[float, float, int]:
     """Mean and standard deviation of the values within a half width of a centre, and how many these are."""
     total, squares, n = 0.0, 0.0, 0
@@ -128,13 +128,13 @@ def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width:
     return centre + mean, math.sqrt(max(squares / n - mean * mean, 0.0)), n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _clip(spread: float, step: float) -> float:
     """Half width of the clipping; it never falls between neighbouring values."""
     return _CLIP * max(spread, step * _ROUNDING) + 0.5 * step
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float32]) -> int:
     """Every so manyth pixel of a tile's rows, and how many are finite; each row begins farther than the one before.
 
@@ -152,10 +152,10 @@ def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float
             x += pace
         start += shift
         start -= pace if start >= first + pace else np.uint64(0)
-    return int(used)
+    return int(np.int64(used))  # a signed number, as callers count with
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def tile_statistics(
     image: Image, rows: int, columns: int, step: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -197,28 +197,32 @@ def tile_statistics(
     return level, noise
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _middle(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def smooth_tiles(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
     """3×3 median over tiles; outside, the map goes on linearly, so that a plane stays as it is."""
     rows, columns = tiles.shape
     padded = np.empty((rows + 2, columns + 2))
-    padded[1:-1, 1:-1] = tiles
-    padded[0, 1:-1] = 2.0 * tiles[0] - tiles[min(1, rows - 1)]
-    padded[-1, 1:-1] = 2.0 * tiles[-1] - tiles[max(-2, -rows)]
-    padded[:, 0] = 2.0 * padded[:, 1] - padded[:, min(2, columns)]
-    padded[:, -1] = 2.0 * padded[:, -2] - padded[:, max(-3, -columns - 1)]
+    above, below, left, right = min(1, rows - 1), max(rows - 2, 0), min(2, columns), max(columns - 1, 1)
+    for c in range(columns):
+        for r in range(rows):
+            padded[r + 1, c + 1] = tiles[r, c]
+        padded[0, c + 1] = 2.0 * tiles[0, c] - tiles[above, c]
+        padded[rows + 1, c + 1] = 2.0 * tiles[rows - 1, c] - tiles[below, c]
+    for r in range(rows + 2):
+        padded[r, 0] = 2.0 * padded[r, 1] - padded[r, left]
+        padded[r, columns + 1] = 2.0 * padded[r, columns] - padded[r, right]
     # the median of nine is that of the largest least, the middle middle and the least largest of its rows sorted
     low, middle, high = np.empty((rows + 2, columns)), np.empty((rows + 2, columns)), np.empty((rows + 2, columns))
     for r in range(rows + 2):
         for c in range(columns):
             a, b, d = padded[r, c], padded[r, c + 1], padded[r, c + 2]
             low[r, c], middle[r, c], high[r, c] = min(a, b, d), _middle(a, b, d), max(a, b, d)
-    out = np.empty_like(tiles)
+    out = np.empty((rows, columns))
     for r in range(rows):
         for c in range(columns):
             out[r, c] = _middle(
@@ -229,7 +233,7 @@ def smooth_tiles(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Lower of the two tiles between whose centres each pixel of an axis lies, and how far it is to the upper one."""
     cell, share = np.zeros(size, np.int64), np.zeros(size)
@@ -239,8 +243,9 @@ def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64],
         first = 0 if k == 0 else math.ceil(low)
         for i in range(first, size if k == tiles - 2 else math.ceil(high)):
             cell[i], share[i] = k, (i - low) / (high - low)
-    if not extrapolate:
-        share[:] = np.minimum(np.maximum(share, 0.0), 1.0)
+    for i in range(size):
+        if not extrapolate:
+            share[i] = min(max(share[i], 0.0), 1.0)
     return cell, share
 
 
@@ -252,7 +257,7 @@ def interpolate_tiles(tiles: NDArray[np.float64], height: int, width: int, extra
     return Plane(*_interpolate(tiles, height, width, extrapolate))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _interpolate(
     tiles: NDArray[np.float64], height: int, width: int, extrapolate: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
+from startracker.kernels import kernel
 
 __all__ = ["Image", "as_image", "as_pixels", "is_value", "is_whole", "whole_range"]
 
@@ -70,7 +71,7 @@ def _is_whole(image: Any) -> Callable[[Any], bool]:
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def whole_range(image: NDArray[np.uint16], level: float) -> tuple[int, int, int]:
     """Lowest and highest value of an image of integers, and how many are at or above a level, in one pass."""
     lowest, highest, full = image[0, 0], image[0, 0], 0

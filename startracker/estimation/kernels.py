@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel, kernel_with
 
 __all__ = [
     "common_frame",
@@ -30,7 +31,7 @@ _STEPS = 12
 _LARGEST_STEP = 0.3  # rad; beyond it Newton's quadratic model of the cost is no longer one
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def unit_vectors(vectors: FloatArray, out: FloatArray) -> float:
     """Normalise `vectors` (M, 3) into `out`; largest sine of an angle from the first, or −1 if one has none."""
     spread = 0.0
@@ -47,13 +48,13 @@ def unit_vectors(vectors: FloatArray, out: FloatArray) -> float:
     return math.sqrt(spread)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     """Cross product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel_with(inline="always")
 def triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     """a · (b × c)."""
     x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
@@ -61,7 +62,7 @@ def triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     return product
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def common_frame(b: FloatArray, weight: FloatArray) -> FloatArray:
     """Rows: the weighted mean axis of directions (M, 3), taken from the heaviest one's side, and two axes across."""
     heaviest = np.argmax(weight)
@@ -80,7 +81,7 @@ def common_frame(b: FloatArray, weight: FloatArray) -> FloatArray:
     return frame
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _curvature(b: FloatArray, p: FloatArray, weight: FloatArray, frame: FloatArray) -> FloatArray:
     """Σ w ((b·p) I − (b pᵀ + p bᵀ)/2) in the axes of `frame`: Wahba's Hessian; with p = b the information."""
     out = np.zeros((3, 3))
@@ -102,7 +103,7 @@ def _curvature(b: FloatArray, p: FloatArray, weight: FloatArray, frame: FloatArr
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inverse(m: FloatArray) -> FloatArray:
     """Inverse of a positive definite matrix (3, 3) by its first element's Schur complement; NaN for any other."""
     out = np.full((3, 3), np.nan)
@@ -121,7 +122,7 @@ def _inverse(m: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def covariance_of(b: FloatArray, sigma: FloatArray) -> FloatArray:
     """[Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (3, 3) of unit vectors (M, 3): the covariance of the best attitude's rotation vector."""
     smallest = sigma.min()
@@ -132,7 +133,7 @@ def covariance_of(b: FloatArray, sigma: FloatArray) -> FloatArray:
     return covariance
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     """Rotation (3, 3) near `matrix` at which Σ w |b − A r|² is least: Newton steps, until rounding stops them.
 
@@ -175,7 +176,7 @@ def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray)
     return current
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turn(x: float, y: float, z: float, matrix: FloatArray) -> FloatArray:
     """The rotation by the vector (x, y, z) after `matrix`, re-orthogonalised by its quaternion's length."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -191,7 +192,7 @@ def _turn(x: float, y: float, z: float, matrix: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def most_telling_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
     """Pair (i, j) of directions (M, 3) from which `pair_rotation` has the smallest mean square error, i first."""
     best, first, second = np.inf, 0, 1
@@ -208,7 +209,7 @@ def most_telling_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
     return first, second
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     """Columns: `one`; the pole n of the great circle to `two`; and n × one, towards `two`."""
     out = np.empty((3, 3))
@@ -223,7 +224,7 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> FloatArray:
     """Rotation (3, 3) that lays reference star `first` on its image, and the great circle to `second` on its image."""
     rotation: FloatArray = pair_frame(b[first], b[second]) @ pair_frame(r[first], r[second]).T

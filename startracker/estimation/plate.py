@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
+from startracker.kernels import kernel
 
 __all__ = ["Plate", "first_center_deg", "plate_constants", "solve_plate"]
 
@@ -209,7 +209,7 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
     return Estimate(matrix, covariance)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tangent_axes(mean: FloatArray) -> FloatArray:
     """Rows: two axes across a direction (3,) and the direction itself, right-handed."""
     out = np.empty((3, 3))
@@ -224,7 +224,7 @@ def _tangent_axes(mean: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _project(axes: FloatArray, v: FloatArray, out: FloatArray) -> bool:
     """Gnomonic coordinates (M, 2) of directions (M, 3); whether all are well before the plane."""
     for i in range(len(v)):
@@ -236,7 +236,7 @@ def _project(axes: FloatArray, v: FloatArray, out: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _plate_attitude(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[int, FloatArray, FloatArray]:
     """0, or what was wrong; attitude; covariance."""
     m = len(b)
@@ -317,7 +317,7 @@ def _plate_attitude(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[in
     return 0, matrix, axes_b.T @ inner @ axes_b
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _plate_covariance(
     x: FloatArray, sigma: FloatArray, weight: FloatArray, along: FloatArray, middle: FloatArray, full: bool
 ) -> FloatArray:

@@ -42,11 +42,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
 from startracker.image_map import ImageMap, to_pixels
+from startracker.kernels import kernel
+from startracker.sorting import median
 
 __all__ = ["TRUSTED", "UNKNOWN_FLOOR_PX", "Pose", "displacements", "few_stars_factor", "fit_pose", "pixel_slopes"]
 
@@ -113,7 +114,7 @@ def few_stars_factor(freedom: int) -> float:
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
     """∂(x, y)/∂θ (M, 2, 3), pixels per radian, of stars seen along unit vectors (M, 3) when the camera turns by θ."""
     moved, out = np.empty((6 * len(vectors), 3)), np.empty((len(vectors), 2, 3))
@@ -132,7 +133,7 @@ def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
     """Inverse of the leading block of a positive definite matrix by Cholesky's factors, and ln of its determinant."""
     lower, log_det = np.zeros((size, size)), 0.0
@@ -166,34 +167,22 @@ def _inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
     return out, log_det
 
 
-@njit(cache=True, error_model="numpy")
 def _columns(slopes: FloatArray, extra: FloatArray, offset: FloatArray) -> FloatArray:
     """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
     known = extra.shape[2]
     out = np.empty((len(slopes), 2, 6 + known))
-    for n in range(len(slopes)):
-        x, y = offset[n, 0], offset[n, 1]
-        for axis in range(2):
-            out[n, axis, :3] = slopes[n, axis]
-            out[n, axis, 3 : 3 + known] = extra[n, axis]
-        out[n, 0, 3 + known], out[n, 1, 3 + known] = x, y
-        out[n, 0, 4 + known], out[n, 1, 4 + known] = x, -y
-        out[n, 0, 5 + known], out[n, 1, 5 + known] = y, x
+    out[:, :, :3], out[:, :, 3 : 3 + known] = slopes, extra
+    out[:, :, 3 + known] = out[:, :, 4 + known] = offset
+    out[:, 1, 4 + known] *= -1.0
+    out[:, :, 5 + known] = offset[:, ::-1]
     return out
 
 
-@njit(cache=True, error_model="numpy")
 def displacements(slopes: FloatArray, offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
     """How far what may be wrong with the camera (`Pose.unknowns`) moves stars (M, 2), pixels; see `fit_pose`."""
-    columns, out = _columns(slopes, extra, offset), np.zeros((len(slopes), 2))
-    for n in range(len(slopes)):
-        for axis in range(2):
-            for k in range(len(unknowns)):
-                out[n, axis] += columns[n, axis, 3 + k] * unknowns[k]
-    return out
+    return np.asarray(_columns(slopes, extra, offset)[:, :, 3:] @ unknowns)
 
 
-@njit(cache=True, error_model="numpy")
 def fit_pose(
     residual: FloatArray,
     slopes: FloatArray,
@@ -228,16 +217,16 @@ def fit_pose(
         Number of models: 3, or 2 where the caller's columns make shears as they are.
     """
     columns, known = _columns(slopes, extra, offset), extra.shape[2]
-    round_one = np.eye(2)
-    pose: Pose = _fit_models(residual, columns, covariance, extra_sigma, trusted, first, models, known, round_one)
+    given = residual, columns, covariance, extra_sigma, trusted, first, models, known
+    pose = _fit_models(*given, np.eye(2))
     if trusted > 0.0 and pose.systematic_px2 > 0.0:
         shape = _shape_of_systematic(residual, columns, pose)
         if shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
-            pose = _fit_models(residual, columns, covariance, extra_sigma, trusted, first, models, known, shape)
+            pose = _fit_models(*given, shape)
     return pose
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
     """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
 
@@ -267,7 +256,6 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
     return out
 
 
-@njit(cache=True, error_model="numpy")
 def _fit_models(
     residual: FloatArray,
     columns: FloatArray,
@@ -280,21 +268,41 @@ def _fit_models(
     shape: FloatArray,
 ) -> Pose:
     """`fit_pose` with the systematic error's covariance τ² `shape`."""
+    trace = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
+    unit = median(trace.copy())  # which it sorts
+    fits = _fit_each_model(residual, columns, covariance, extra_sigma, trusted, first, models, known, unit, shape)
+    pose: Pose = _averaged(*fits, trace, unit, known)
+    return pose
+
+
+@kernel
+def _fit_each_model(
+    residual: FloatArray,
+    columns: FloatArray,
+    covariance: FloatArray,
+    extra_sigma: FloatArray,
+    trusted: float,
+    first: int,
+    models: int,
+    known: int,
+    unit: float,
+    shape: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """All models, with the systematic error's covariance τ² `shape`: logarithms of their weights and scales
+    (grid, 3), means (grid, 3, 6 + E) and covariances of all unknowns, and covariances (grid, 3, 3) of rotations alone.
+    """
     count = len(residual)
     widest = columns.shape[2]
     freedom = 2.0 * count - 3.0
-    trace = np.empty(count)
-    for n in range(count):
-        trace[n] = 0.5 * (covariance[n, 0, 0] + covariance[n, 1, 1])
-    unit = np.median(trace)
     grid = len(SYSTEMATIC) if trusted > 0.0 else 1
     weight, scale = np.full((grid, 3), -np.inf), np.zeros((grid, 3))
     mean = np.zeros((grid, 3, widest))
     every = np.zeros((grid, 3, widest, widest))
     plain = np.zeros((grid, 3, 3))
+    normal, right = np.empty((widest, widest)), np.empty(widest)
     for t in range(grid):
         tau2 = SYSTEMATIC[t] ** 2 * unit
-        normal, right = np.zeros((widest, widest)), np.zeros(widest)
+        normal[:], right[:] = 0.0, 0.0
         total, log_det = 0.0, 0.0
         for n in range(count):
             a, c = covariance[n, 0, 0] + tau2 * shape[0, 0], covariance[n, 1, 1] + tau2 * shape[1, 1]
@@ -310,7 +318,10 @@ def _fit_models(
                 right[i] += u * x + v * y
                 for j in range(i + 1):
                     normal[i, j] += u * columns[n, 0, j] + v * columns[n, 1, j]
-        plain[t] = _inverse(normal, 3)[0]
+        of_turn = _inverse(normal, 3)[0]
+        for i in range(3):
+            for j in range(3):
+                plain[t, i, j] = of_turn[i, j]
         for m in range(first, models):
             size = (3 + known, 4 + known, 6 + known)[m]
             added, log_prior = normal.copy(), 0.0
@@ -335,14 +346,15 @@ def _fit_models(
                 scale[t, m] = (trusted + chi2) / power
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
-            every[t, m, :size, :size] = inverse
+            for i in range(size):
+                for j in range(size):
+                    every[t, m, i, j] = inverse[i, j]
             log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
             weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] - 0.5 * log_data
-    pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, known)
-    return pose
+    return weight, scale, mean, every, plain
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _averaged(
     weight: FloatArray,
     scale: FloatArray,
@@ -354,13 +366,21 @@ def _averaged(
     known: int,
 ) -> Pose:
     """Moments of the mixture, its weights (grid, 3) still logarithms."""
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
+    highest, total = -np.inf, 0.0
+    for t in range(weight.shape[0]):
+        for m in range(3):
+            highest = max(highest, weight[t, m])
+    for t in range(weight.shape[0]):
+        for m in range(3):
+            weight[t, m] = math.exp(weight[t, m] - highest)
+            total += weight[t, m]
     centre = np.zeros(mean.shape[2])
     factor = systematic = 0.0
     for t in range(weight.shape[0]):
         for m in range(3):
-            centre += weight[t, m] * mean[t, m]
+            weight[t, m] /= total
+            for i in range(len(centre)):
+                centre[i] += weight[t, m] * mean[t, m, i]
             factor += weight[t, m] * scale[t, m]
             systematic += weight[t, m] * scale[t, m] * SYSTEMATIC[t] ** 2 * unit
     covariance, without = np.zeros((3, 3)), np.zeros((3, 3))
@@ -376,5 +396,10 @@ def _averaged(
                     without[i, j] += share * scale[t, m] * plain[t, i, j]
             last = 5 + known
             covariance[2, 2] += share * mean[t, m, last] ** 2
-    sigma = np.sqrt(factor * trace + systematic)
-    return Pose(centre[:3], covariance, covariance - without, sigma, systematic, factor, centre[3:])
+    sigma = np.empty(len(trace))
+    for n in range(len(trace)):
+        sigma[n] = math.sqrt(factor * trace[n] + systematic)
+    for i in range(3):
+        for j in range(3):
+            without[i, j] = covariance[i, j] - without[i, j]
+    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:])

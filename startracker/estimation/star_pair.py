@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.estimation.kernels import cross
 from startracker.estimation.result import Estimate, check_directions
+from startracker.kernels import kernel
 
 __all__ = ["pitch_error_deg", "star_pair"]
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLike) -> FloatArray:
-    """Largest error of the angle of the line through two stars: thesis eq. 5.13.
+    """Largest error of the angle of the line through two stars: Greyling 1995, eq. 5.13.
 
     θ_err = atan((y + 2δ) / (x − 2δ)) − atan((y − 2δ) / (x + 2δ)), with x, y the separation along the two axes and δ
     the accuracy of a star's position along either.
@@ -42,7 +42,7 @@ def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLik
 def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude from the pair of stars whose line is known best.
 
-    Of all pairs that with the smallest `pitch_error_deg` is taken: the widest of equally well measured ones. The thesis
+    Of all pairs that with the smallest `pitch_error_deg` is taken: the widest of equally well measured ones. Greyling
     turns the plane of the sky by θ = ρ − ξ, the difference between the angles of the line in the image and in the
     catalogue (eqs. 5.6 to 5.8, its pitch), and then shifts it until the stars fall on each other (eqs. 5.9 to 5.12, its
     roll and yaw). On the sphere that is the rotation which lays the great circle through the two catalogue stars on
@@ -80,7 +80,7 @@ def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     return Estimate(frame_b @ frame_r.T, frame_b @ covariance @ frame_b.T)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
     """Indices of the pair with the smallest error of the line's angle, its separation taken along the diagonal."""
     best, first, second = np.inf, 0, 1

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.estimation.kernels import cross, most_telling_pair, pair_frame, pair_rotation
 from startracker.estimation.result import Estimate, check_directions
+from startracker.kernels import kernel
 
 __all__ = ["triad"]
 
@@ -44,7 +44,7 @@ def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
     return Estimate(*_triad(b, r, sigma))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _triad(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
     first, second = most_telling_pair(b, sigma)
     x, y, z = cross(b[first], b[second])

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.estimation.kernels import (
@@ -25,6 +24,7 @@ from startracker.estimation.kernels import (
     polish,
 )
 from startracker.estimation.result import Estimate, check_directions
+from startracker.kernels import kernel
 
 __all__ = ["attitude_covariance", "davenport", "esoq2", "quest", "wahba_svd"]
 
@@ -112,7 +112,7 @@ def _optimal(
     return Estimate(rotation(b, r, sigma), covariance_of(b, sigma))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def weights_of(sigma: FloatArray) -> FloatArray:
     """σ⁻² (M,), their sum one."""
     weight: FloatArray = (sigma.min() / sigma) ** 2
@@ -120,7 +120,7 @@ def weights_of(sigma: FloatArray) -> FloatArray:
     return weight
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def profile_of(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     """Attitude profile matrix B = Σ w b rᵀ (3, 3)."""
     out = np.zeros((3, 3))
@@ -131,7 +131,7 @@ def profile_of(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray, weight: FloatArray) -> FloatArray:
     axis = common_frame(b, weight)[0]
     spread = 0.0
@@ -145,24 +145,23 @@ def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray,
     return polished
 
 
-@njit(cache=True, error_model="numpy")
 def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     """Proper rotation (3, 3) with least weighted squares of b − R · r (Markley 1988)."""
     u, _, vt = np.linalg.svd(profile_of(b, r, weight))
-    if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
-        u[:, 2] *= -1.0
     rotation: FloatArray = u @ vt
+    if np.linalg.det(rotation) < 0.0:  # a reflection
+        u[:, 2] *= -1.0
+        rotation = u @ vt
     return rotation
 
 
-@njit(cache=True, error_model="numpy")
 def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     rotation: FloatArray = _finish(fit_rotation(b, r, weight), b, r, sigma, weight)
     return rotation
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def matrix_of(q: FloatArray) -> FloatArray:
     """Matrix (3, 3), reference to observed, of an unnormalised quaternion (4,), scalar last."""
     x, y, z, w = q / math.sqrt((q**2).sum())
@@ -175,7 +174,7 @@ def matrix_of(q: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def eigenvector_rotation(profile: FloatArray) -> FloatArray:
     """Davenport's rotation (3, 3) of a profile matrix B."""
     k = np.empty((4, 4))
@@ -193,7 +192,7 @@ def eigenvector_rotation(profile: FloatArray) -> FloatArray:
     return rotation
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     first: FloatArray = eigenvector_rotation(profile_of(b, r, weight))
@@ -201,7 +200,7 @@ def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> Floa
     return rotation
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turn_reference(profile: FloatArray, axis: int) -> None:
     """Turn the reference frame by 180° about an axis (in place; −1: not at all): two columns of B change sign."""
     for k in range(3):
@@ -209,7 +208,7 @@ def _turn_reference(profile: FloatArray, axis: int) -> None:
             profile[:, k] *= -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
     """Largest root of the characteristic quartic of K, and whether Newton's method settled on it.
 
@@ -244,7 +243,7 @@ def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
     return value, False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)
@@ -267,7 +266,7 @@ def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArr
     return rotation
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _esoq2_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)

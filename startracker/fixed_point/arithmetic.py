@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.fixed_point.attitude import DIRECTION
 from startracker.fixed_point.cordic import DEGREES, FINE_BITS, fine_angles
 from startracker.fixed_point.formats import (
     ANGLE,
@@ -29,6 +27,8 @@ from startracker.fixed_point.formats import (
 )
 from startracker.fixed_point.square_root import separation, square_root
 from startracker.fixed_point.tables import quadrant_table
+from startracker.fixed_point.vectors import DIRECTION
+from startracker.kernels import kernel
 
 __all__ = ["FULL_TURN", "SCALE", "FixedArithmetic", "FixedImage", "FixedSky", "inner_angles", "vector_separations"]
 
@@ -212,7 +212,7 @@ def _direction(y: Integers, x: Integers) -> Integers:
     return np.asarray(_quadrants(y.ravel(), x.ravel(), length.ravel(), quadrant_table())).reshape(y.shape)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _quadrants(y: Integers, x: Integers, length: Integers, arccosine: Integers) -> Integers:
     right, out = 90 << _ANGLE_BITS, np.zeros_like(y)
     for n in range(len(y)):

@@ -4,11 +4,10 @@ Her 32 bits could not hold them (section 3.5). The fit is the one of `startracke
 coordinates on the plane that touches the sky at the centre, a linear map from the image to them by least squares, the
 centre moved to where the origin falls, again until it stands. Three things make it fit into 64 bits. Directions are
 unit vectors of 2.30, whose products have 60 bits. Each round fits only what the rounds before left over, so that a
-quotient need be good to a few bits. And sums are shifted to 30 bits before their products are taken. A unit of 2.30 is
-0.0002″. Stars nearly in a line leave a scale and a rotation alone (four constants), as in
-`startracker.estimation.plate_constants`.
+quotient need be good to a few bits. And sums are shifted to 30 bits before their products are taken. Stars nearly in a
+line leave a scale and a rotation alone (four constants), as in `startracker.estimation.plate_constants`.
 
-The C export (`c/attitude.c`) does the same operations in the same order.
+The C export (`c/tracker_attitude.c`) does the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -19,13 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.cordic import angles_deg
-from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Format, Integers, divide, integers
+from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Integers, divide, integers
 from startracker.fixed_point.square_root import square_root
+from startracker.fixed_point.vectors import DIRECTION, cross, normalize
 
-__all__ = ["DIRECTION", "MAX_STARS", "NotSolved", "PlateAttitude", "matrix_angles", "plate_attitude", "unit"]
+__all__ = ["MAX_STARS", "IntegerAttitude", "NotSolved", "matrix_angles", "plate_attitude", "unit"]
 
-DIRECTION = Format(2, 30)
-"""Components of unit vectors."""
 MAX_STARS = 16
 """More would overflow the sums of products."""
 _ROUNDS = 40
@@ -34,6 +32,7 @@ _LEAST_ROUNDS = 4
 _PIXEL_SHIFT = 6  # centroids of 10.22 to 10.16
 _MAP_BITS = 24  # of fraction more in the map than in its product
 _SLENDER_SHIFT = 10  # determinant below trace² × 2⁻¹⁰: the shear would be noise
+_LEAST_LENGTH = 1 << 10
 _NEAREST_DEPTH = DIRECTION.one // 2  # cosine of 60°
 _LARGEST_LEFT = 1 << 31  # whose products with 10.16 pixels, sixteen of them, have 62 bits
 _LARGEST_MAP = 1 << 32
@@ -45,7 +44,7 @@ class NotSolved(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class PlateAttitude:
+class IntegerAttitude:
     """Attitude of an image, integers only.
 
     Parameters
@@ -55,18 +54,15 @@ class PlateAttitude:
         v_camera = matrix @ v_catalogue.
     ra, dec, roll : int
         Of the boresight, degrees of 10.22; roll is the position angle of the image's up, east of north.
-    rounds : int
-        Until the centre stood.
     """
 
     matrix: Integers
     ra: int
     dec: int
     roll: int
-    rounds: int
 
 
-def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> PlateAttitude:
+def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> IntegerAttitude:
     """Attitude from identified stars.
 
     Parameters
@@ -108,7 +104,7 @@ def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> PlateAttitude:
         if int(np.abs(offset).max()) >= DIRECTION.one:
             raise NotSolved(_NO_PLATE)
         if rounds >= _LEAST_ROUNDS and int(np.abs(offset).max()) <= _SETTLED:
-            return _attitude(center, east, north, plate, rounds)
+            return _attitude(center, east, north, plate)
         center = unit(center + ((int(offset[0]) * east + int(offset[1]) * north) >> 30))
     raise NotSolved(f"the centre does not settle in {_ROUNDS} rounds: check the stars")
 
@@ -159,30 +155,21 @@ def unit(vector: ArrayLike) -> Integers:
     NotSolved
         One of no length to speak of.
     """
-    v = integers(vector)
+    v = integers(vector).copy()
     largest = int(np.abs(v).max())
     if largest >= 1 << 36:
         raise FixedPointOverflow("length of a vector", largest, "36 bits")
-    if largest < 1 << 10:
+    if not normalize(v, _LEAST_LENGTH):
         raise NotSolved("directions that cancel have no mean")
-    while largest >= 1 << 30:
-        v, largest = v >> 1, largest >> 1
-    length = int(square_root(v @ v))
-    return divide(v << 30, length)
+    return v
 
 
 def _axes(center: Integers, smallest: int) -> tuple[Integers, Integers]:
     """Two axes across a direction, right-handed with it; the first lies towards the coordinate axis `smallest`."""
     first = -((int(center[smallest]) * center) >> 30)
     first[smallest] += DIRECTION.one
-    first = unit(first)
-    second = np.array(
-        [
-            (center[1] * first[2] - center[2] * first[1]) >> 30,
-            (center[2] * first[0] - center[0] * first[2]) >> 30,
-            (center[0] * first[1] - center[1] * first[0]) >> 30,
-        ]
-    )
+    first, second = unit(first), np.empty(3, np.int64)
+    cross(center, first, second)
     return first, second
 
 
@@ -194,7 +181,7 @@ def _standard(sky: Integers, east: Integers, north: Integers, center: Integers) 
     return np.column_stack([divide(sky @ east, depth), divide(sky @ north, depth)])
 
 
-def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers, rounds: int) -> PlateAttitude:
+def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers) -> IntegerAttitude:
     """The rotation nearest to the plate's map, and its angles."""
     turning = int(plate[0, 0]) * (int(plate[1, 1]) >> 4) - int(plate[0, 1]) * (int(plate[1, 0]) >> 4)
     if turning <= 0:
@@ -202,7 +189,7 @@ def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers
     reach, swing = int(plate[0, 0] + plate[1, 1]), int(plate[1, 0] - plate[0, 1])
     cosine, sine, _ = unit(_long(np.array([reach, swing, 0])))
     matrix = np.vstack([(cosine * east + sine * north) >> 30, (cosine * north - sine * east) >> 30, center])
-    return PlateAttitude(matrix, *matrix_angles(matrix), rounds)
+    return IntegerAttitude(matrix, *matrix_angles(matrix))
 
 
 def matrix_angles(matrix: Integers) -> tuple[int, int, int]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import CENTROID, Format, Integers, integers
+from startracker.kernels import kernel
 
 __all__ = ["running_centroid"]
 
@@ -42,7 +42,7 @@ def running_centroid(x: ArrayLike, y: ArrayLike, signal: ArrayLike) -> Integers:
     return np.asarray(_mean(points, dn))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mean(points: Integers, signal: Integers) -> Integers:
     centre = np.zeros(2, np.int64)
     total = np.int64(0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import FixedPointOverflow, Format, Integers, integers
+from startracker.kernels import kernel
 
 __all__ = ["DEGREES", "FINE_BITS", "STEPS_DEG", "angles_deg", "fine_angles"]
 
@@ -40,7 +40,7 @@ def fine_angles(y: ArrayLike, x: ArrayLike) -> Integers:
     return np.asarray(_rotated(a.ravel(), b.ravel(), np.array(STEPS_DEG))).reshape(a.shape)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _rotated(y: Integers, x: Integers, steps: Integers) -> Integers:
     angle = np.zeros_like(y)
     for n in range(len(y)):

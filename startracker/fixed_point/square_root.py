@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_product, integers
 from startracker.fixed_point.tables import arccosine_table, cosine_table
+from startracker.kernels import kernel
 
 __all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "root", "separation", "square_root"]
 
@@ -32,7 +32,7 @@ def square_root(value: ArrayLike) -> Integers:
     return np.asarray(_roots(n.ravel())).reshape(n.shape)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def root(n: int) -> int:
     """`square_root` of one number."""
     if n == 0:
@@ -47,7 +47,7 @@ def root(n: int) -> int:
         x = lower
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _roots(numbers: Integers) -> Integers:
     out = np.zeros_like(numbers)
     for k in range(len(numbers)):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, Integers, integers
+from startracker.kernels import kernel
 
 __all__ = ["EnclosedTable", "arccosine_table", "cosine_table", "enclosed_table", "quadrant_table"]
 
@@ -98,7 +98,7 @@ def enclosed_table(vectors: ArrayLike, first: ArrayLike, second: ArrayLike) -> E
     return EnclosedTable(stars, ANGLE.encode(degrees))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _triangles(first: Integers, second: Integers, count: int) -> Integers:
     """Triangles (T, 3), ascending, of pairs sorted by first, then second star."""
     start = np.searchsorted(first, np.arange(count + 1))

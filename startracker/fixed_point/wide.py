@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.arithmetic import FixedArithmetic, inner_angles, vector_separations
-from startracker.fixed_point.attitude import DIRECTION
 from startracker.fixed_point.cordic import DEGREES, FINE_BITS, fine_angles
 from startracker.fixed_point.formats import Format, Integers, check_product, divide, integers
 from startracker.fixed_point.square_root import square_root
+from startracker.fixed_point.vectors import DIRECTION
 
 __all__ = ["WIDE_CENTROID", "WideArithmetic", "WideImage", "WideSky"]
 

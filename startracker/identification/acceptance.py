@@ -5,9 +5,13 @@ With B the Bayes factor of the best answer and Bₖ those of its rivals the chan
     p (1 + Σ Bₖ) / B
 
 where p bounds the density of ln B over skies of the hypothesis (`bayes_factor.largest_density`); 1, the bound of
-Markov, where that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. A
-prior attitude multiplies B and Bₖ by what it narrows the search; a search that tried T patterns without averaging over
-attitudes divides them by T.
+Markov, where that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. What
+was known of the attitude enters as `log_gain`:
+
+- the whole sky: B is an average over it; none.
+- a cone about a prior attitude multiplies B and Bₖ by what it narrows the search.
+- a prediction with its covariance: B is an average over that Gaussian (`startracker.tracking.evidence`); none.
+- an unknown scale, where T patterns were tried without averaging over attitudes, divides them by T.
 """
 
 from __future__ import annotations

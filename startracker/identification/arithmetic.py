@@ -154,8 +154,8 @@ class FloatArithmetic:
     Parameters
     ----------
     exact : bool
-        False: the thesis' geometry. Image separations by eq. 2.4 with constant degrees a pixel, enclosed angles of the
-        image planar, catalogue vectors in a plane of plain degrees without cos δ (exact for small fields at low
+        False: the geometry of Yee 1999. Image separations by eq. 2.4 with constant degrees a pixel, enclosed angles of
+        the image planar, catalogue vectors in a plane of plain degrees without cos δ (exact for small fields at low
         declination; her tolerances cover the rest). True: pixels are those of a tangent plane; separations by eq. D.1,
         enclosed angles on the sphere, catalogue vectors as great circles leave star i.
     """

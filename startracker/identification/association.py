@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.identification.hypothesis import nearest_unique
 from startracker.image_map import ImageMap, to_pixels
+from startracker.kernels import kernel
 
 __all__ = ["MARGIN_PX", "REJECT_SIGMAS", "joined", "matched_again", "named"]
 
@@ -27,7 +27,7 @@ _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _MANY, _LEAST_SCALE = 10, 0.4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _predicted(matrix: FloatArray, reference: FloatArray, image: ImageMap) -> FloatArray:
     """Pixels (M, 2) of guide stars (M, 3) at an attitude (3, 3)."""
     vectors = np.empty_like(reference)
@@ -39,7 +39,7 @@ def _predicted(matrix: FloatArray, reference: FloatArray, image: ImageMap) -> Fl
     return pixels
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def matched_again(
     used: IntArray,
     matrix: FloatArray,
@@ -65,7 +65,7 @@ def matched_again(
     return pairs, same
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: FloatArray, known: bool) -> float:
     """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
     length = np.empty(len(used))
@@ -80,7 +80,7 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
     return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def named(
     xy: FloatArray,
     stated: FloatArray,

@@ -23,9 +23,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammaln
+
+from startracker.kernels import kernel
+from startracker.sorting import median, order_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -57,7 +59,7 @@ def largest_density(n: int) -> float:
     return max(0.2 / max(n, 3), 0.012)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: FloatArray) -> FloatArray:
     """Logarithms (scatters, N) of how much better each star's magnitude fits its guide star than any of the field.
 
@@ -80,7 +82,7 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     difference = np.empty(len(seen))
     for k in range(len(seen)):
         difference[k] = magnitude[seen[k]] - field_v[matched[seen[k]]]
-    zero = np.median(difference)
+    zero = median(difference.copy())
     if not math.isfinite(zero):
         return out
     stride = max(1, len(field_v) // _SAMPLE)
@@ -105,7 +107,7 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _core(difference: float, width: float) -> float:
     """Density of a magnitude difference of the given scatter, without the wings' share."""
     square = 0.5 * (difference / width) ** 2
@@ -114,7 +116,7 @@ def _core(difference: float, width: float) -> float:
     return (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI) * math.exp(-square)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _wide(difference: float) -> float:
     """Density of the wings."""
     return _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (difference / _WIDE_MAG) ** 2)
@@ -168,7 +170,7 @@ _usual_table = lru_cache(maxsize=128)(_count_table)
 _large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
     """ln of the likelihood ratio of the matches at hand, averaged over how deep the image reaches and what is missing.
 
@@ -202,7 +204,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
     return average
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_determinant(matrix: FloatArray) -> float:
     """ln of the determinant of a symmetric positive definite matrix (Cholesky); −inf where it is not."""
     n = matrix.shape[0]
@@ -223,7 +225,7 @@ def log_determinant(matrix: FloatArray) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_bayes_factor(
     distance: FloatArray,
     rank: IntArray,
@@ -271,11 +273,15 @@ def log_bayes_factor(
     values = np.empty(len(SCALES))
     volumes = np.empty(len(SCALES))
     gain = np.empty(len(seen))
-    normal = np.empty_like(information)
-    order = np.argsort(square)
-    places = rank[seen[order]]
+    normal = np.empty((unknowns, unknowns))
+    order, places, largest_first = np.empty(len(seen), np.int64), np.empty(len(seen), np.int64), np.empty(len(seen))
+    order_of(square, order)
+    for k in range(len(seen)):
+        places[k] = rank[seen[order[k]]]
     for s in range(len(SCALES)):
-        normal[:] = information / SCALES[s] ** 2
+        for i in range(unknowns):
+            for j in range(unknowns):
+                normal[i, j] = information[i, j] / SCALES[s] ** 2
         if unknowns == 4:
             normal[3, 3] += 1.0 / focal_sigma**2
         volumes[s] = 0.5 * unknowns * math.log(2.0 * math.pi) - 0.5 * log_determinant(normal) - _LOG_SPHERE_OF_ROTATIONS
@@ -284,15 +290,19 @@ def log_bayes_factor(
         for k in range(len(seen)):
             gain[k] = base[order[k]] - 2.0 * math.log(SCALES[s]) - square[order[k]] / SCALES[s] ** 2
         values[s] = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(gain, places, in_field, counts)
-    best = int(np.argmax(values))
+    best = 0
+    for s in range(len(SCALES)):
+        best = s if values[s] > values[best] else best
     # what lies beside the best adds the most; what is left out could only make B larger
     highest, total = -math.inf, 0.0
     for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
         for scatter in range(len(SCATTERS_MAG)):
             for k in range(len(seen)):
-                gain[k] = base[k] - 2.0 * math.log(SCALES[s]) - square[k] / SCALES[s] ** 2 + log_ratio[scatter, seen[k]]
-            order = np.argsort(-gain)
-            value = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(gain[order], rank[seen[order]], in_field, counts)
+                gain[k] = square[k] / SCALES[s] ** 2 - base[k] + 2.0 * math.log(SCALES[s]) - log_ratio[scatter, seen[k]]
+            order_of(gain, order)
+            for k in range(len(seen)):
+                largest_first[k], places[k] = -gain[order[k]], rank[seen[order[k]]]
+            value = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(largest_first, places, in_field, counts)
             if value > highest:
                 total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
                 highest = value

@@ -19,8 +19,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = ["WIDTHS", "clustering_price", "log_excess_density"]
 
@@ -33,7 +34,7 @@ _EVEN = 0.1
 """Share of the points that lie anywhere."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_excess_density(points: FloatArray, area: float) -> FloatArray:
     """ln of the density of the other points at each point, times the area: above 0 where the points are crowded.
 
@@ -87,7 +88,7 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def clustering_price(excess: FloatArray, matched: IntArray) -> float:
     """What ln B of a match is less under the null hypothesis that explains the matched points best; 0 or more.
 

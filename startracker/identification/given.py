@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.identification.observed import Prior
 from startracker.image_map import ImageMap, to_directions
+from startracker.interop import is_rotation, plain
+from startracker.kernels import kernel
 
 __all__ = ["WORST_PX", "as_prior", "usable_directions"]
 
@@ -23,7 +24,7 @@ WORST_PX = 5.0
 _AXES = math.sqrt(3.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def usable_directions(
     xy: FloatArray, stated_px: FloatArray, pixel_rad: float, image: ImageMap
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
@@ -45,13 +46,16 @@ def as_prior(attitude: object, prior_deg: float) -> Prior | None:
     Raises
     ------
     InputError
-        For anything but an `Attitude`, or an angle that is not positive.
+        For anything but an `Attitude` or a SciPy ``Rotation`` (ICRS to camera), or an angle that is not positive.
     """
     if attitude is None:
         return None
+    if is_rotation(attitude):
+        attitude = Attitude.from_rotation(attitude)
     if not isinstance(attitude, Attitude):
         made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
         raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
+    prior_deg = plain(prior_deg, "deg", "prior_deg")
     try:
         fits = math.isfinite(prior_deg) and prior_deg > 0
     except TypeError:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
@@ -21,6 +20,7 @@ from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, focal_slopes, match_nearest, verify_attitude
+from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 from startracker.trace import Steps
@@ -66,7 +66,7 @@ class Hypothesis:
         return len(mine & theirs) >= 0.5 * max(1, min(len(mine), len(theirs)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
     """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each used once, as `match_nearest` has it.
 
@@ -145,7 +145,7 @@ def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) 
     return Hypothesis(matrix, _pairs(guide_of), float(log_b), float(scale), int(in_field), math.exp(focal))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pairs(guide_of: IntArray) -> IntArray:
     """Pairs (M, 2) of observed stars and their guide stars (N,), where that is not −1."""
     pairs, count = np.empty((len(guide_of), 2), np.int64), 0
@@ -251,7 +251,12 @@ class Bench:
     @property
     def sure_evidence(self) -> float:
         """ln B from which a hypothesis without rivals is `surely`."""
-        return SURE_BEYOND + self._log_density - self.limit - self._gain
+        return SURE_BEYOND + self.least_evidence
+
+    @property
+    def least_evidence(self) -> float:
+        """ln B from which a hypothesis without rivals is accepted."""
+        return self._log_density - self.limit - self._gain
 
     @property
     def limit(self) -> float:

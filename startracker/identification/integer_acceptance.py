@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
 from startracker.errors import InputError
-from startracker.fixed_point.attitude import DIRECTION
-from startracker.fixed_point.verification import LOG_BITS, MOST_EXTRA, PLANE_BITS, Tables
+from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
+from startracker.fixed_point.vectors import DIRECTION
+from startracker.fixed_point.verification import MOST_EXTRA
 from startracker.identification.bayes_factor import DISTRACTORS, SCALE_LOG_PRIOR, SCALES, SEEN, count_table
 
 __all__ = ["MAX_POINTS", "GuideStars", "IntegerCamera", "merged_stars", "verification_tables"]

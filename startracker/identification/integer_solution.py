@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.attitude import NotSolved, matrix_angles, plate_attitude
+from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, matrix_angles, plate_attitude
+from startracker.fixed_point.evidence import LOG_BITS, Tables, local_areas
 from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Integers, integers
-from startracker.fixed_point.verification import FEW_FIT, LOG_BITS, NOT_SPREAD, Tables, local_areas, plane, verify
+from startracker.fixed_point.verification import FEW_FIT, NOT_SPREAD, plane, verify
 from startracker.identification.integer_acceptance import (
     MAX_POINTS,
     IntegerCamera,
@@ -79,30 +80,11 @@ _WORDS: dict[IntegerReason, str] = {
     "too_many_triads": "more triads pass the tests than there is room for",
 }
 MAX_STARS = 12
-"""Brightest points that make triads, as in the thesis."""
+"""Brightest points that make triads (Yee 1999, section 2.3.4)."""
 MAX_TRIADS = 4096
 """Triads that the C export has room for."""
 MAX_GROUPS = 12
 """Largest groups of triads that are looked at."""
-
-
-@dataclass(frozen=True)
-class IntegerAttitude:
-    """Attitude of an image, integers only.
-
-    Parameters
-    ----------
-    matrix : int array, shape (3, 3)
-        Rows: the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30:
-        v_camera = matrix @ v_catalogue.
-    ra, dec, roll : int
-        Of the boresight, degrees of 10.22; roll is the position angle of the image's up, east of north.
-    """
-
-    matrix: Integers
-    ra: int
-    dec: int
-    roll: int
 
 
 @dataclass(frozen=True, eq=False)

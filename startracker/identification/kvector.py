@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 __all__ = ["KVector", "find_range", "k_vector"]
 
@@ -51,7 +52,7 @@ def k_vector(values: FloatArray) -> KVector:
     return KVector(ascending, below, start, step)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _first_from(index: KVector, value: float) -> int:
     """Position of the first value that is not below `value`."""
     n = len(index.values)
@@ -68,7 +69,7 @@ def _first_from(index: KVector, value: float) -> int:
     return at
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
     """Half-open range of the positions whose values are ≥ `low` and ≤ `high`."""
     first = _first_from(index, low)

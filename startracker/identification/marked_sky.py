@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel, kernel_with
 
 __all__ = ["Marks", "is_marked", "mark_sky", "no_marks", "share_marked"]
 
@@ -40,19 +41,19 @@ class Marks(NamedTuple):
     reach2: float
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel_with(inline="always")
 def _bit(i: int, j: int, k: int) -> np.uint64:
     """Mark of a cell: products with large primes (Teschner et al. 2003); unsigned, as no index counts from the end."""
     return np.uint64((i * 73856093 ^ j * 19349663 ^ k * 83492791) & ((1 << _BITS) - 1))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def no_marks() -> Marks:
     """Before anything is marked."""
     return Marks(np.empty(0, np.uint32), 0.0, -1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def mark_sky(directions: FloatArray, reach: float) -> Marks:
     """Marks of all cells that have a point within `reach` of one of the directions (G, 3)."""
     words, reach = np.zeros(1 << (_BITS - 5), np.uint32), max(reach, _LEAST_REACH)
@@ -70,7 +71,7 @@ def mark_sky(directions: FloatArray, reach: float) -> Marks:
     return Marks(words, per_unit, reach * reach)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def share_marked(marks: Marks) -> float:
     """Share of the bits that are set, which is that of random directions that cannot be excluded at once."""
     count = 0
@@ -82,7 +83,7 @@ def share_marked(marks: Marks) -> float:
     return count / (32.0 * max(len(marks.words), 1))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel_with(inline="always")
 def is_marked(x: float, y: float, z: float, marks: Marks) -> bool:
     """Whether a direction could be within reach of a guide star."""
     bit = _bit(int((x + 2.0) * marks.per_unit), int((y + 2.0) * marks.per_unit), int((z + 2.0) * marks.per_unit))

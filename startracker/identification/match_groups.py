@@ -6,7 +6,7 @@
    largest group and is lowered while nothing is accepted.
 3. Mutual validation and the mirror test: within a group the members must support each other, too.
 4. The best groups, by size and then by the RSS of the separations' errors, are checked against all stars of the field
-   and accepted by probability (`hypothesis`), where the thesis takes the best group as it is.
+   and accepted by probability (`hypothesis`), where Greyling 1995 takes the best group as it is.
 
 Separations are matched within the stated errors first, then within 3 and 10 times those; and where the brightest
 stars lead nowhere (false ones among them), the next brightest are tried.
@@ -28,7 +28,7 @@ from startracker.identification import match_kernels as kernels
 from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
-from startracker.settings import IdentificationSettings
+from startracker.settings import IdentificationSettings, MatchGroupSettings
 from startracker.solution import Status
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +54,7 @@ def match_groups(
         that number further down; all stars verify.
     guide : GuideDatabase
         As the observer sees it.
-    settings : IdentificationSettings
+    settings : MatchGroupSettings
         Tolerances and limits.
     prior : Prior, optional
         Confines guide stars and couples to what the prior allows.
@@ -64,7 +64,7 @@ def match_groups(
     Identification
         Status, reason and pairs. Never raises for what was observed.
     """
-    settings = settings or IdentificationSettings()
+    settings = MatchGroupSettings.of(settings)
     least = max(settings.min_stars, 3)
     n = min(settings.max_stars, _MOST_STARS)
     if min(len(observed), n) < least:
@@ -124,7 +124,7 @@ class _Search:
         scale: float,
     ) -> _Search | None:
         """None where there are not enough operations left."""
-        settings, prior = bench.settings, bench.prior
+        settings, prior = MatchGroupSettings.of(bench.settings), bench.prior
         vectors, sigma = observed.vectors, observed.sigma_rad * scale
         i, j, separations = observed_pairs(vectors)
         fixed = settings.separation_tolerance_deg
@@ -154,7 +154,7 @@ class _Search:
 
     def thresholds(self) -> range:
         """Limits on the group size, from two below the largest group (or the setting, if lower) downwards."""
-        settings = self.bench.settings
+        settings = MatchGroupSettings.of(self.bench.settings)
         least = max(settings.min_stars, 3)
         return range(max(least, min(settings.group_threshold, self.largest - 2)), least - 1, -1)
 
@@ -172,7 +172,7 @@ class _Search:
 
     def _validated(self, threshold: int) -> IntArray:
         """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
-        n, settings = len(self.observed), self.bench.settings
+        n, settings = len(self.observed), MatchGroupSettings.of(self.bench.settings)
         none = np.empty((0, n), dtype=np.int64)
         if not self.bench.spend(_COLLECT_WORK * float(np.sum(self.pair_args[3] - self.pair_args[2]))):
             return none

@@ -7,8 +7,9 @@ the right separation from it. Couples are coded ``observed · G + guide``.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -18,7 +19,7 @@ WordArray = NDArray[np.uint64]
 MAX_MEMBERS = 400
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def popcount(word: np.uint64) -> int:
     """Number of set bits of a 64-bit word."""
     count = 0
@@ -28,7 +29,7 @@ def popcount(word: np.uint64) -> int:
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def mark(
     i_obs: IntArray,
     j_obs: IntArray,
@@ -76,7 +77,7 @@ def mark(
                 partners[j, a] |= bit_i
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def group_sizes(partners: WordArray) -> IntArray:
     """Stars in each match group (N, G), kernel included; zero for none."""
     sizes = np.zeros(partners.shape, np.int64)
@@ -87,7 +88,7 @@ def group_sizes(partners: WordArray) -> IntArray:
     return sizes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def collect(
     i_obs: IntArray,
     j_obs: IntArray,
@@ -138,14 +139,14 @@ def collect(
     return start, members
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _det(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
     product: float = a[0] * x + a[1] * y + a[2] * z
     return product
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def validate(
     kernel_obs: IntArray,
     kernel_guide: IntArray,

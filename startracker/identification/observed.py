@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
+from startracker.kernels import kernel
 from startracker.solution import Status
 
 FloatArray = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Observed:
         return np.full(len(self), math.nan) if self.flux is None else np.asarray(_magnitudes(self.flux))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _magnitudes(flux: FloatArray) -> FloatArray:
     out = np.empty(len(flux))
     for n in range(len(flux)):

@@ -10,13 +10,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.identification.marked_sky import Marks, is_marked
 from startracker.identification.search_state import Stars
+from startracker.kernels import kernel
 
 __all__ = ["Others", "enough_hits", "least_hits", "look_beyond", "no_others", "pair_frame"]
 
@@ -26,7 +26,7 @@ _MANY_HITS = 100.0
 _LOOK_AT = 48
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
     """Rows of `frame` (3, 3): the middle of two directions, their difference, and the normal to both."""
     sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
@@ -60,18 +60,23 @@ class Others(NamedTuple):
     frame: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def no_others() -> Others:
     """Room for them."""
     n = _LOOK_AT
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def look_beyond(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
-    """Fill in the brightest other stars in the frame of the pair j, k; how many, at gates of so many sigma."""
-    frame = others.frame
-    pair_frame(stars.vectors[j], stars.vectors[k], frame)
+    """Fill in the brightest other stars in the frame of the pair j, k; how many, at gates of so many sigma.
+
+    The pair's middle errs by half the variance of one star, and its bearing the more the closer the two are.
+    """
+    frame, u, w = others.frame, stars.vectors[j], stars.vectors[k]
+    pair_frame(u, w, frame)
+    shared = stars.sigma[j] ** 2 + stars.sigma[k] ** 2
+    apart2 = (u[0] - w[0]) ** 2 + (u[1] - w[1]) ** 2 + (u[2] - w[2]) ** 2
     count = 0
     for star in range(len(stars.vectors)):
         if count == _LOOK_AT:
@@ -81,12 +86,13 @@ def look_beyond(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
         x, y, z = stars.vectors[star, 0], stars.vectors[star, 1], stars.vectors[star, 2]
         for axis in range(3):
             others.along[axis, count] = frame[axis, 0] * x + frame[axis, 1] * y + frame[axis, 2] * z
-        others.gate2[count] = (gate * stars.sigma[star]) ** 2
+        away2 = others.along[1, count] ** 2 + others.along[2, count] ** 2
+        others.gate2[count] = gate * gate * (stars.sigma[star] ** 2 + shared * (0.25 + away2 / apart2))
         count += 1
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def enough_hits(
     u: FloatArray, w: FloatArray, shrink: float, others: Others, looked: int, need: int, sky: SkyView, marks: Marks
 ) -> bool:
@@ -121,7 +127,7 @@ def enough_hits(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def least_hits(mean: float, chance: float) -> int:
     """Fewest hits that come by chance with a probability of at most `chance` where `mean` come on average (Poisson)."""
     if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead

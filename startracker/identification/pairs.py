@@ -33,7 +33,7 @@ def pair_tolerance(
 ) -> FloatArray:
     """Largest difference (P,) between a measured and a catalogued separation, radians.
 
-    4 √(σᵢ² + σⱼ²) plus what aberration may stretch; or `fixed_rad`, as the thesis has it.
+    4 √(σᵢ² + σⱼ²) plus what aberration may stretch; or `fixed_rad`, as in Greyling 1995, section 5.2.
     """
     if fixed_rad is not None:
         return np.full(len(i), fixed_rad)

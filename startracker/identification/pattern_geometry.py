@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.estimation.kernels import triple_product
 from startracker.identification.pattern_table import chord
 from startracker.identification.verification import solve_symmetric, turned
+from startracker.kernels import kernel
 
 __all__ = ["correspondence", "pattern_attitude"]
 
@@ -22,7 +22,7 @@ _PERMUTATIONS = np.array(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def correspondence(
     observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
 ) -> float:
@@ -80,7 +80,7 @@ def correspondence(
     return 0.0 if mirrored and largest > sense else scale
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
 
@@ -111,7 +111,7 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     return matrix
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _triad(u: FloatArray, v: FloatArray) -> FloatArray:
     out = np.empty((3, 3))
     out[0] = (u + v) / math.sqrt((u + v) @ (u + v))

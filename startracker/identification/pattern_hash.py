@@ -23,7 +23,7 @@ from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
 from startracker.identification.pattern_table import pattern_table
-from startracker.settings import IdentificationSettings
+from startracker.settings import IdentificationSettings, PatternHashSettings
 
 __all__ = ["pattern_hash"]
 
@@ -51,7 +51,7 @@ def pattern_hash(
         Brightest first; sets of the brightest are tried first. The focal length may be 2.5 % wrong.
     guide : GuideDatabase
         As the observer sees it. Its table of patterns is made once and kept in the user's cache folder.
-    settings : IdentificationSettings
+    settings : PatternHashSettings
         `min_stars` and `false_alarm_rate`.
     prior : Prior, optional
         Attitudes outside it are dropped.
@@ -61,7 +61,7 @@ def pattern_hash(
     Identification
         Status, reason and pairs. Never raises for what was observed.
     """
-    settings = settings or IdentificationSettings()
+    settings = PatternHashSettings.of(settings)
     least = max(settings.min_stars, 4)
     if len(observed) < least:
         return too_few(observed, least)

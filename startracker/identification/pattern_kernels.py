@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
@@ -21,6 +20,7 @@ from startracker.identification.pattern_table import (
     home_slot,
     sorted_edges,
 )
+from startracker.kernels import kernel
 
 __all__ = ["PatternFinds", "Plan", "lookup_shape", "next_set", "search_patterns"]
 
@@ -79,7 +79,7 @@ class PatternFinds(NamedTuple):
     focal: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def next_set(stars: IntArray) -> None:
     """Go on to the next set of four (ascending), the faintest star changing last, so that the brightest come first."""
     for i in range(4):
@@ -90,7 +90,7 @@ def next_set(stars: IntArray) -> None:
             return
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lookup_shape(
     edges: FloatArray, tolerance: float, focal_range: float, table: PatternTable, found: IntArray
 ) -> tuple[int, int]:
@@ -143,7 +143,7 @@ def lookup_shape(
         at[k] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
     """Directions with their angle to the axis divided by a factor: what a focal length that much longer sees."""
     out = np.empty_like(vectors)
@@ -156,14 +156,14 @@ def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _log_chance(hits: int, looked: int, share: float) -> float:
     """ln of Chernoff's bound on so many hits of so many stars, each with probability `share` (Poisson)."""
     mean = max(looked * share, 1e-12)
     return hits * math.log(mean / hits) + hits - mean if hits > mean else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _hits(
     matrix: FloatArray, vectors: FloatArray, gate: FloatArray, a: int, b: int, c: int, d: int, sky: SkyView
 ) -> tuple[int, int]:
@@ -184,7 +184,7 @@ def _hits(
     return hits, looked
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def search_patterns(
     vectors: FloatArray,
     sigma: FloatArray,
@@ -269,13 +269,13 @@ def search_patterns(
     return count, patterns, work
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cosine_between(matrix: FloatArray, other: FloatArray) -> float:
     """Cosine of the rotation between two attitudes."""
     return 0.5 * (np.sum(matrix * other) - 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _keep(finds: PatternFinds, count: int, score: float, matrix: FloatArray, focal: float) -> int:
     """Add a candidate; where there is no room the worst gives way. An attitude that repeats one keeps the better."""
     at = count

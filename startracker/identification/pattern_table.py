@@ -24,7 +24,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -32,6 +31,7 @@ from startracker.camera import Camera
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
+from startracker.kernels import kernel
 
 __all__ = ["PatternTable", "build_table", "insert", "pattern_table", "shape_key", "sorted_edges"]
 
@@ -97,7 +97,7 @@ class PatternTable(NamedTuple):
         return self.keys.nbytes + self.stars.nbytes + self.sizes.nbytes + self.members.nbytes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def sorted_edges(a: float, b: float, c: float, d: float, e: float, f: float, out: FloatArray) -> None:
     """The six edges of a pattern, ascending, into `out` (6,)."""
     out[0], out[1], out[2], out[3], out[4], out[5] = a, b, c, d, e, f
@@ -109,7 +109,7 @@ def sorted_edges(a: float, b: float, c: float, d: float, e: float, f: float, out
         out[j + 1] = value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def shape_key(edges: FloatArray) -> int:
     """Key of six ascending edges (6,): five binned ratios to the largest."""
     key = 0
@@ -118,14 +118,14 @@ def shape_key(edges: FloatArray) -> int:
     return key
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def home_slot(key: int, slots: int) -> np.int64:
     """Where the search for a key begins: Fibonacci hashing (Knuth 1998, section 6.4) spread over any table size."""
     mixed = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)
     return np.int64((mixed * np.uint64(slots)) >> np.uint64(32))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def insert(
     patterns: NDArray[np.int32],
     directions: FloatArray,
@@ -157,7 +157,7 @@ def insert(
         sizes[slot] = min(int(edges[5] / largest * SIZE_STEPS + 0.5), SIZE_STEPS)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def chord(u: FloatArray, v: FloatArray) -> float:
     """Distance of two unit vectors."""
     return math.sqrt((u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2 + (u[2] - v[2]) ** 2)
@@ -211,7 +211,7 @@ def stars_of_fields(directions: FloatArray, camera: Camera, most: int) -> IntArr
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pack_patterns(
     fields: IntArray, directions: FloatArray, level: int, share: float, smallest: float, widest: float
 ) -> NDArray[np.uint64]:

@@ -22,13 +22,11 @@ from startracker.identification.kvector import KVector, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
 from startracker.identification.pyramid_kernels import Seen, search_pyramids, smart_triples
-from startracker.settings import IdentificationSettings
+from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
 
 __all__ = ["pyramid"]
 
-_MOST_STARS = 30
-"""Brightest observed stars that make triangles, unless the settings ask for more."""
 _ROUNDS = ((60, 3, 500_000), (400, 2, 500_000), (100_000, 1, 500_000))
 """Triangles up to which each round goes, stars that must confirm one, and steps it may take, for each scale."""
 _MOST_TRIPLED = 64
@@ -52,11 +50,11 @@ def pyramid(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the 30 brightest (or `settings.max_stars`, if that is more) make triangles, all confirm and
+        Brightest first; the `settings.max_stars` brightest make triangles, all confirm and
         verify. Magnitudes are looked at in the verification alone.
     guide : GuideDatabase
         As the observer sees it.
-    settings : IdentificationSettings
+    settings : PyramidSettings
         `separation_tolerance_deg`, `min_stars`, `max_stars`, `false_alarm_rate`.
     prior : Prior, optional
         Confines the guide pairs to what the prior allows.
@@ -66,7 +64,7 @@ def pyramid(
     Identification
         Status, reason and pairs. Never raises for what was observed.
     """
-    settings = settings or IdentificationSettings()
+    settings = PyramidSettings.of(settings)
     least = max(settings.min_stars, 3)
     if len(observed) < least:
         return too_few(observed, least)
@@ -75,7 +73,7 @@ def pyramid(
     index = _INDEXES.get(pairs)
     if index is None:
         index = _INDEXES[pairs] = k_vector(pairs.separation_rad.astype(np.float64))
-    n = min(len(observed), max(_MOST_STARS, settings.max_stars), _MOST_TRIPLED)
+    n = min(len(observed), settings.max_stars, _MOST_TRIPLED)
     triples = smart_triples(n)
     head = np.full(len(guide), -1, dtype=np.int64)
     view = guide.view
@@ -114,7 +112,7 @@ def pyramid(
     return verdict
 
 
-def _seen(observed: Observed, n: int, settings: IdentificationSettings, scale: float) -> Seen:
+def _seen(observed: Observed, n: int, settings: PyramidSettings, scale: float) -> Seen:
     """Stars, separations and tolerances at a multiple of the stated errors."""
     vectors = np.ascontiguousarray(observed.vectors, dtype=np.float64)
     sigma = np.ascontiguousarray(observed.sigma_rad, dtype=np.float64) * scale

@@ -6,13 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.estimation.kernels import pair_rotation, triple_product
 from startracker.identification.kvector import KVector, find_range
+from startracker.kernels import kernel
 
 __all__ = ["MOST_FINDS", "Seen", "search_pyramids", "smart_triples"]
 
@@ -46,7 +46,7 @@ class Seen(NamedTuple):
     tolerance: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def smart_triples(n: int) -> IntArray:
     """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
 
@@ -62,13 +62,13 @@ def smart_triples(n: int) -> IntArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _chord(a: FloatArray, b: FloatArray) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _confirming(
     seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
 ) -> tuple[int, int]:
@@ -119,7 +119,7 @@ def _confirming(
     return hits, steps
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def search_pyramids(
     seen: Seen,
     triples: IntArray,

@@ -19,11 +19,11 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.catalog.guide import brightest_everywhere
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -34,7 +34,7 @@ LEVEL_RADII_DEG = tuple(1.8 * math.sqrt(2.0) ** k for k in range(10))
 _TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
     """Codes of patterns in a plane.
 

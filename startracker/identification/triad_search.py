@@ -13,11 +13,11 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
+from startracker.kernels import kernel
 
 _PAIR_WORK, _TRIAD_WORK = 20.0, 2000.0
 """Operations of a catalogue pair within a window, and of a triad."""
@@ -144,7 +144,7 @@ def _side(tables: TriadTables, low: int, high: int) -> _Side:
     return _Side(np.searchsorted(codes, stars * np.arange(stars + 1)), codes % stars)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def join_sides(one: _Side, two: _Side, three: _Side, work: float = math.inf) -> tuple[IntArray, float]:
     """Catalogue triads (K, 3), ascending, whose sides are all among the pairs of the image's sides 1-2, 1-3 and 2-3.
 
@@ -253,7 +253,7 @@ def _grouped(arithmetic: Arithmetic, rotations: Numbers, limits: TriadLimits) ->
     return group, np.array(means, dtype=mean.dtype)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def group_rotations(mean: Numbers, tolerance: Any, full_turn: Any) -> tuple[IntArray, Numbers, Numbers, IntArray]:
     """Sort angles one by one into groups: the first whose running mean is within the tolerance, else a new one.
 

@@ -30,7 +30,7 @@ class TriadTables:
     arithmetic : Arithmetic
         Whose numbers these are.
     id : int (G,)
-        Catalogue number of each star, HR for the thesis' catalogue.
+        Catalogue number of each star, HR for the Bright Star Catalogue.
     v_mag : (G,)
         Visual magnitudes, which say which of several stars is the brightest.
     sky : object

@@ -4,7 +4,7 @@
    separations, the rotations of two sides, the inner angles.
 2. Triads are grouped by rotation, and the votes of a group name each star (`triad_votes`), the largest group first.
 3. The attitude of each group that names three stars is checked against all stars of the field and accepted by
-   probability (`hypothesis`), where the thesis takes the largest group as it is.
+   probability (`hypothesis`), where Yee 1999 takes the largest group as it is.
 
 The image is laid in the plane that touches the sphere at the boresight, and the geometry is exact
 (`FloatArithmetic(exact=True)`), so that separations are matched within the centroids' errors: those stated first, then
@@ -31,15 +31,13 @@ from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
-from startracker.settings import IdentificationSettings
+from startracker.settings import IdentificationSettings, TriadSettings
 from startracker.solution import Status
 
 __all__ = ["triads", "triads_integer"]
 
 FloatArray = NDArray[np.float64]
 
-_MOST_STARS = 12
-"""Brightest observed stars that make triads (thesis section 2.3.4), unless the settings ask for more."""
 _MOST_TRIPLED = 64
 """Stars that make triads at most, whatever the settings."""
 _MOST_GROUPS = 12
@@ -64,10 +62,10 @@ def triads(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the 12 brightest (or `settings.max_stars`, if that is more) make triads, all verify.
+        Brightest first; the `settings.max_stars` brightest make triads, all verify.
     guide : GuideDatabase
         As the observer sees it.
-    settings : IdentificationSettings
+    settings : TriadSettings
         `separation_tolerance_deg`, `rotation_tolerance_deg`, `enclosed_tolerance_deg`, `grouping_tolerance_deg`,
         `vote_number`, `three_stars`, `min_stars`, `max_stars`, `false_alarm_rate`.
     prior : Prior, optional
@@ -78,7 +76,7 @@ def triads(
     Identification
         Status, reason and pairs. Never raises for what was observed.
     """
-    return _identify(observed, guide, settings or IdentificationSettings(), prior, FloatArithmetic(exact=True))
+    return _identify(observed, guide, TriadSettings.of(settings), prior, FloatArithmetic(exact=True))
 
 
 def triads_integer(
@@ -92,7 +90,7 @@ def triads_integer(
     What does not fit the formats, a star 83° from the boresight, is ``no_match`` with the overflow as its reason.
     """
     try:
-        return _identify(observed, guide, settings or IdentificationSettings(), prior, WideArithmetic())
+        return _identify(observed, guide, TriadSettings.of(settings), prior, WideArithmetic())
     except FixedPointOverflow as overflow:
         return Identification(Status.NO_MATCH, str(overflow))
 
@@ -100,7 +98,7 @@ def triads_integer(
 def _identify(
     observed: Observed,
     guide: GuideDatabase,
-    settings: IdentificationSettings,
+    settings: TriadSettings,
     prior: Prior | None,
     arithmetic: Arithmetic,
 ) -> Identification:
@@ -108,7 +106,7 @@ def _identify(
     if len(observed) < least:
         return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
-    most = min(max(_MOST_STARS, settings.max_stars), _MOST_TRIPLED)
+    most = min(settings.max_stars, _MOST_TRIPLED)
     before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[:most]
     vectors = observed.vectors[before]
     pixel_deg = math.degrees(guide.camera.pixel_rad)

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
@@ -29,6 +28,8 @@ from startracker.identification.verification import (
     turned,
     verify_attitude,
 )
+from startracker.kernels import kernel, kernel_with
+from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,7 +39,8 @@ PAIR_SIGMAS = 3.7
 _MANY_FOUND, _USUAL_SIGMA = 200, 1.5
 """Triangles found after which the sky is marked, for stars of up to so many median errors."""
 _LEVER = 1.5
-_ABERRATION = 1.02e-4
+ABERRATION = 1.02e-4
+"""Of a separation, where the pairs are those without aberration."""
 _VERIFY_FROM = 7.0
 _POOR_FIT = 2.0
 _WORTH_A_SECOND_LOOK = -5.0
@@ -47,18 +49,33 @@ _PAIR_WORK, _CANDIDATE_WORK, _LOOK_WORK = 4.0, 300.0, 50.0
 star that is looked for there."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _chord_angle(a: FloatArray, b: FloatArray) -> float:
+@kernel_with(inline="always")
+def chord_angle(a: FloatArray, b: FloatArray) -> float:
+    """Angle between two unit vectors, rad, from their chord."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return 2.0 * math.asin(min(0.5 * math.sqrt(x * x + y * y + z * z), 1.0))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _window(separation: NDArray[np.float32], low: float, high: float) -> tuple[int, int]:
-    return int(np.searchsorted(separation, np.float32(low))), int(np.searchsorted(separation, np.float32(high)))
+@kernel
+def _first_of_at_least(ascending: NDArray[np.float32], value: np.float32) -> int:
+    """Index of the first number of at least a value, by halving; their count where there is none."""
+    low, high = 0, len(ascending)
+    while low < high:
+        middle = (low + high) // 2
+        if ascending[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_with(inline="always")
+def window(separation: NDArray[np.float32], low: float, high: float) -> tuple[int, int]:
+    """First and one beyond the last of ascending separations within two limits."""
+    return _first_of_at_least(separation, np.float32(low)), _first_of_at_least(separation, np.float32(high))
+
+
+@kernel
 def attitude_of_pair(b1: FloatArray, b2: FloatArray, r1: FloatArray, r2: FloatArray) -> FloatArray:
     """Attitude (3, 3) that takes the middle of two reference directions and their difference to the observed ones."""
     out = np.zeros((3, 3))
@@ -72,7 +89,7 @@ def attitude_of_pair(b1: FloatArray, b2: FloatArray, r1: FloatArray, r2: FloatAr
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _attitude_of_three(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     """Attitude of three stars, the last two the farthest apart: from these two, then one step of least squares."""
     matrix: FloatArray = attitude_of_pair(b[1], b[2], r[1], r[2])
@@ -88,8 +105,9 @@ def _attitude_of_three(b: FloatArray, r: FloatArray, sigma: FloatArray) -> Float
     return matrix
 
 
-@njit(cache=True, error_model="numpy")
-def _fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
+@kernel
+def fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
+    """Whether a guide star can be where an observed star is, by what is known beforehand."""
     if limits.prior_cosine < -1.0:
         return True
     cosine = 0.0
@@ -100,7 +118,7 @@ def _fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
     return fits
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _known(matrix: FloatArray, finds: Finds, count: int, slack: float) -> bool:
     """Whether the attitude is one that was found already, within a rotation by `slack`."""
     least = 3.0 - slack * slack
@@ -114,32 +132,30 @@ def _known(matrix: FloatArray, finds: Finds, count: int, slack: float) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _keep(finds: Finds, count: int, found: tuple[float, FloatArray, float, float, int, IntArray, int]) -> int:
     """Write a hypothesis down, in the place of the worst where all are taken; the new number of hypotheses."""
     row = count
     if count == len(finds.log_b):
-        row = int(np.argmin(finds.log_b))
+        row = 0
+        for other in range(count):
+            row = other if finds.log_b[other] < finds.log_b[row] else row
         if finds.log_b[row] >= found[0]:
             return count
-    finds.log_b[row], finds.matrix[row], finds.focal[row] = found[0], found[1], found[2]
-    finds.scale[row], finds.in_field[row], finds.guide[row] = found[3], found[4], found[5]
+    finds.log_b[row], finds.focal[row], finds.scale[row], finds.in_field[row] = found[0], found[2], found[3], found[4]
+    for i in range(3):
+        for j in range(3):
+            finds.matrix[row, i, j] = found[1][i, j]
+    for star in range(len(found[5])):
+        finds.guide[row, star] = found[5][star]
     return min(count + 1, len(finds.log_b))
 
 
-@njit(cache=True, error_model="numpy")
-def _weigh_triangle(
-    obs: IntArray, gid: IntArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
+@kernel
+def weigh_attitude(
+    matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
 ) -> tuple[int, int]:
-    """Verify what a triangle means against all stars. New number of finds, and the operations."""
-    b, r = np.empty((3, 3)), np.empty((3, 3))
-    s = np.empty(3)
-    for k in range(3):
-        b[k] = stars.vectors[obs[k]]
-        if limits.focal_range > 0.0:
-            b[k] += focal * stars.slopes[obs[k]]
-        r[k], s[k] = sky.directions[gid[k]], stars.sigma[obs[k]]
-    matrix = _attitude_of_three(b, r, s)
+    """Verify an attitude against all stars, unless it is known. New number of finds, and the operations."""
     if _known(matrix, finds, count, 3.0 * limits.scale * stars.sigma[0]):
         return count, 0
     scale = max(limits.scale, _VERIFY_FROM)
@@ -156,25 +172,41 @@ def _weigh_triangle(
     return count, work
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
+def _weigh_triangle(
+    obs: IntArray, gid: IntArray, focal: float, stars: Stars, sky: SkyView, limits: Limits, finds: Finds, count: int
+) -> tuple[int, int]:
+    """Verify what a triangle means against all stars. New number of finds, and the operations."""
+    b, r = np.empty((3, 3)), np.empty((3, 3))
+    s = np.empty(3)
+    for k in range(3):
+        b[k] = stars.vectors[obs[k]]
+        if limits.focal_range > 0.0:
+            b[k] += focal * stars.slopes[obs[k]]
+        r[k], s[k] = sky.directions[gid[k]], stars.sigma[obs[k]]
+    weighed: tuple[int, int] = weigh_attitude(_attitude_of_three(b, r, s), focal, stars, sky, limits, finds, count)
+    return weighed
+
+
+@kernel_with(inline="always")
 def _room(scratch: NDArray[np.int32], size: int) -> NDArray[np.int32]:
     """The same array, or a longer one where it has no room for one more than `size`."""
     return scratch if len(scratch) > size else np.empty(2 * size + 1, np.int32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def triangle_costs(triples: IntArray, vectors: FloatArray, least_rad: float) -> FloatArray:
     """Sum of the two shorter sides (T,), rad; 2π more where the longest is below `least_rad`."""
     out = np.empty(len(triples))
     for t in range(len(triples)):
         a, b, c = vectors[triples[t, 0]], vectors[triples[t, 1]], vectors[triples[t, 2]]
-        ab, bc, ca = _chord_angle(a, b), _chord_angle(b, c), _chord_angle(c, a)
+        ab, bc, ca = chord_angle(a, b), chord_angle(b, c), chord_angle(c, a)
         longest = max(ab, bc, ca)
         out[t] = ab + bc + ca - longest + (2.0 * math.pi if longest < least_rad else 0.0)
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def search_triangles(
     triples: IntArray, stars: Stars, sky: SkyView, pairs: Pairs, limits: Limits, finds: Finds, count: int
 ) -> tuple[int, int, int, float]:
@@ -199,7 +231,7 @@ def search_triangles(
     at_i, at_j = np.empty(0, np.int32), np.empty(0, np.int32)
     obs, gid = np.empty(3, np.int64), np.empty(3, np.int64)
     others, marks, marked = no_others(), no_marks(), 0.0
-    gate = GATE_SIGMAS * _LEVER * limits.scale
+    gate = GATE_SIGMAS * limits.scale
     density = len(sky.directions) / (4.0 * math.pi)
     work, done, found, sure = 0.0, 0, 0, False
     wide = limits.focal_range
@@ -207,15 +239,15 @@ def search_triangles(
         if sure or work > limits.work:
             break
         if found > _MANY_FOUND and marks.reach2 < 0.0:
-            marks = mark_sky(sky.directions, _USUAL_SIGMA * gate * np.median(stars.sigma))
+            marks = mark_sky(sky.directions, _LEVER * _USUAL_SIGMA * gate * median(stars.sigma.copy()))
             marked = share_marked(marks)
             work += _PAIR_WORK * len(sky.directions)
         done += 1
         i, j, k = triples[t]
         # i opposite the longest side
-        ij = _chord_angle(stars.vectors[i], stars.vectors[j])
-        ik = _chord_angle(stars.vectors[i], stars.vectors[k])
-        jk = _chord_angle(stars.vectors[j], stars.vectors[k])
+        ij = chord_angle(stars.vectors[i], stars.vectors[j])
+        ik = chord_angle(stars.vectors[i], stars.vectors[k])
+        jk = chord_angle(stars.vectors[j], stars.vectors[k])
         if ij > jk and ij >= ik:
             i, k, ij, jk = k, i, jk, ij
         elif ik > jk:
@@ -223,13 +255,13 @@ def search_triangles(
         if ik > ij:  # the shorter of the two fills the table
             j, k, ij, ik = k, j, ik, ij
         sigma = limits.scale * PAIR_SIGMAS
-        t_ij = sigma * math.hypot(stars.sigma[i], stars.sigma[j]) + _ABERRATION * ij
-        t_ik = sigma * math.hypot(stars.sigma[i], stars.sigma[k]) + _ABERRATION * ik
-        t_jk = sigma * math.hypot(stars.sigma[j], stars.sigma[k]) + _ABERRATION * jk
+        t_ij = sigma * math.hypot(stars.sigma[i], stars.sigma[j]) + ABERRATION * ij
+        t_ik = sigma * math.hypot(stars.sigma[i], stars.sigma[k]) + ABERRATION * ik
+        t_jk = sigma * math.hypot(stars.sigma[j], stars.sigma[k]) + ABERRATION * jk
         if min(ij - t_ij, ik - t_ik) <= 0.0:
             continue
-        low_ik, high_ik = _window(pairs.separation, (ik - t_ik) / (1.0 + wide), (ik + t_ik) / (1.0 - wide))
-        low_ij, high_ij = _window(pairs.separation, (ij - t_ij) / (1.0 + wide), (ij + t_ij) / (1.0 - wide))
+        low_ik, high_ik = window(pairs.separation, (ik - t_ik) / (1.0 + wide), (ik + t_ik) / (1.0 - wide))
+        low_ij, high_ij = window(pairs.separation, (ij - t_ij) / (1.0 + wide), (ij + t_ij) / (1.0 - wide))
         cos_low = math.cos(min((jk + t_jk) / (1.0 - wide), math.pi))
         cos_high = math.cos(max((jk - t_jk) / (1.0 + wide), 0.0))
         seen = triple_product(stars.vectors[i], stars.vectors[j], stars.vectors[k])
@@ -282,8 +314,8 @@ def search_triangles(
                     continue
                 focal = 0.0
                 if wide > 0.0:
-                    r_ij, r_ik = math.log(ij / _chord_angle(v, u)), math.log(ik / _chord_angle(v, w))
-                    r_jk = math.log(jk / _chord_angle(u, w))
+                    r_ij, r_ik = math.log(ij / chord_angle(v, u)), math.log(ik / chord_angle(v, w))
+                    r_jk = math.log(jk / chord_angle(u, w))
                     if (
                         abs(r_ij - r_jk) > t_ij / ij + t_jk / jk
                         or abs(r_ik - r_jk) > t_ik / ik + t_jk / jk
@@ -292,9 +324,9 @@ def search_triangles(
                         continue
                     focal = (r_ij * ij + r_ik * ik + r_jk * jk) / (ij + ik + jk)
                 if not (
-                    _fits_prior(stars.vectors[i], v, limits)
-                    and _fits_prior(stars.vectors[j], u, limits)
-                    and _fits_prior(stars.vectors[k], w, limits)
+                    fits_prior(stars.vectors[i], v, limits)
+                    and fits_prior(stars.vectors[j], u, limits)
+                    and fits_prior(stars.vectors[k], w, limits)
                 ):
                     continue
                 found += 1
@@ -306,8 +338,9 @@ def search_triangles(
                 before = count
                 count, cost = _weigh_triangle(obs, gid, focal, stars, sky, limits, finds, count)
                 work += cost
-                if count > before and finds.log_b[:count].max() > limits.sure:
-                    sure = True
+                for row in range(count if count > before else 0):
+                    sure = sure or finds.log_b[row] > limits.sure
+                if sure:
                     at = -1
             if sure or work > limits.work:
                 break

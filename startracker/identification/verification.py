@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.field_shape import in_shape
@@ -19,6 +18,8 @@ from startracker.catalog.voxels import stars_in_cone
 from startracker.identification.bayes_factor import WEIGHINGS, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
+from startracker.kernels import kernel
+from startracker.sorting import sort
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -34,7 +35,7 @@ _NARROWEST = 0.8
 _ROUNDS = 5
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def focal_slopes(vectors: FloatArray) -> FloatArray:
     """∂b/∂ln f (N, 3) of unit vectors (N, 3) in the frame of a pinhole camera."""
     out = np.empty_like(vectors)
@@ -44,7 +45,7 @@ def focal_slopes(vectors: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
@@ -61,7 +62,7 @@ def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def solve_symmetric(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution (n,) of a small positive definite system by Gaussian elimination; NaN where there is none."""
     n = len(right)
@@ -82,7 +83,7 @@ def solve_symmetric(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def guides_in_field(matrix: FloatArray, sky: SkyView, most: int) -> IntArray:
     """Guide stars on the image at an attitude, brightest first, at most `most`."""
     axis = sky.shape.axes[2]
@@ -100,11 +101,11 @@ def guides_in_field(matrix: FloatArray, sky: SkyView, most: int) -> IntArray:
         if in_shape(u, v, w, sky.shape):
             out[count] = star
             count += 1
-    found = np.sort(out[:count])
-    return found[:most]
+    sort(out[:count])
+    return out[: min(count, most)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def match_nearest(
     points: FloatArray, places: FloatArray, gate: FloatArray, index: IntArray, distance: FloatArray, owner: IntArray
 ) -> int:
@@ -152,7 +153,7 @@ def match_nearest(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fit_step(
     observed: FloatArray, slopes: FloatArray, predicted: FloatArray, index: IntArray, sigma: FloatArray, unknowns: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -187,7 +188,16 @@ def fit_step(
     return normal, right
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _same(one: IntArray, other: IntArray) -> bool:
+    """Whether two arrays of a length are equal."""
+    differ = 0
+    for k in range(len(one)):
+        differ += one[k] != other[k]
+    return differ == 0
+
+
+@kernel
 def verify_attitude(
     matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
 ) -> tuple[float, FloatArray, float, float, int, IntArray, int]:
@@ -222,9 +232,10 @@ def verify_attitude(
     reference = np.empty((len(field), 3))
     v_mag = np.empty(len(field))
     for k in range(len(field)):
-        reference[k] = sky.directions[field[k]]
+        for axis in range(3):
+            reference[k, axis] = sky.directions[field[k], axis]
         v_mag[k] = sky.v_mag[field[k]]
-    predicted = np.empty_like(reference)
+    predicted = np.empty((len(field), 3))
     observed = vectors.copy()
     index, last, weighed = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -2, np.int64)
     distance = np.empty(n)
@@ -253,9 +264,10 @@ def verify_attitude(
             operations += n * len(field)
             if count < 3:
                 break
-            if np.array_equal(index, last):
+            if _same(index, last):
                 break
-            last[:] = index
+            for i in range(n):
+                last[i] = index[i]
             normal, right = fit_step(observed, slopes, predicted, index, sigma, unknowns)
             normal /= step * step
             right /= step * step
@@ -274,12 +286,13 @@ def verify_attitude(
                         observed[i, axis] = vectors[i, axis] + focal * slopes[i, axis]
         if count < 3:
             break
-        if not free_focal and np.array_equal(index, weighed):  # a narrower gate that drops none changes nothing
+        if not free_focal and _same(index, weighed):  # a narrower gate that drops none changes nothing
             if step <= _NARROWEST:
                 break
             step = max(step / _NARROWING, _NARROWEST)
             continue
-        weighed[:] = index
+        for i in range(n):
+            weighed[i] = index[i]
         # the last fit's own residuals
         for k in range(len(field)):
             for axis in range(3):

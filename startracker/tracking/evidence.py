@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.identification.verification import turned
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def determinant_3(m: FloatArray) -> float:
     """Determinant of a (3, 3) matrix."""
     value: float = (
@@ -25,7 +25,7 @@ def determinant_3(m: FloatArray) -> float:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def turn_places(turn: FloatArray, places: FloatArray, out: FloatArray) -> None:
     """Turned directions (K, 3), written to `out`."""
     for k in range(len(places)):
@@ -33,7 +33,7 @@ def turn_places(turn: FloatArray, places: FloatArray, out: FloatArray) -> None:
             out[k, i] = turn[i, 0] * places[k, 0] + turn[i, 1] * places[k, 1] + turn[i, 2] * places[k, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> float:
     """ln of the likelihood ratio of matches, averaged over how deep the camera sees and how many stars are true.
 
@@ -69,7 +69,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
     return highest + math.log(total / in_field)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_evidence(
     observed: FloatArray,
     sigma: FloatArray,

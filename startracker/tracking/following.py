@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
+from startracker.identification.acceptance import log_chance, power_of_ten
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
@@ -29,7 +30,11 @@ _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A frame matched with the prediction: the filter after it, and the stars that it took in."""
+    """A frame matched with the prediction: the filter after it, and the stars that it took in.
+
+    `log_chance` is that of `startracker.identification.acceptance`. The prior is the prediction's Gaussian, over which
+    the Bayes factor of `startracker.tracking.evidence` is an integral: no further gain, and no rivals.
+    """
 
     filter: Mekf
     innovation: Innovation
@@ -50,7 +55,7 @@ class Followed:
         return Solution(
             Status.SOLVED,
             f"tracked: {len(stars)} of {len(seen.xy)} stars are where predicted, {len(self.expected.index)} expected; "
-            f"by chance with probability 1e{math.floor(self.log_chance / math.log(10.0))}" + note,
+            f"by chance with probability {power_of_ten(self.log_chance)}" + note,
             self.filter.attitude,
             covariance,
             MatchedStars(
@@ -66,6 +71,7 @@ class Followed:
             camera.parity,
             times_ms,
             camera,
+            log_false_alarm=self.log_chance,
         )
 
 
@@ -103,7 +109,7 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
         if good.all():
             break
         stars = stars[good]
-    return Followed(after, innovation, seen, expected, stars, partner[stars], residual, -evidence)
+    return Followed(after, innovation, seen, expected, stars, partner[stars], residual, log_chance(evidence))
 
 
 def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:

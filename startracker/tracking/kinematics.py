@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ BLIND = 1e-12
 """Information about an axis below this share of the best known axis' is rounding: one star does not tell the roll."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
 
@@ -61,7 +62,7 @@ def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, Flo
     return phi, psi, twice, squared
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def turn_quaternion(quat: FloatArray, vector: FloatArray) -> FloatArray:
     """Unit quaternion (x, y, z, w) of the frame `quat` after it has turned by a rotation vector in its own axes."""
     x2, y2, z2 = vector[0], vector[1], vector[2]
@@ -81,7 +82,7 @@ def turn_quaternion(quat: FloatArray, vector: FloatArray) -> FloatArray:
     return out / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def propagate(
     quat: FloatArray,
     covariance: FloatArray,
@@ -122,7 +123,7 @@ def propagate(
     return turn_quaternion(quat, rate * dt), 0.5 * (out + out.T)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def correct(
     covariance: FloatArray, axes: FloatArray, innovation: FloatArray, noise: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
@@ -155,7 +156,7 @@ def correct(
     return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T), white
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
     """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN where that is not positive."""
     lower, out = np.zeros((3, 3)), np.empty(3)
@@ -172,7 +173,7 @@ def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def vector_measurement(
     quat: FloatArray, delta: FloatArray, observed: FloatArray, reference: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

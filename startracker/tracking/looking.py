@@ -14,7 +14,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.detection import Background
 from startracker.errors import InputError
-from startracker.front_end import SAME_STAR_PX
+from startracker.given_centroids import SAME_STAR_PX
 from startracker.observer import Observer
 from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.identification.verification import turned
+from startracker.kernels import kernel
 from startracker.tracking.evidence import log_evidence, turn_places
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +31,7 @@ _MOST_STARTS = 400
 _ROUNDS = 8
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def expected_stars(
     matrix: FloatArray, sky: SkyView, beta: FloatArray, most: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -87,7 +87,7 @@ def expected_stars(
     return index[:count], seen[:count], places[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
     """Two unit vectors across a unit vector p, written to u and v = p × u."""
     if abs(p[0]) < 0.7:
@@ -101,7 +101,7 @@ def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
     v[2] = p[0] * u[1] - p[1] * u[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def spreads(places: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tangents u, v (K, 3) of predicted directions, and the covariance (K, 3: uu, uv, vv) of the stars across them."""
     k = len(places)
@@ -119,7 +119,7 @@ def spreads(places: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Flo
     return us, vs, out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def match_gated(
     observed: FloatArray,
     sigma: FloatArray,
@@ -178,7 +178,7 @@ def match_gated(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def inverse_3(m: FloatArray) -> FloatArray:
     """Inverse of a symmetric (3, 3) matrix."""
     out = np.empty((3, 3))
@@ -193,7 +193,7 @@ def inverse_3(m: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fit(
     observed: FloatArray,
     sigma: FloatArray,
@@ -236,7 +236,7 @@ def _fit(
     return delta, covariance, information
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def track(
     observed: FloatArray, sigma: FloatArray, places: FloatArray, covariance: FloatArray, area: float
 ) -> tuple[IntArray, FloatArray, FloatArray, float]:
@@ -318,7 +318,7 @@ def track(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _consensus(
     observed: FloatArray,
     sigma: FloatArray,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
+from startracker.identification.acceptance import accepts
 from startracker.observer import Observer
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
@@ -195,7 +196,7 @@ class TrackingSession:
             )
             clock.lap("windows")
             followed = self._follow(seen, expected)
-            if followed is not None and self._sure(followed):
+            if self._accepts(followed):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
         found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **told)
@@ -227,7 +228,7 @@ class TrackingSession:
                 return self._refuse(*refused, points if key else np.empty((0, 2)), clock)
             self._frame = key
             followed = self._follow_centroids(points, flux, observer)
-            if followed is not None and self._sure(followed):
+            if self._accepts(followed):
                 return self._tracked(followed, clock)
             prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
             found = self.tracker.solve_centroids(xy, flux, prior=prior, prior_deg=prior_deg, observer=observer)
@@ -282,7 +283,7 @@ class TrackingSession:
     def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
         if seen is None:
             return None
-        return self._watched.follow(self.tracker.camera, seen, expected, self._log_limit)
+        return self._watched.follow(self.tracker.camera, seen, expected, self.tracker.identification)
 
     def _follow_centroids(
         self, points: FloatArray, flux: ArrayLike | None, observer: Observer | None
@@ -294,12 +295,9 @@ class TrackingSession:
         signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
         return self._follow(centroids_seen(self.tracker, points, signal, self._scatter.factor), expected)
 
-    def _sure(self, followed: Followed) -> bool:
-        return followed.log_chance <= self._log_limit
-
-    @property
-    def _log_limit(self) -> float:
-        return math.log(self.tracker.identification.false_alarm_rate)
+    def _accepts(self, followed: Followed | None) -> TypeGuard[Followed]:
+        """Whether a frame was followed, beyond chance as the one rule of `identification.acceptance` has it."""
+        return followed is not None and accepts(followed.log_chance, self.tracker.identification)
 
     def _used(self, xy: FloatArray) -> float:
         """Know this frame, which the filter took in, again by its list or by its identified stars (M, 2); its time."""
@@ -346,7 +344,7 @@ class TrackingSession:
     ) -> Solution:
         """Answer of a frame that the tracker has worked on."""
         if found.attitude is None or found.covariance is None:
-            if followed is not None and self._sure(followed):
+            if self._accepts(followed):
                 return self._tracked(followed, clock)
             matched: int = 0
             innovation: Innovation | None = None

@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.identification.acceptance import accepts
 from startracker.observer import unknown_aberration
+from startracker.settings import IdentificationSettings
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.following import Followed, follow
 from startracker.tracking.looking import Expected, Seen
@@ -116,16 +118,19 @@ class WatchedFilter:
         width = max(math.degrees(_PRIOR_SIGMAS * self.uncertainty_rad), _LEAST_PRIOR_DEG)
         return (self.mekf.attitude, width) if width <= limit_deg else (None, 1.0)
 
-    def follow(self, camera: Camera, seen: Seen, expected: Expected, log_limit: float) -> Followed | None:
+    def follow(
+        self, camera: Camera, seen: Seen, expected: Expected, settings: IdentificationSettings
+    ) -> Followed | None:
         """Match a frame with the prediction (`following.follow`).
 
-        Where the match is beyond chance, its `log_chance` below `log_limit`, and the innovations of the last frames
-        with this one contradict the filter, the prediction is made less certain and matched again.
+        Where the match is accepted, and the innovations of the last frames with this one contradict the filter, the
+        prediction is made less certain and matched again.
         """
         if self.mekf is None:
             return None
         followed = follow(self.mekf, camera, seen, expected, self.false_rejection)
-        if followed is None or followed.log_chance > log_limit or not self._window.contradicts(followed.innovation):
+        accepted = followed is not None and accepts(followed.log_chance, settings)
+        if followed is None or not accepted or not self._window.contradicts(followed.innovation):
             return followed
         self._lose_confidence(self.mekf)
         return follow(self.mekf, camera, seen, expected, self.false_rejection)

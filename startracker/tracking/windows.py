@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -18,7 +19,7 @@ _NOISE_FREE = 1e-5
 """Noise ascribed to windows that have none, as a share of the brightest star's height."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lay_out(
     image: NDArray[Any], x: IntArray, y: IntArray, half: int, columns: int, noise_floor: float
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
@@ -105,7 +106,7 @@ def to_image(xy: FloatArray, x: IntArray, y: IntArray, half: int, columns: int) 
     return np.asarray(xy - corner + np.stack([x[window], y[window]], axis=1))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def first_of_each(xy: FloatArray, width: float, height: float, margin: float, same_px: float) -> IntArray:
     """Rows of points (N, 2) that are finite, on the image by a margin, and not within `same_px` of an earlier one."""
     out = np.empty(len(xy), np.int64)

@@ -1,4 +1,5 @@
-"""Write data/frames_galsim.npz: star-camera frames rendered by GalSim (Rowe et al. 2015), for test_frames_galsim.py.
+"""Write data/frames_galsim.npz and data/frame_elongated_galsim.npz: star-camera frames rendered by GalSim (Rowe et al.
+2015), for test_frames_galsim.py.
 
     python tests/oracle/build_frames_galsim.py            # needs galsim (extra: oracles); some minutes
 
@@ -31,6 +32,8 @@ SKY_E, READ_NOISE_E, E_PER_DN, BIAS_DN, FULL_DN = 20.0, 8.0, 4.0, 100, 16383
 MODELS = ("airy", "aberrated", "moffat")
 PER_MODEL = 12
 SEED = 20261122
+ELONGATED_SEED, ELONGATED = 4711, 42
+"""An "aberrated" frame in which half of the stars are just longer, half just shorter, than twice their breadth."""
 STEP = 0.02  # pixels, of the derivatives
 TABLE_STEPS, TABLE_RADIUS = 8, 8  # of the tables of the PSFs: points a pixel, pixels
 
@@ -149,6 +152,18 @@ def render(model: str, matrix: np.ndarray, seed: int, stars: tuple[np.ndarray, n
     return frame, fisher_of_attitude(psf, seen[near[guide]], flux[guide])
 
 
+def frame_of(seed: int, m: int, k: int, stars: tuple[np.ndarray, np.ndarray]):
+    """Attitude (3, 3), frame (H, W) and Fisher information (3, 3) of a frame with the m-th PSF."""
+    matrix = random_matrix(np.random.default_rng([seed, m, k]))
+    return matrix, *render(MODELS[m], matrix, seed + 1000 * m + k, stars)
+
+
+def elongated() -> dict[str, np.ndarray]:
+    """Frame (H, W) and attitude (3, 3) of the elongated stars."""
+    matrix, frame, _ = frame_of(ELONGATED_SEED, MODELS.index("aberrated"), ELONGATED, sky())
+    return {"frame": frame, "matrix": matrix}
+
+
 def psf_table(model: str) -> np.ndarray:
     """Share of a star's light in a pixel by its distance from the star, TABLE_STEPS points a pixel, (n, n)."""
     import galsim
@@ -167,8 +182,7 @@ def draw(frames_per_model: int = PER_MODEL) -> dict[str, np.ndarray]:
     stars, frames, matrices, fisher, models = sky(), [], [], [], []
     for m, model in enumerate(MODELS):
         for k in range(frames_per_model):
-            matrix = random_matrix(np.random.default_rng([SEED, m, k]))
-            frame, information = render(model, matrix, SEED + 1000 * m + k, stars)
+            matrix, frame, information = frame_of(SEED, m, k, stars)
             frames.append(frame)
             fisher.append(information)
             matrices.append(matrix)
@@ -187,5 +201,7 @@ def draw(frames_per_model: int = PER_MODEL) -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "data" / "frames_galsim.npz"
+    folder = Path(__file__).parent / "data"
+    np.savez_compressed(folder / "frame_elongated_galsim.npz", **elongated())
+    path = Path(sys.argv[1]) if len(sys.argv) > 1 else folder / "frames_galsim.npz"
     np.savez_compressed(path, date=np.array(datetime.datetime.now(datetime.UTC).date().isoformat()), **draw())

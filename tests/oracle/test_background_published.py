@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from astropy.coordinates import BarycentricMeanEcliptic, SkyCoord
 
-from simulator.scenario.schema import SkySection
 from simulator.sky.background import (
     ECLIPTIC,
     GALACTIC,
@@ -23,13 +22,14 @@ from simulator.sky.background import (
     starlight_s10,
     zodiacal_s10,
 )
+from simulator.sky.parameters import Sky
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.distortion import Distortion
 
 SUN = radec_to_direction(math.radians(200.0), math.radians(-8.3))
-SECTION = SkySection(background_model="leinert1998")
+SECTION = Sky(background_model="leinert1998")
 
 
 def helioecliptic(longitude_deg, latitude_deg, sun=SUN):
@@ -136,11 +136,11 @@ def test_sum_far_from_ecliptic_and_milky_way_is_near_the_usual_75():
 
 def test_constant_and_off():
     directions = sphere(10)
-    assert (sky_brightness_s10(directions, SUN, SkySection(background_s10=33.0)) == 33.0).all()
-    assert (sky_brightness_s10(directions, SUN, SkySection(background=False)) == 0.0).all()
+    assert (sky_brightness_s10(directions, SUN, Sky(background_s10=33.0)) == 33.0).all()
+    assert (sky_brightness_s10(directions, SUN, Sky(background=False)) == 0.0).all()
     r_km = np.array([0.0, 0.0, -7178.0])
-    assert diffuse_sky_s10(CAMERA, LOOKING, r_km, SUN, SkySection()) == 75.0
-    assert diffuse_sky_s10(CAMERA, LOOKING, r_km, SUN, SkySection(background=False)) == 0.0
+    assert diffuse_sky_s10(CAMERA, LOOKING, r_km, SUN, Sky()) == 75.0
+    assert diffuse_sky_s10(CAMERA, LOOKING, r_km, SUN, Sky(background=False)) == 0.0
 
 
 CAMERA = Camera(900.0, 1000.0, 160.0, 120.0, 331, 250, Distortion(k1=-0.05))

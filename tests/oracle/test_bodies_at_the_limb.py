@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.exposure import Exposure
 from simulator.optics.bodies import draw_body, share_before_limb
 from simulator.optics.psf import build_psf
-from simulator.randomness import stream
+from simulator.optics.psf_model import PsfModel
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.scenario.schema import PsfSection, SkySection
 from simulator.sky.earth import angular_radius_rad, occulted, stray_sources, unhidden
+from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import Bodies
 
 R_KM = np.array([7178.0, 0.0, 0.0])
@@ -49,7 +50,7 @@ def points_of_disk(centre, radius_rad, count=801):
 def test_share_of_the_sun_is_a_segment_and_the_published_penumbra(height, r_km):
     a = 0.2666 * math.pi / 180
     sun = bodies(height, a, name="Sun", r_km=r_km)
-    share = unhidden(sun, r_km, sun.direction[0], SkySection())[0]
+    share = unhidden(sun, r_km, sun.direction[0], Sky())[0]
     s = max(min(height, 1.0), -1.0)
     segment = 1.0 - (math.acos(s) - s * math.sqrt(1.0 - s * s)) / math.pi
     # the limb is no straight line: ½ a cot ρ radii at the rim, 0.1 % from 800 km, 1.5 % from the geostationary orbit
@@ -83,7 +84,7 @@ def test_share_of_a_crescent(angle, law):
 
 def test_a_disk_is_drawn_up_to_the_limb():
     """What is left has the brightness that it had, and beyond the limb there is nothing but what the PSF spreads."""
-    psf = build_psf(PsfSection(sigma_px=0.8), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(sigma_px=0.8), 2.0, (10.0, 10.0))
     whole, cut = np.zeros((2, 121, 121))
     limb, place = (0.25, 0.002, 0.7), np.array([[60.2, 59.7]])
     share = share_before_limb(limb[0], limb[1], limb[2] - 2.0, 0.8, "lommel_seeliger")
@@ -107,15 +108,16 @@ def test_the_moon_of_a_frame_is_cut(height):
     )
     renderer = Renderer(scenario)
     plane, camera = renderer.focal_plane, renderer.camera
-    scene = renderer.scenes.scene(0, lambda name: stream(1, name, 0), plane.half_field_rad)
+    scene = renderer.scene(0)
     moon = scene.bodies.select(np.flatnonzero(scene.bodies.name == "Moon"))
     centre, radius = moon.direction[0], float(moon.angular_radius_rad[0])
     away = angular_radius_rad(R_KM) + height * radius
     aside = np.cross(centre, [0.3, 0.5, 0.2])
     nadir = centre * math.cos(away) + aside / np.linalg.norm(aside) * math.sin(away)
     scene = replace(scene, bodies=moon, r_km=-7178.0 * nadir)
-    alone = plane.expose(replace(scene, bodies=moon.select(np.zeros(0, np.int64))))
-    light = plane.expose(scene)
+    exposure = Exposure(0.0, 0.001)
+    alone = plane.expose(replace(scene, bodies=moon.select(np.zeros(0, np.int64))), exposure)
+    light = plane.expose(scene, exposure)
     share = unhidden(moon, scene.r_km, scene.sun_direction, plane.sky)[0]
     assert 0.02 < share < 0.98
     rate = plane.photometer.body_electrons_per_s(moon.name, moon.v_mag)[0] * scenario.detector.exposure_s
@@ -135,7 +137,7 @@ def test_stray_light_dies_away_through_the_penumbra():
     magnitudes = []
     for height in (1.5, 0.9, 0.0, -0.9, -1.1):
         sun = bodies(height, a, name="Sun")
-        names, _, v_mag = stray_sources(sun, R_KM, SkySection())
+        names, _, v_mag = stray_sources(sun, R_KM, Sky())
         magnitudes.append(float(v_mag[names == "Sun"][0]) if "Sun" in names else math.inf)
     assert magnitudes[0] == 0.0
     assert magnitudes[2] == pytest.approx(2.5 * math.log10(2.0), abs=0.01)

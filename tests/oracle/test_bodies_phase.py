@@ -14,13 +14,13 @@ import pytest
 from simulator.optics.bodies import LAWS, add_lit_disk, draw_body, sun_angle_rad
 from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.camera import Camera
 
-GAUSSIAN = build_psf(PsfSection(sigma_px=0.9), 1.4, (5.5, 5.5))
-AIRY = build_psf(PsfSection(model="airy"), 8.0, (5.5, 5.5))
+GAUSSIAN = build_psf(PsfModel(sigma_px=0.9), 1.4, (5.5, 5.5))
+AIRY = build_psf(PsfModel(model="airy"), 8.0, (5.5, 5.5))
 ONE = np.ones(1)
 
 

@@ -16,8 +16,8 @@ import math
 import numpy as np
 import pytest
 
+from simulator.build import build_camera
 from simulator.checks import load_scenario
-from simulator.focal_plane import camera_of
 from simulator.study.coverage.boresights import along_path, whole_sky
 from simulator.study.coverage.field_counts import circle, outline, solid_angle_sr
 from simulator.study.coverage.sensitivity import build_sensitivity
@@ -28,7 +28,7 @@ from startracker.catalog import load_catalog
 @pytest.mark.parametrize("field", ["camera", "circle"])
 def test_the_mean_count_is_the_published_count_times_the_share_of_the_sky(field):
     stars = load_catalog("hipparcos")
-    shape = outline(camera_of(load_scenario("cubesat"))) if field == "camera" else circle(9.0)
+    shape = outline(build_camera(load_scenario("cubesat"))) if field == "camera" else circle(9.0)
     counts = count_stars(stars, shape, whole_sky(4000), np.array([4.0, 5.0, 6.0]))
     for k, published in enumerate((558, 1744, 5326)):
         here = counts[:, k]
@@ -44,7 +44,7 @@ def test_the_mean_count_is_the_published_count_times_the_share_of_the_sky(field)
 def test_the_thesis_path_has_empty_fields_to_5_and_three_stars_to_6_5():
     scenario = load_scenario("sunsat", ["pointing.error_deg=0"])
     counts = count_stars(
-        load_catalog("bsc5"), outline(camera_of(scenario)), along_path(scenario, 1500), np.array([5.0, 6.5])
+        load_catalog("bsc5"), outline(build_camera(scenario)), along_path(scenario, 1500), np.array([5.0, 6.5])
     )
     assert np.sum(counts[:, 0] == 0) > 10
     assert counts[:, 1].min() >= 3

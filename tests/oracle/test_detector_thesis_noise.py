@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
-from simulator.detector import build_fixed_pattern, detect
 from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
 
 SIDE = 256
 PIXELS = SIDE * SIDE

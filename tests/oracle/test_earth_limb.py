@@ -16,7 +16,6 @@ from skyfield.geometry import intersect_line_and_sphere
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.scenario.schema import SkySection
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import (
     SCALE_HEIGHT_KM,
@@ -27,6 +26,7 @@ from simulator.sky.earth import (
     occulted,
     stray_sources,
 )
+from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import Bodies
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.camera import Camera
@@ -77,7 +77,7 @@ def test_whole_disk_from_afar_is_a_lambert_sphere(phase_deg):
     distance = 5e7
     sun = np.array([math.cos(alpha), math.sin(alpha), 0.0])
     bodies = sun_alone(sun)
-    _, _, v_mag = stray_sources(bodies, np.array([distance, 0.0, 0.0]), SkySection(), rings=400, sectors=400)
+    _, _, v_mag = stray_sources(bodies, np.array([distance, 0.0, 0.0]), Sky(), rings=400, sectors=400)
     law = 2 / 3 * (math.sin(alpha) + (math.pi - alpha) * math.cos(alpha)) / math.pi
     expected = 10 ** (0.4 * 26.74) * 0.3 * law * (EARTH_RADIUS_KM / distance) ** 2
     total = (10 ** (-0.4 * v_mag[1:])).sum()  # the first is the Sun itself
@@ -92,8 +92,7 @@ def sun_alone(direction):
 def test_default_pieces_are_fine_enough():
     sun = unit([0.3, 1.0, 0.2])
     coarse, fine = (
-        (10 ** (-0.4 * stray_sources(sun_alone(sun), R_KM, SkySection(), *n)[2][1:])).sum()
-        for n in ((24, 48), (400, 400))
+        (10 ** (-0.4 * stray_sources(sun_alone(sun), R_KM, Sky(), *n)[2][1:])).sum() for n in ((24, 48), (400, 400))
     )
     assert coarse == pytest.approx(fine, rel=2e-2)
 
@@ -135,7 +134,7 @@ def test_map_hides_the_sky_and_shines():
     limb = at_tangent_height(0.0)
     ra, dec = (math.degrees(a) for a in direction_to_radec(limb))
     attitude = Attitude.from_radec_roll(ra, dec, 0.0)
-    section = SkySection()
+    section = Sky()
     s10, hidden = earth_radiance_map(camera, attitude, R_KM, sun, section)
     assert 0.3 < hidden.mean() < 0.7
     total = diffuse_sky_s10(camera, attitude, R_KM, sun, section)
@@ -143,22 +142,22 @@ def test_map_hides_the_sky_and_shines():
     assert (total[hidden] > 1e8).all()
     night = diffuse_sky_s10(camera, attitude, R_KM, -sun, section)
     assert (night[hidden] == 0.0).all()
-    assert diffuse_sky_s10(camera, attitude, R_KM, sun, SkySection(earth=False)) == 75.0
+    assert diffuse_sky_s10(camera, attitude, R_KM, sun, Sky(earth=False)) == 75.0
     assert diffuse_sky_s10(camera, attitude.inverse.inverse, -R_KM, sun, section) == 75.0
 
 
 def test_the_sun_is_not_seen_through_the_earth():
     bodies = sun_alone(-unit(R_KM))
-    assert "Sun" not in stray_sources(bodies, R_KM, SkySection())[0]
-    assert "Sun" in stray_sources(bodies, R_KM, SkySection(earth=False))[0]
-    assert "Sun" in stray_sources(sun_alone(unit([0.0, 1.0, 0.0])), R_KM, SkySection())[0]
+    assert "Sun" not in stray_sources(bodies, R_KM, Sky())[0]
+    assert "Sun" in stray_sources(bodies, R_KM, Sky(earth=False))[0]
+    assert "Sun" in stray_sources(sun_alone(unit([0.0, 1.0, 0.0])), R_KM, Sky())[0]
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_shipped_scenarios_never_see_the_earth(path):
     renderer = Renderer(Scenario.load(path))
     for index in range(30):
-        scene = renderer.scenes.scene(index, lambda name: np.random.default_rng(index), 0.1)  # noqa: B023
+        scene = renderer.scene(index)
         attitude, section = scene.pointing.camera, renderer.scenario.sky
         assert not (section.earth and earth_in_field(renderer.camera, attitude, scene.r_km))  # xybion.yaml has none
         assert diffuse_sky_s10(renderer.camera, attitude, scene.r_km, scene.sun_direction, section) == 75.0

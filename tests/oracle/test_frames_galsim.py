@@ -109,6 +109,19 @@ def test_with_the_star_image_known_errors_are_near_the_fisher_bound(centroider, 
     assert low <= np.mean(squares) <= 1.3**2 * 3.0  # errors of at most 1.3 times the bound
 
 
+def test_stars_elongated_by_aberrations_are_no_satellites():
+    """A common elongation that half of the stars have is the lens's, not a trail: the bright stars stay."""
+    stored = np.load(HERE / "data" / "frame_elongated_galsim.npz")
+    tracker = StarTracker(CAMERA, magnitude_limit=GUIDE_LIMIT)
+    solution = tracker.solve(stored["frame"], observer=OBSERVER, saturation_dn=FULL_DN, gain_e_per_dn=E_PER_DN)
+    assert solution.solved, solution.reason
+    none_misidentified(tracker, solution, stored["matrix"])
+    guide = tracker.guide.seen_by(OBSERVER)
+    row, _, _ = guide.in_field(stored["matrix"], -5.0, CAMERA)
+    brightest = set(guide.catalog.id[row[:12]].tolist())
+    assert len(brightest.intersection(solution.stars.catalog_id.tolist())) >= 10
+
+
 @pytest.mark.slow
 def test_stored_frames_are_what_galsim_draws():
     pytest.importorskip("galsim")

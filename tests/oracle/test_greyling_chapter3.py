@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from simulator.theses.greyling1995 import density, matrix, noise, path, photometry, starlight
+from simulator.theses.greyling1995 import density, noise, path, photometry, starlight
 
 
 def rows_of(section, where):
@@ -45,9 +45,9 @@ def test_period_and_inclination():
 def test_only_the_corrected_matrix_is_a_rotation():
     # one element is wrong: every other one is that of the corrected matrix
     angles = np.radians([37.0, 98.6, -65.0])
-    printed, corrected = (matrix.printed_matrix(*angles, corrected=flag) for flag in (False, True))
-    assert matrix.departure_from_rotation(corrected) < 1e-15
-    assert matrix.departure_from_rotation(printed) > 0.1
+    printed, corrected = (path.printed_matrix(*angles, corrected=flag) for flag in (False, True))
+    assert path.departure_from_rotation(corrected) < 1e-15
+    assert path.departure_from_rotation(printed) > 0.1
     assert np.argwhere(printed != corrected).tolist() == [[2, 0]]
     assert {row.verdict for row in rows_of(path.section(), "eq. 3.3, A.19")} == {"differs"}
 

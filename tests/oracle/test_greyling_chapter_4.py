@@ -15,7 +15,6 @@ from simulator.theses.greyling1995.blur import section as blur_section
 from simulator.theses.greyling1995.centre import lower_equal_peaks, matlab_rand, noise_errors, smeared_frames
 from simulator.theses.greyling1995.centre import smear_errors as centre_smear_errors
 from simulator.theses.greyling1995.centroiding import section as centroiding_section
-from simulator.theses.greyling1995.digits import compare_cut, cut_off
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec, success_rate, thesis_settings
 from simulator.theses.greyling1995.segmentation import section as segmentation_section
 from simulator.theses.greyling1995.star_images import (
@@ -27,6 +26,8 @@ from simulator.theses.greyling1995.star_images import (
     star_stamps,
     tracker_errors,
 )
+from simulator.theses.printed import compare
+from simulator.theses.tables import exact_when_cut
 from startracker.centroid.bias import moment_bias
 
 
@@ -45,11 +46,14 @@ def centroids():
 
 
 def test_digits_cut_off():
-    assert cut_off("0.010284", 0.0102847)
-    assert not cut_off("0.010284", 0.0102851)
-    assert not cut_off("0.010284", 0.0102839)
-    assert compare_cut("", "", "1.89", 1.8954).verdict == "exact"
-    assert compare_cut("", "", "1.89", 1.9).verdict == "close"
+    def verdict(printed, computed):
+        return exact_when_cut(compare("", "", printed, computed), printed, computed).verdict
+
+    assert verdict("0.010284", 0.0102847) == "exact"
+    assert verdict("0.010284", 0.0102851) == "close"
+    assert verdict("0.010284", 0.0102834) == "close"
+    assert verdict("1.89", 1.8954) == "exact"
+    assert verdict("1.89", 1.9) == "close"
 
 
 def test_airy_pattern_is_that_of_the_bessel_function():

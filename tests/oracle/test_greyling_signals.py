@@ -5,9 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from simulator.detector.comparators import compare_levels, even_levels
-from simulator.detector.sequencer import STATE_TABLE, next_state
 from simulator.theses.greyling1995 import signals, spectral
+from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.sequencer import STATE_TABLE, next_state
+from simulator.theses.tables import table_rows
 
 
 @pytest.mark.parametrize("address", range(0x2F0, 0x320, 2))
@@ -56,7 +57,7 @@ def test_the_latch_holds_what_the_output_dips_to():
 
 
 def test_peaks_of_the_spectral_responses():
-    rows = {(row.where, row.printed): row for row in spectral.rows()}
+    rows = {(row.where, row.printed): row for row in table_rows("greyling1995/spectral", spectral.values())}
     assert rows["Fig. 2.2", "555 nm"].verdict == "exact"
     w = np.array([440.0, 550.0, 640.0, 790.0, 1250.0])
     np.testing.assert_allclose(spectral.ccd_efficiency(w), [0.2, 0.4, 0.5, 0.38, 0.05])  # ccdmag.m

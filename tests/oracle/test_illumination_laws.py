@@ -10,12 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.optics.ghosts import ghost_sources
-from simulator.optics.illumination import illumination_map, is_off, relative_illumination, star_illumination
+from simulator.optics.ghosts import Ghost, ghost_sources
+from simulator.optics.illumination import Vignetting, illumination_map, relative_illumination, star_illumination
 from simulator.optics.thermal import true_camera
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.scenario.schema import GhostSection, ThermalSection, VignettingSection
 from startracker.camera import Camera
 from startracker.distortion import Distortion
 
@@ -29,7 +28,7 @@ def off_axis(camera):
 
 def test_cos4_for_the_sky_and_cos_for_stars():
     theta = off_axis(CAMERA)
-    section = VignettingSection(natural=True)
+    section = Vignetting(natural=True)
     np.testing.assert_allclose(illumination_map(CAMERA, section), np.cos(theta) ** 4, rtol=1e-5)
     assert illumination_map(CAMERA, section)[150, 200] == pytest.approx(1.0, abs=1e-5)
     np.testing.assert_allclose(relative_illumination(CAMERA, section, theta), np.cos(theta), rtol=1e-12)
@@ -39,12 +38,12 @@ def test_cos4_for_the_sky_and_cos_for_stars():
 
 def test_without_vignetting_the_sky_falls_with_the_solid_angle_of_a_pixel():
     """A pixel sees less of the sky towards the edge, whatever the lens transmits: cos³ θ; stars lose nothing."""
-    section = VignettingSection()
-    assert is_off(section)
+    section = Vignetting()
+    assert section.is_off
     np.testing.assert_allclose(illumination_map(CAMERA, section), np.cos(off_axis(CAMERA)) ** 3, rtol=1e-5)
     assert relative_illumination(CAMERA, section, 0.5) == 1.0
     for other in ({"natural": True}, {"mechanical_end_deg": 20.0}, {"polynomial": (0.0, 0.0, 0.1)}):
-        assert not is_off(VignettingSection(**other))
+        assert not Vignetting(**other).is_off
 
 
 @pytest.mark.parametrize(
@@ -60,7 +59,7 @@ def test_solid_angles_add_up_to_that_of_the_field(camera):
     """map / cos θ · Ω(0) is the solid angle of each pixel; the sum is that inside the image's outline, by a line
     integral ∮ (1 − cos θ) dφ over 4,000 points a side."""
     theta = off_axis(camera)
-    solid = illumination_map(camera, VignettingSection(natural=True)) / np.cos(theta) / (camera.fx * camera.fy)
+    solid = illumination_map(camera, Vignetting(natural=True)) / np.cos(theta) / (camera.fx * camera.fy)
     w, h, s = camera.width - 0.5, camera.height - 0.5, np.linspace(0.0, 1.0, 4001)[:-1]
     x = np.concatenate([s * (w + 0.5) - 0.5, np.full(4000, w), w - s * (w + 0.5), np.full(4000, -0.5)])
     y = np.concatenate([np.full(4000, -0.5), s * (h + 0.5) - 0.5, np.full(4000, h), h - s * (h + 0.5)])
@@ -110,20 +109,20 @@ def test_pixels_without_direction_see_no_sky():
     """A camera whose model ends inside the image is computed pixel by pixel: the same where there is a direction."""
     ended = Camera(100.0, 100.0, 199.5, 199.5, 400, 400, Distortion(k1=-1 / 6), projection="fisheye")
     whole = replace(ended, width=200, height=200, cx=99.5, cy=99.5)
-    share = illumination_map(ended, VignettingSection())
+    share = illumination_map(ended, Vignetting())
     assert share[0, 0] == 0.0
-    np.testing.assert_allclose(share[100:300, 100:300], illumination_map(whole, VignettingSection()), rtol=1e-6)
+    np.testing.assert_allclose(share[100:300, 100:300], illumination_map(whole, Vignetting()), rtol=1e-6)
 
 
 def test_equal_area_projection_has_equal_pixels():
     camera = Camera(200.0, 200.0, 200.0, 150.0, 401, 301, projection="equisolid")
-    solid = illumination_map(camera, VignettingSection(natural=True)) / np.cos(off_axis(camera))
+    solid = illumination_map(camera, Vignetting(natural=True)) / np.cos(off_axis(camera))
     np.testing.assert_allclose(solid, 1.0, rtol=2e-5)
 
 
 @pytest.mark.parametrize(("start", "end"), [(0.0, 25.0), (10.0, 28.0), (20.0, 22.0)])
 def test_mechanical_vignetting_is_the_overlap_of_two_circles(start, end):
-    section = VignettingSection(mechanical_start_deg=start, mechanical_end_deg=end)
+    section = Vignetting(mechanical_start_deg=start, mechanical_end_deg=end)
     a, b = math.tan(math.radians(start)), math.tan(math.radians(end))
     big = (b + a) / (b - a)
     axis = (np.arange(2000) + 0.5) / 1000.0 - 1.0
@@ -140,27 +139,27 @@ def test_mechanical_vignetting_is_the_overlap_of_two_circles(start, end):
 
 
 def test_polynomial_and_products():
-    section = VignettingSection(natural=True, polynomial=(-0.4, 0.1, 0.05), mechanical_end_deg=40.0)
+    section = Vignetting(natural=True, polynomial=(-0.4, 0.1, 0.05), mechanical_end_deg=40.0)
     theta, rho = math.radians(20.0), math.tan(math.radians(20.0))
-    alone = VignettingSection(mechanical_end_deg=40.0)
+    alone = Vignetting(mechanical_end_deg=40.0)
     expected = math.cos(theta) * (1 - 0.4 * rho**2 + 0.1 * rho**4 + 0.05 * rho**6)
     expected *= float(relative_illumination(CAMERA, alone, theta))
     assert relative_illumination(CAMERA, section, theta) == pytest.approx(expected, rel=1e-12)
-    assert relative_illumination(CAMERA, VignettingSection(polynomial=(-9.0, 0, 0)), theta) == 0.0
+    assert relative_illumination(CAMERA, Vignetting(polynomial=(-9.0, 0, 0)), theta) == 0.0
     assert relative_illumination(CAMERA, section, [math.nan, 0.0]).tolist() == [0.0, 1.0]
     fish = Camera.from_fov(170.0, 400, 400, projection="equidistant")
-    assert relative_illumination(fish, VignettingSection(polynomial=(-0.1, 0, 0)), 1.5) == pytest.approx(1 - 0.225)
+    assert relative_illumination(fish, Vignetting(polynomial=(-0.1, 0, 0)), 1.5) == pytest.approx(1 - 0.225)
     # a circular image in a square frame: what lies outside the model's end is dark
     ended = Camera(100.0, 100.0, 199.5, 199.5, 400, 400, Distortion(k1=-1 / 6), projection="fisheye")
-    assert illumination_map(ended, VignettingSection(natural=True))[0, 0] == 0.0
+    assert illumination_map(ended, Vignetting(natural=True))[0, 0] == 0.0
 
 
 # ---------------------------------------------------------------- ghosts
 def test_ghosts_stand_through_the_principal_point():
     camera = Camera(500.0, 500.0, 100.0, 80.0, 201, 161)
     ghosts = (
-        GhostSection(flux=1e-4, scale=-0.6, radius_px=12.0),
-        GhostSection(flux=1e-3, scale=2.0, radius_px=3.0),
+        Ghost(flux=1e-4, scale=-0.6, radius_px=12.0),
+        Ghost(flux=1e-3, scale=2.0, radius_px=3.0),
     )
     # the last stands off the image by more than a ghost reaches, the one before it is faint
     xy = np.array([[50.0, 80.0], [100.0, 80.0], [np.nan, 1.0], [200.0, 160.0], [400.0, 80.0]])
@@ -174,9 +173,9 @@ def test_ghosts_stand_through_the_principal_point():
 # ---------------------------------------------------------------- temperature
 def test_a_warm_lens_is_longer():
     camera = Camera(2000.0, 1900.0, 511.5, 500.0, 1024, 1024, Distortion(k1=-0.05))
-    assert true_camera(camera, ThermalSection()) is camera
-    assert true_camera(camera, ThermalSection(expansion_ppm_k=20.0)) is camera
-    warm = true_camera(camera, ThermalSection(expansion_ppm_k=20.0, reference_c=20.0, temperature_c=-30.0))
+    assert true_camera(camera, 0.0, 0.0) is camera
+    assert true_camera(camera, 20.0, 0.0) is camera
+    warm = true_camera(camera, 20.0, -50.0)
     assert (warm.fx, warm.fy) == pytest.approx((2000.0 * 0.999, 1900.0 * 0.999), rel=1e-15)
     assert (warm.cx, warm.distortion) == (camera.cx, camera.distortion)
     # the image shrinks about the principal point by that factor, distortion and all

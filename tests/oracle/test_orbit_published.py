@@ -17,10 +17,10 @@ from skyfield.api import EarthSatellite, load, load_file
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
-from simulator.mission.frames import local_time_of_raan, raan_of_local_time, true_of_date
+from simulator.mission.frames import ground_track_deg, local_time_of_raan, raan_of_local_time, true_of_date
 from simulator.mission.orbit import _satellite, build_orbit
+from simulator.mission.parameters import OrbitParameters
 from simulator.mission.secular import mean_motion
-from simulator.scenario.schema import OrbitSection
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 DAY_S = 86_400.0
@@ -45,7 +45,7 @@ def sky_times(clock, t_s):
 
 # ---------------------------------------------------------------- figures, to the digits printed
 def test_reference_figures_of_the_800_km_orbit():
-    orbit = build_orbit(OrbitSection(altitude_km=THESIS_ALTITUDE_KM), EPOCH)
+    orbit = build_orbit(OrbitParameters(altitude_km=THESIS_ALTITUDE_KM), EPOCH)
     keplerian = mean_motion(7178.0)
     assert math.degrees(orbit.inclination_rad) == pytest.approx(98.6025, abs=0.5e-4)
     assert 2 * math.pi / keplerian / 60 == pytest.approx(100.87, abs=0.5e-2)
@@ -57,7 +57,7 @@ def test_reference_figures_of_the_800_km_orbit():
 
 def test_altitude_is_above_the_equatorial_radius():
     # d(cos i)/cos i = 7/2 da/a: the 137 m between 7178 and 7178.137 km raise the inclination by 0.00058°
-    orbit = build_orbit(OrbitSection(altitude_km=800.0), EPOCH)
+    orbit = build_orbit(OrbitParameters(altitude_km=800.0), EPOCH)
     assert math.degrees(orbit.inclination_rad) == pytest.approx(98.6025 + 0.00058, abs=0.7e-4)
 
 
@@ -68,7 +68,7 @@ def test_altitude_is_above_the_equatorial_radius():
     [(705.0, 98.2), (870.0, 98.9)],
 )
 def test_inclination_of_flown_sun_synchronous_orbits(altitude_km, inclination_deg):
-    orbit = build_orbit(OrbitSection(altitude_km=altitude_km), EPOCH)
+    orbit = build_orbit(OrbitParameters(altitude_km=altitude_km), EPOCH)
     assert math.degrees(orbit.inclination_rad) == pytest.approx(inclination_deg, abs=0.1)  # printed to 0.1°
 
 
@@ -87,7 +87,7 @@ def test_node_of_local_noon_is_the_mean_sun():
 def test_local_time_against_skyfields_sidereal_time():
     # local mean solar time = UT1 + (Ω − GAST)/15; |UT1 − UTC| < 0.9 s moves the mean Sun by 0.04″, sidereal times 1 mas
     for ltan_h in (0.0, 6.0, 13.25, 22.5):
-        orbit = build_orbit(OrbitSection(ltan_h=ltan_h), EPOCH)
+        orbit = build_orbit(OrbitParameters(ltan_h=ltan_h), EPOCH)
         t = sky_times(orbit.clock, 0.0)
         ut1_h = (t.ut1 - 0.5) % 1.0 * 24.0
         local_h = (ut1_h + math.degrees(orbit.raan_rad(0.0)) / 15.0 - t.gast) % 24.0
@@ -101,7 +101,7 @@ def test_sun_synchronism_over_two_years_against_de421(ephemeris):
     # 9.9 min) vanish in the mean over a year; what stays is the nutation of the true equinox, against which node and
     # Sun are both counted but of which the mean Sun knows nothing (≤ 17.6″ = 1.2 s at the epoch, and as much in the
     # year's mean): 2.4 s. From one year to the next the mean moves by no more than the nutation's change, 1.2 s.
-    orbit = build_orbit(OrbitSection(), EPOCH)
+    orbit = build_orbit(OrbitParameters(), EPOCH)
     earth, sun = ephemeris["earth"], ephemeris["sun"]
     means = []
     for year in range(2):
@@ -125,7 +125,7 @@ def test_true_of_date_against_skyfield():
 
 
 def test_state_is_a_circle_about_the_true_pole():
-    orbit = build_orbit(OrbitSection(), EPOCH)
+    orbit = build_orbit(OrbitParameters(), EPOCH)
     t_s = np.linspace(0, YEAR_S, 97)
     r, v = orbit.state(t_s)
     matrix = true_of_date(orbit.clock, t_s)
@@ -141,7 +141,7 @@ def test_state_is_a_circle_about_the_true_pole():
 
 def test_velocity_is_the_derivative_of_position():
     # central difference over ±1 s: a n³ h² / 6 = 1.3e-6 km/s; across the orbit Ω̇ sin i a = 1.41e-3 km/s is left out
-    orbit = build_orbit(OrbitSection(), EPOCH)
+    orbit = build_orbit(OrbitParameters(), EPOCH)
     t_s = np.linspace(0, orbit.period_s, 40)
     r, v = orbit.state(t_s)
     difference = (orbit.state(t_s + 1)[0] - orbit.state(t_s - 1)[0]) / 2 - v
@@ -155,7 +155,7 @@ def test_velocity_is_the_derivative_of_position():
 
 @pytest.mark.parametrize("propagator", ["j2", "sgp4"])
 def test_period_is_from_node_to_node(propagator):
-    orbit = build_orbit(OrbitSection(propagator=propagator), EPOCH)
+    orbit = build_orbit(OrbitParameters(propagator=propagator), EPOCH)
     # Back to the equator going north: the short-period terms are the same at each node. Interpolating z linearly over
     # 0.5 s bends by a n² h²/8 = 0.2 m; SGP4's long-period terms stand still with e = 0. 1 ms a turn is 0.4 km in all.
     times = np.array([0.0, 50 * orbit.period_s])
@@ -168,12 +168,36 @@ def test_period_is_from_node_to_node(propagator):
     assert (crossings[1] - crossings[0]) / 50 == pytest.approx(orbit.period_s, abs=1e-3)
 
 
+def test_ground_track_against_skyfield_and_astropy():
+    from astropy import units as u
+    from astropy.coordinates import GCRS, ITRS, CartesianRepresentation
+    from astropy.time import Time
+    from astropy.utils import iers
+    from skyfield.api import wgs84
+    from skyfield.positionlib import Geocentric
+
+    orbit = build_orbit(OrbitParameters(inclination_deg=63.4), EPOCH)
+    t_s = np.linspace(0.0, DAY_S, 50)
+    r_km, _ = orbit.state(t_s)
+    latitude, longitude = ground_track_deg(orbit.clock, t_s, r_km)
+    point = wgs84.subpoint_of(Geocentric(r_km.T / 149_597_870.7, t=sky_times(orbit.clock, t_s)))
+    with iers.conf.set_temp("auto_download", False), iers.conf.set_temp("iers_degraded_accuracy", "ignore"):
+        time = Time(*orbit.clock.tt_jd(t_s), format="jd", scale="tt")
+        place = GCRS(CartesianRepresentation(r_km.T * u.km), obstime=time).transform_to(ITRS(obstime=time))
+    there = place.earth_location.to_geodetic("WGS84")
+    for theirs in ((point.latitude.degrees, point.longitude.degrees), (there.lat.deg, there.lon.wrap_at("180d").deg)):
+        # UT1 − UTC is below 0.9 s, 13.5″ of the Earth's rotation; the pole is within 0.6″ of ITRS'
+        np.testing.assert_allclose(latitude, theirs[0], rtol=0, atol=0.7 / 3600)
+        off = (longitude - theirs[1] + 180.0) % 360.0 - 180.0
+        assert np.abs(off).max() < (13.5 + 0.6 * math.tan(math.radians(63.6)) + 0.1) / 3600
+
+
 # ---------------------------------------------------------------- SGP4
 def test_sgp4_through_skyfield_from_a_written_tle():
     """A TLE's digits round node, inclination and anomaly to 0.5e-4° (6.3 m each at 7178 km; the first two and the third
     are square to each other or sum along the orbit by cos i: 10 m), the mean motion to 0.5e-8 a day (0.2 m in a day).
     Precession-nutation differs by under 1 mas (3.5 cm)."""
-    section = OrbitSection(
+    section = OrbitParameters(
         inclination_deg=98.6, raan_deg=157.5, argument_of_latitude_deg=40.0, propagator="sgp4", altitude_km=800
     )
     orbit = build_orbit(section, EPOCH)
@@ -195,7 +219,7 @@ def test_sgp4_through_skyfield_from_a_written_tle():
 
 @pytest.mark.parametrize("inclination_deg", ["auto", 51.6, 28.5])
 def test_sgp4_recovers_brouwers_semi_major_axis(inclination_deg):
-    orbit = build_orbit(OrbitSection(propagator="sgp4", inclination_deg=inclination_deg), EPOCH)
+    orbit = build_orbit(OrbitParameters(propagator="sgp4", inclination_deg=inclination_deg), EPOCH)
     semi_major = _satellite(orbit.elements, orbit.clock).am * EARTH_RADIUS_KM
     # SGP4's own WGS 84 has μ = 398600.5: at the same mean motion its axis is longer by (0.0582/398600)/3 = 4.9e-8
     assert semi_major == pytest.approx(7178.137 * (1 + 4.87e-8), rel=2e-9)
@@ -211,7 +235,7 @@ def test_j2_and_sgp4_differ_by_the_terms_that_j2_leaves_out(section):
 
     and secularly, in a day, second order in J2 and J4 (1.4 J2²): 3 g² n t along, and 2 g² n t across.
     """
-    j2, sgp4 = (build_orbit(OrbitSection(**section, propagator=name), EPOCH) for name in ("j2", "sgp4"))
+    j2, sgp4 = (build_orbit(OrbitParameters(**section, propagator=name), EPOCH) for name in ("j2", "sgp4"))
     t_s = np.linspace(0.0, DAY_S, 500)
     (r, v), (other, _) = j2.state(t_s), sgp4.state(t_s)
     radial = r / np.linalg.norm(r, axis=1, keepdims=True)

@@ -7,8 +7,8 @@ in the test suites of many libraries (TensorFlow among them). Bits, so that ther
 import numpy as np
 import pytest
 
-from simulator.detector.philox import draw_key, fill_words, further_bits
-from simulator.detector.pixels import TILE
+from simulator.detector.philox import draw_key, fill_bits, further_bits
+from simulator.detector.steps import TILE
 from simulator.randomness import stream
 
 PI = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344, 0xA4093822, 0x299F31D0)
@@ -16,7 +16,7 @@ PI = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344, 0xA4093822, 0x299F31D0)
 
 def words(counter, lane, key):
     blocks = np.empty(20, dtype=np.uint32)
-    fill_words(np.array(key, dtype=np.uint64), np.uint64(counter), np.uint64(lane), blocks)
+    fill_bits(np.array(key, dtype=np.uint64), np.uint64(counter), np.uint64(lane), blocks)
     return [int(word) for word in blocks[::5]]
 
 
@@ -49,7 +49,7 @@ def test_known_answers(counter, key, answer):
 def test_counters_follow_one_another():
     key = draw_key(stream(1, "key"))
     blocks = np.empty(400, dtype=np.uint32)
-    fill_words(key, np.uint64(2**32 - 50), np.uint64(3), blocks)
+    fill_bits(key, np.uint64(2**32 - 50), np.uint64(3), blocks)
     for i in (0, 49, 50, 99):
         counter = 2**32 - 50 + i
         expected = philox_with_four_words((counter & 0xFFFFFFFF, counter >> 32, 3, 0), [int(word) for word in key])

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from simulator.mission.frames import true_of_date
 from simulator.mission.orbit import build_orbit
+from simulator.mission.parameters import OrbitParameters, PointingParameters
 from simulator.mission.pointing import boresight_path, local_level, mounting_of, point
-from simulator.scenario.schema import OrbitSection, PointingSection
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 YEAR_S = 365.2422 * 86_400.0
@@ -64,9 +64,9 @@ def printed_total_matrix(u, i, gamma, corrected):
 @pytest.mark.parametrize("raan_deg", [0.0, 155.0, 269.9])
 @pytest.mark.parametrize("inclination_deg", [98.6, 51.6, 90.0])
 def test_whole_camera_attitude_is_the_thesis_matrix(u_deg, raan_deg, inclination_deg):
-    section = OrbitSection(inclination_deg=inclination_deg, raan_deg=raan_deg, argument_of_latitude_deg=u_deg)
+    section = OrbitParameters(inclination_deg=inclination_deg, raan_deg=raan_deg, argument_of_latitude_deg=u_deg)
     orbit = build_orbit(section, EPOCH)
-    camera = mounting_of(PointingSection()).as_matrix() @ local_level(*orbit.state(0.0)).as_matrix()
+    camera = mounting_of(PointingParameters()).as_matrix() @ local_level(*orbit.state(0.0)).as_matrix()
     celestial_from_camera = true_of_date(orbit.clock, 0.0) @ camera.T
     expected = thesis_celestial_from_camera(*np.radians([u_deg, inclination_deg, raan_deg]))
     np.testing.assert_allclose(celestial_from_camera, expected, atol=1e-12)
@@ -84,9 +84,9 @@ def test_printed_matrix_is_a_rotation_only_with_its_element_corrected():
 
 @pytest.mark.parametrize("ltan_h", [0.0, 6.0, 22.5])
 def test_boresight_stays_at_plus_8_6_degrees_and_90_degrees_ahead_of_the_node(ltan_h):
-    orbit = build_orbit(OrbitSection(inclination_deg=98.6, ltan_h=ltan_h), EPOCH)
+    orbit = build_orbit(OrbitParameters(inclination_deg=98.6, ltan_h=ltan_h), EPOCH)
     t_s = np.linspace(0.0, YEAR_S, 733)
-    path = boresight_path(orbit, PointingSection(), t_s)
+    path = boresight_path(orbit, PointingParameters(), t_s)
     np.testing.assert_allclose(path.dec_date_deg, 8.6, atol=1e-9)
     ahead = (path.ra_date_deg - np.degrees(orbit.raan_rad(t_s)) - 90.0 + 180.0) % 360.0 - 180.0
     np.testing.assert_allclose(ahead, 0.0, atol=1e-9)
@@ -101,10 +101,10 @@ def test_boresight_stays_at_plus_8_6_degrees_and_90_degrees_ahead_of_the_node(lt
 def test_fixed_offset_makes_the_circle_of_section_3_2():
     # "Any offset from the +Y axis will cause the boresight path to form circles around a declination of 8.6°": a yaw of
     # 2° tips the boresight by 2° towards −X, at an angle that follows the spacecraft around its orbit
-    orbit = build_orbit(OrbitSection(inclination_deg=98.6), EPOCH)
+    orbit = build_orbit(OrbitParameters(inclination_deg=98.6), EPOCH)
     t_s = np.linspace(0.0, orbit.period_s, 91)
-    path = boresight_path(orbit, PointingSection(offset_deg=(0.0, 0.0, 2.0)), t_s)
-    centre = boresight_path(orbit, PointingSection(), t_s)
+    path = boresight_path(orbit, PointingParameters(offset_deg=(0.0, 0.0, 2.0)), t_s)
+    centre = boresight_path(orbit, PointingParameters(), t_s)
 
     def unit(ra, dec):
         ra, dec = np.radians(ra), np.radians(dec)
@@ -116,15 +116,15 @@ def test_fixed_offset_makes_the_circle_of_section_3_2():
     # them by at most 2° of the turn, 2° (1 − cos 2°) = 0.0012°; pitch moves nothing
     assert path.dec_date_deg.max() == pytest.approx(10.6, abs=0.0013)
     assert path.dec_date_deg.min() == pytest.approx(6.6, abs=0.0013)
-    pitched = boresight_path(orbit, PointingSection(offset_deg=(0.0, 30.0, 0.0)), t_s)
+    pitched = boresight_path(orbit, PointingParameters(offset_deg=(0.0, 30.0, 0.0)), t_s)
     np.testing.assert_allclose(pitched.dec_deg, centre.dec_deg, atol=1e-10)
 
 
 def test_path_over_a_pole():
     # a polar orbit and a boresight along the velocity: over the pole and through every right ascension wrap
-    orbit = build_orbit(OrbitSection(inclination_deg=90.0, raan_deg=0.0), EPOCH)
+    orbit = build_orbit(OrbitParameters(inclination_deg=90.0, raan_deg=0.0), EPOCH)
     t_s = np.linspace(0.0, orbit.period_s, 721)
-    path = boresight_path(orbit, PointingSection(mounting="forward"), t_s)
+    path = boresight_path(orbit, PointingParameters(mounting="forward"), t_s)
     assert np.all(np.isfinite(path.ra_deg))
     assert path.dec_date_deg.max() == pytest.approx(90.0, abs=1e-6)  # u = 0: straight up
     assert path.dec_date_deg.min() < -89.7
@@ -132,8 +132,8 @@ def test_path_over_a_pole():
 
 
 def test_path_is_the_camera_that_point_gives():
-    section = PointingSection(offset_deg=(1.0, -2.0, 3.0), error_deg=0.0, mounting="zenith")
-    orbit = build_orbit(OrbitSection(), EPOCH)
+    section = PointingParameters(offset_deg=(1.0, -2.0, 3.0), error_deg=0.0, mounting="zenith")
+    orbit = build_orbit(OrbitParameters(), EPOCH)
     for t_s in (0.0, 1234.5, 1.9e7):
         pointing = point(section, *orbit.state(t_s), np.random.default_rng(0))
         path = boresight_path(orbit, section, t_s)

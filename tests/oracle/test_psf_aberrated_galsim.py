@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from simulator.optics.psf import Lens, aberrated
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.pupil import mean_slope
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -31,7 +31,7 @@ def test_pixels(case):
     for index, value in noll.items():
         coefficients[index - 1] = value
     lens = Lens(lambda_n * 10.0 / 0.6, (10.0, 10.0), hole)
-    (psf,) = aberrated(PsfSection(model="diffraction"), lens, coefficients, np.array([600.0]), np.ones((1, 1)))
+    (psf,) = aberrated(PsfModel(model="diffraction"), lens, coefficients, np.array([600.0]), np.ones((1, 1)))
     # GalSim leaves the polynomials where they are; our stars are at their measured centroids
     shift = 2.0 * mean_slope(coefficients[None], hole) * lambda_n - psf.geometric_px
     for offset, stamp in zip(OFFSETS, STORED[case], strict=True):

@@ -11,10 +11,10 @@ from scipy.integrate import quad
 
 from simulator.optics import airy, diffraction, pupil
 from simulator.optics.psf import Lens, aberrated, build_psf
+from simulator.optics.psf_model import FieldAberrations, PsfModel, Zernike
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.splat import render_stars
 from simulator.optics.zernike import NOLL, noll_order, wavefront, zernike
-from simulator.scenario.schema import PsfSection
 
 X = np.linspace(-12, 12, 61)
 ONE = np.zeros(1)
@@ -67,7 +67,7 @@ def test_table_without_aberrations_is_that_of_the_airy_pattern(hole, aspect):
     """Two ways to the same pixels: a series of the transfer function, and the sampled pattern (2e-4)."""
     pitch = (10.0 * aspect, 10.0)
     pair = [
-        build_psf(PsfSection(model=model, wavelength_nm=1200.0), 8.0, pitch, hole, 2.0)
+        build_psf(PsfModel(model=model, wavelength_nm=1200.0), 8.0, pitch, hole, 2.0)
         for model in ("airy", "diffraction")
     ]
     for offset in ((0.0, 0.0), (0.31, -0.17)):
@@ -78,7 +78,7 @@ def test_table_without_aberrations_is_that_of_the_airy_pattern(hole, aspect):
 
 def test_coma_has_its_geometric_centroid_where_it_says_and_points_outwards():
     """The star's position is the measured centroid (tests/statistical/test_coma_positions.py)."""
-    section = PsfSection(model="diffraction", field={"coma_waves": 0.15})
+    section = PsfModel(model="diffraction", field=FieldAberrations(coma_waves=0.15))
     stars = build_psf_set(section, 8.0, (5.0, 5.0), (200, 200))
     psf = stars.psf(xy=(199.0, 99.5))
     assert psf.geometric_px[0] > 0.3
@@ -93,16 +93,16 @@ def test_coma_has_its_geometric_centroid_where_it_says_and_points_outwards():
 
 
 def test_simple_models_are_one_group_and_the_same_psf():
-    stars = build_psf_set(PsfSection(sigma_px=1.1), 2.0, (10.0, 10.0), (64, 64))
+    stars = build_psf_set(PsfModel(sigma_px=1.1), 2.0, (10.0, 10.0), (64, 64))
     ((members, psf),) = stars.groups(np.zeros(5), np.full((5, 2), np.nan))
-    plain = build_psf(PsfSection(sigma_px=1.1), 2.0, (10.0, 10.0))
+    plain = build_psf(PsfModel(sigma_px=1.1), 2.0, (10.0, 10.0))
     assert members.tolist() == [0, 1, 2, 3, 4]
     assert (psf.sigma_px, psf.feature_px, stars.sigma_px) == (plain.sigma_px, plain.feature_px, plain.sigma_px)
 
 
 def test_a_sum_of_wavelengths():
     """Two colours of equal weight: the mean of their images."""
-    section, lens = PsfSection(model="diffraction", zernike_waves={"coma_x": 0.02}), Lens(8.0, (5.0, 5.0))
+    section, lens = PsfModel(model="diffraction", zernike_waves=Zernike(coma_x=0.02)), Lens(8.0, (5.0, 5.0))
     waves, nm = diffraction.axial_coefficients(section, 8.0), np.array([500.0, 800.0])
     both = aberrated(section, lens, waves, nm, np.array([[0.5, 0.5], [1.0, 0.0], [0.0, 1.0]]))
     star = np.array([[20.2, 19.9]])
@@ -114,8 +114,8 @@ def test_a_sum_of_wavelengths():
 @pytest.mark.parametrize("aspect", [1.0, 0.8])
 def test_mirrored_zones_are_what_their_wavefronts_make(aspect):
     """Zones taken by mirroring another against the image computed for them: the same sums in another order, 1e-6."""
-    given = {"coma_waves": 0.1, "astigmatism_waves": 0.07, "curvature_waves": 0.05, "rings": 1}
-    section, lens = PsfSection(model="diffraction", field=given), Lens(8.0, (5.0 * aspect, 5.0))
+    given = FieldAberrations(coma_waves=0.1, astigmatism_waves=0.07, curvature_waves=0.05, rings=1)
+    section, lens = PsfModel(model="diffraction", field=given), Lens(8.0, (5.0 * aspect, 5.0))
     stars = build_psf_set(section, 8.0, lens.pitch_um, (200, 200))
     azimuths = np.arange(12) * np.pi / 6
     row = 1.0 / aspect

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -25,7 +25,7 @@ STORED = np.load(HERE / "data" / "psf_galsim.npz")["stamps"].astype(float)
 
 def psf_of(model, width, aspect):
     given = {"sigma_px": width} if model == "gaussian" else {"first_dark_ring_px": width}
-    return build_psf(PsfSection(model=model, **given), 2.0, (10.0 * aspect, 10.0))
+    return build_psf(PsfModel(model=model, **given), 2.0, (10.0 * aspect, 10.0))
 
 
 @pytest.mark.parametrize("electrons", [1.0, 1e3, 1e6])

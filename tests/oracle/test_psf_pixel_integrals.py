@@ -12,8 +12,8 @@ from scipy.special import j1
 
 from simulator.optics import airy
 from simulator.optics.psf import MIN_LAMBDA_N_PX, build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
@@ -34,7 +34,7 @@ def airy_pixel(dx, dy, lambda_n, aspect):
 
 @pytest.mark.parametrize(("sigma", "aspect"), [(0.3, 1.0), (1.23, 1.0), (1.0, 13.75 / 16)])
 def test_gaussian_against_dblquad(sigma, aspect):
-    psf = build_psf(PsfSection(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
+    psf = build_psf(PsfModel(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
     star = np.array([[10.21, 9.64]])
     image = render_stars((21, 21), star, np.ones(1), [1e12], psf) / 1e12  # so bright that nothing is cut off
     for i, j in [(10, 10), (11, 9), (12, 10), (10, 12)]:
@@ -50,7 +50,7 @@ def test_gaussian_against_dblquad(sigma, aspect):
     ("ring", "aspect"), [(2.0, 1.0), (0.9, 1.0), (0.27, 1.0), (0.11, 1.0), (2.0, 13.75 / 16), (1.0, 1.8), (6.0, 1.0)]
 )
 def test_airy_core(ring, aspect):
-    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
+    psf = build_psf(PsfModel(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
     lambda_n = ring / airy.FIRST_RING
     peak = airy_pixel(0, 0, lambda_n, aspect)
     rng = np.random.default_rng(int(100 * ring))
@@ -65,7 +65,7 @@ def test_airy_core(ring, aspect):
 
 @pytest.mark.parametrize(("ring", "aspect"), [(2.0, 1.0), (0.27, 1.0), (2.0, 13.75 / 16)])
 def test_airy_wings(ring, aspect):
-    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
+    psf = build_psf(PsfModel(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
     lambda_n = ring / airy.FIRST_RING
     image = render_stars((161, 161), np.array([[80.2, 79.7]]), np.ones(1), [1e8], psf) / 1e8
     for i, j in [(80 + psf.core_half_px + 1, 80), (80 - psf.core_half_px - 1, 84), (80, 30), (120, 120)]:
@@ -84,14 +84,14 @@ def test_encircled_energy_is_the_integral_of_the_pattern(x):
 
 def test_diffraction_sets_the_ring_where_nothing_else_does():
     """1.22 λN: Greyling's f/1.4 at 555 nm has an Airy disk of 1.896 µm diameter."""
-    psf = build_psf(PsfSection(model="airy", wavelength_nm=555.0), 1.4, (1.0, 1.0))
+    psf = build_psf(PsfModel(model="airy", wavelength_nm=555.0), 1.4, (1.0, 1.0))
     radius = psf.sigma_px / (1.34985 / 3.8317)
     assert 2 * radius == pytest.approx(1.896, abs=0.001)
 
 
 def test_sharper_than_the_table_can_hold():
     """Below `MIN_LAMBDA_N_PX` the image is drawn at that width; a star in the middle of a pixel keeps 90 % there."""
-    psf = build_psf(PsfSection(model="airy", wavelength_nm=600.0), 0.24, (10.0, 10.0))
+    psf = build_psf(PsfModel(model="airy", wavelength_nm=600.0), 0.24, (10.0, 10.0))
     image = render_stars((41, 41), np.array([[20.0, 20.0]]), np.ones(1), [1e6], psf) / 1e6
     assert image[20, 20] == pytest.approx(airy_pixel(0, 0, MIN_LAMBDA_N_PX, 1.0), abs=5e-5)
     assert image[20, 20] > 0.9

@@ -11,9 +11,9 @@ import pytest
 
 from simulator.optics import airy
 from simulator.optics.curves import Curve
+from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 from simulator.sky.photometry import Photometer
 
 SILICON = Curve(np.array([350.0, 450.0, 600.0, 750.0, 900.0, 1050.0]), np.array([0.1, 0.5, 0.6, 0.5, 0.25, 0.02]))
@@ -55,7 +55,7 @@ def ours(psfs, b_v, giant, offset):
 
 @pytest.mark.parametrize(("f_number", "hole"), [(8.0, 0.0), (8.0, 0.35), (12.0, 0.0)])
 def test_against_the_direct_sum(f_number, hole):
-    section = PsfSection(model="airy", polychromatic=True)
+    section = PsfModel(model="airy", polychromatic=True)
     psfs = build_psf_set(section, f_number, (5.0, 5.0), (200, 200), obscuration=hole, weights_of=PHOTOMETER.bin_weights)
     for k, (b_v, giant) in enumerate(STARS):
         offset = ((0.0, 0.0), (0.31, -0.17))[k % 2]
@@ -66,7 +66,7 @@ def test_against_the_direct_sum(f_number, hole):
 
 def test_images_that_vary_over_the_field_too():
     """Fewer wavelengths and spectra: 1 % of the peak, where the aberrations of the middle of the field are none."""
-    section = PsfSection(model="diffraction", polychromatic=True, field={"coma_waves": 0.05, "rings": 1})
+    section = PsfModel(model="diffraction", polychromatic=True, field=FieldAberrations(coma_waves=0.05, rings=1))
     psfs = build_psf_set(section, 8.0, (5.0, 5.0), (201, 201), weights_of=PHOTOMETER.bin_weights)
     for b_v, giant in STARS[::3]:
         expected = direct_sum(b_v, giant, 8.0, (0.2, 0.1), 0.0)

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import j1
 
 from simulator.optics.psf import SIGMA_PER_RING, build_psf
-from simulator.scenario.schema import PsfSection
+from simulator.optics.psf_model import PsfModel
 
 X = 0.1 * np.arange(1, 51)
 RING = 3.831705970207512
@@ -74,8 +74,6 @@ def test_sigma_whose_centroid_bias_is_that_of_the_airy_pattern():
 
 def test_width_of_the_gaussian_that_a_scenario_gets():
     assert SIGMA_PER_RING == pytest.approx(0.35228, abs=1e-5)
-    assert build_psf(PsfSection(first_dark_ring_px=RING), 2.0, (10.0, 10.0)).sigma_px == pytest.approx(
-        1.34985, rel=1e-9
-    )
+    assert build_psf(PsfModel(first_dark_ring_px=RING), 2.0, (10.0, 10.0)).sigma_px == pytest.approx(1.34985, rel=1e-9)
     # 0.43 λN: the usual rule for the Gaussian core of an Airy pattern is 0.42 to 0.45 λN
-    assert build_psf(PsfSection(wavelength_nm=1000.0), 10.0, (10.0, 10.0)).sigma_px == pytest.approx(0.4297, abs=1e-4)
+    assert build_psf(PsfModel(wavelength_nm=1000.0), 10.0, (10.0, 10.0)).sigma_px == pytest.approx(0.4297, abs=1e-4)

@@ -8,9 +8,10 @@ agree to rounding (1e-12 of the largest).
 import numpy as np
 import pytest
 
-from simulator.detector.comparators import compare_levels, even_levels, geometric_levels
 from simulator.detector.readout import convert
-from simulator.detector.sequencer import (
+from simulator.optics.shutter import frame_transfer_smear
+from simulator.theses.greyling1995.comparators import compare_levels, even_levels, geometric_levels
+from simulator.theses.greyling1995.sequencer import (
     SERIAL_CLOCK_HZ,
     STATE_TABLE,
     Sequencer,
@@ -19,7 +20,6 @@ from simulator.detector.sequencer import (
     next_state,
     run,
 )
-from simulator.optics.shutter import frame_transfer_smear
 from startracker.errors import InputError
 
 

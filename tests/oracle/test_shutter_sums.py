@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from simulator.optics.jitter import draw_jitter, load_spectrum
+from simulator.optics.jitter import Jitter, draw_jitter, load_spectrum
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from simulator.scenario.schema import JitterSection, PsfSection
 from startracker.camera import Camera
 from startracker.errors import InputError
 
 CAMERA = Camera.from_fov(10.0, 256, 256)
-PSF = build_psf(PsfSection(model="gaussian", sigma_px=1.2), 2.0, (10.0, 10.0))
+PSF = build_psf(PsfModel(model="gaussian", sigma_px=1.2), 2.0, (10.0, 10.0))
 EXPOSURE_S = 0.2
 
 
@@ -89,7 +89,7 @@ def test_no_line_time_is_a_global_shutter():
 def test_rolling_shutter_under_jitter():
     """Every moment by hand: the camera as it is turned when the row the star stands in has run for u."""
     rms = 3.0 * np.degrees(CAMERA.pixel_rad) * 3600.0
-    section = JitterSection(rms_arcsec=(rms, rms, rms), corner_hz=5.0)
+    section = Jitter(rms_arcsec=(rms, rms, rms), corner_hz=5.0)
     path = draw_jitter(section, load_spectrum(section), stream(8, "jitter", 0))
     stars, rate, line_time_s = CAMERA.unproject([(60.0, 30.0), (200.0, 240.0)]), np.radians([0.3, 0.2, 1.0]), 200e-6
     xy, weights, _ = rolling_paths(CAMERA, stars, rate, EXPOSURE_S, line_time_s, 0.5, jitter=path)

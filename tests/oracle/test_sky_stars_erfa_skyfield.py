@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from simulator.mission.clock import Clock
-from simulator.scenario.schema import SkySection
-from simulator.sky.apparent import apparent_directions, bend_by_sun
+from simulator.sky.apparent import apparent_directions
+from simulator.sky.light import bend_by_sun
 from simulator.sky.observer import observe
+from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import solar_system, sun_position_au
 from startracker.catalog import load_catalog
 from startracker.constants import ARCSEC_RAD, AU_KM, MAS_RAD
@@ -60,7 +61,7 @@ def test_erfa(stars, k):
     clock = Clock(EPOCHS[k])
     observer = observe(clock, 0.0, *spacecraft(k))
     sun = sun_position_au(clock, 0.0)
-    ours = apparent_directions(stars, observer, sun, SkySection())
+    ours = apparent_directions(stars, observer, sun, Sky())
 
     years = observer.epoch_jyear - stars.epoch_jyear
     theirs = erfa.pmpx(
@@ -91,7 +92,7 @@ def test_astropy(stars, k):
     clock = Clock(EPOCHS[k])
     r_km, v_km_s = spacecraft(k)
     observer = observe(clock, 0.0, r_km, v_km_s)
-    ours = apparent_directions(stars, observer, sun_position_au(clock, 0.0), SkySection())
+    ours = apparent_directions(stars, observer, sun_position_au(clock, 0.0), Sky())
     # the place at the epoch from the barycentre, a matter of catalogues (Rømer delay included); parallax as distance
     years = observer.epoch_jyear - stars.epoch_jyear + (stars.directions(1991.25) @ observer.position_au) * 1.58e-5
     way, motion = stars.space_motion()
@@ -128,7 +129,7 @@ def test_skyfield(stars, k):
 
     clock = Clock(EPOCHS[k])
     observer = observe(clock, 0.0, r_km, v_km_s)
-    ours = apparent_directions(stars, observer, sun_position_au(clock, 0.0), SkySection())
+    ours = apparent_directions(stars, observer, sun_position_au(clock, 0.0), Sky())
     t = load.timescale(builtin=True).tt_jd(*clock.tt_jd(0.0))
     # Skyfield, like NOVAS, divides the motion by 1 − v/c, true motion a unit of emission time, but steps it by the time
     # of observation; catalogues give it by the time of observation (ESA SP-1200, eq. 1.2.10; ERFA's pmpx and starpm
@@ -152,7 +153,7 @@ def test_skyfield(stars, k):
     # Skyfield bends light by Jupiter and Saturn as well (above 0.5 mas within 12′ and 4′ of them: no such stars are
     # compared) and by the Earth (0.6 mas at its limb, 0.3 mas at right angles to its centre for this height).
     clear = np.ones(len(stars), dtype=bool)
-    bodies = solar_system(clock, 0.0, observer, SkySection())
+    bodies = solar_system(clock, 0.0, observer, Sky())
     for name in ("Jupiter", "Saturn"):
         clear &= angles(ours, bodies.direction[bodies.name == name][0]) > np.radians(0.25)
     assert clear.sum() > 990

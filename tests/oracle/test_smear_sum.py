@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.smear import exposure_nodes, star_paths
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 from startracker.camera import Camera
 from startracker.distortion import Distortion
 
@@ -26,7 +26,7 @@ PSFS = [
 @pytest.mark.parametrize(("model", "width"), PSFS)
 @pytest.mark.parametrize("streak", [0.01, 0.1, 0.7, 2.0, 8.0, 47.0])
 def test_straight_streaks(model, width, streak):
-    psf = build_psf(PsfSection(model=model, **width), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(model=model, **width), 2.0, (10.0, 10.0))
     half = streak / 2 * np.array([0.8, 0.6])
     middle = np.array([31.7, 32.2])
     nodes, weights = exposure_nodes(streak, psf.feature_px)
@@ -78,7 +78,7 @@ def test_a_long_streak_across_the_frame():
     """10°/s over 0.1 s on 1,000 px a degree: 1,000 px; every pixel of the streak's inside gets the same light."""
     focal = 1000.0 / np.radians(1.0)
     camera = Camera(focal, focal, 599.5, 20.0, 1200, 41)
-    psf = build_psf(PsfSection(sigma_px=0.8), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(sigma_px=0.8), 2.0, (10.0, 10.0))
     rate = [0, np.radians(10.0), 0]
     xy, weights = star_paths(camera, np.array([[0.0, 0.0, 1.0]]), rate, 0.1, psf.feature_px)
     image = render_stars((41, 1200), xy, weights, [1e6], psf)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from simulator.mission.parameters import Spin
 from simulator.mission.spin import cone_rate_rad_s, spin_attitude, spin_rate_rad_s
-from simulator.scenario.schema import SpinSection
 from startracker.attitude import radec_to_direction
 
 
@@ -23,7 +23,7 @@ def spin(**keys):
         "cone_phase_deg": 191.57,
         "inertia_ratio": 1.209,
     }
-    return SpinSection(**(defaults | keys))
+    return Spin(**(defaults | keys))
 
 
 @pytest.mark.parametrize(

@@ -82,9 +82,12 @@ def test_brute_force(model):
         window = truth.mean_electrons[
             middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1
         ]  # as rendered: it is only the noise here
-        pattern = renderer.pattern.dark_e[
-            middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1
-        ]
+        pattern = (
+            0.05
+            * renderer.detector.pattern.dark_e_s[
+                middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1
+            ]
+        )
         variance = window + pattern + 11**2 + 20**2 / 12 + (0.01 * flux * image[0, 0]) ** 2 + (0.2 * dark) ** 2
         fisher = np.array([[np.sum(a * b / variance) for a in slopes] for b in slopes])
         expected = np.linalg.inv(fisher)[:2, :2]

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.detector import build_fixed_pattern, detect
 from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
 
 POSITIVE = st.floats(1e-3, 1e4)
 DETECTOR = st.fixed_dictionaries(
@@ -45,7 +45,7 @@ def test_frame_keeps_its_limits(keys, level, seed):
     section = make(**keys)
     pattern = build_fixed_pattern(section, seed)
     assert np.min(pattern.prnu) >= 0.0
-    assert np.min(pattern.dark_e) >= 0.0
+    assert np.min(pattern.dark_e_s) >= 0.0
     frame = expose(section, np.full((16, 24), level), seed)
     assert frame.electrons.min() >= 0.0
     assert frame.electrons.max() <= section.full_well_e
@@ -71,7 +71,7 @@ def test_without_noise_it_is_a_formula(keys, level):
     section = make(**(keys | off))
     pattern = build_fixed_pattern(section, 1).single()
     frame = expose(section, np.full((16, 24), level))
-    signal = level * np.float64(pattern.prnu) + pattern.dark_e
+    signal = level * np.float64(pattern.prnu) + section.exposure_s * np.float64(pattern.dark_e_s)
     signal = np.minimum(signal, section.full_well_e) / frame.gain_e_per_dn
     signal = np.broadcast_to(signal + section.offset_dn, (16, 24))
     if section.adc_bits is not None:
@@ -82,26 +82,33 @@ def test_without_noise_it_is_a_formula(keys, level):
 
 
 @settings(deadline=None)
-@given(POSITIVE, st.floats(-60, 60), st.floats(2, 12), st.floats(1e-3, 10))
-def test_dark_electrons_double_by_temperature_and_by_time(current, temperature, doubling, exposure):
+@given(POSITIVE, st.floats(-60, 60), st.floats(2, 12))
+def test_dark_current_doubles_by_temperature(current, temperature, doubling):
     def dark(**keys):
         base = {
             "dark_current_e_s": current,
             "temperature_c": temperature,
             "dark_doubling_c": doubling,
-            "exposure_s": exposure,
             "dsnu": 0.3,
             "hot_pixel_fraction": 0.1,
             "hot_pixel_dark_e_s": 50.0,
         }
-        return build_fixed_pattern(make(**(base | keys)), 5).dark_e
+        return build_fixed_pattern(make(**(base | keys)), 5).dark_e_s
 
     np.testing.assert_allclose(dark(temperature_c=temperature + doubling), 2 * dark(), rtol=1e-9)
-    np.testing.assert_allclose(dark(exposure_s=2 * exposure), 2 * dark(), rtol=1e-12)
     scaled = dark(dark_current_e_s=3 * current, hot_pixel_dark_e_s=150.0)
     np.testing.assert_allclose(scaled, 3 * dark(), rtol=1e-12)
-    at_reference = build_fixed_pattern(make(dark_current_e_s=current, temperature_c=25.0, exposure_s=exposure), 5)
-    assert at_reference.dark_e == pytest.approx(current * exposure, rel=1e-12)
+    at_reference = build_fixed_pattern(make(dark_current_e_s=current, temperature_c=25.0), 5)
+    assert at_reference.dark_e_s == pytest.approx(current, rel=1e-12)
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 1e3), st.floats(1e-3, 10))
+def test_dark_electrons_grow_with_the_exposure(current, exposure):
+    keys = {"dark_current_e_s": current, "dsnu": 0.3, "temperature_c": 25.0, "shot_noise": False, "full_well_e": 1e9}
+    none = np.zeros((16, 24))
+    once, twice = (expose(make(**keys, exposure_s=t), none).electrons for t in (exposure, 2 * exposure))
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-12)
 
 
 @given(st.floats(1e-16, 1e-9), st.floats(-200, 100))

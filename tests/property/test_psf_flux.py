@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from simulator.optics import airy
 from simulator.optics.disk import add_disk
 from simulator.optics.psf import FLUX_LOSS, LEAST_SHARE, WING_LIMIT_E, build_psf
+from simulator.optics.psf_model import PsfModel, Zernike
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 
 phase = st.floats(-0.5, 0.5)
 
@@ -17,7 +17,7 @@ phase = st.floats(-0.5, 0.5)
 @settings(max_examples=150, deadline=None)
 @given(phase, phase, st.floats(0.05, 4.0), st.floats(0.5, 2.0), st.floats(0.1, 1e7))
 def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
-    psf = build_psf(PsfSection(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
+    psf = build_psf(PsfModel(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
     image = render_stars((161, 161), np.array([[80 + dx, 80 + dy]]), np.ones(1), [electrons], psf)
     assert 1 - FLUX_LOSS <= image.sum() / electrons <= 1 + 1e-12
 
@@ -27,7 +27,7 @@ def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
 def test_airy_leaves_out_what_lies_beyond_its_edge(dx, dy, ring, aspect):
     """What is drawn is the encircled energy of the radius drawn to, within 3e-4: where core meets wings, means over
     rings stand in for pixels."""
-    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
+    psf = build_psf(PsfModel(model="airy", first_dark_ring_px=ring), 2.0, (10.0 * aspect, 10.0))
     electrons = 1e5
     radius = float(psf.radius_px([electrons])[0]) + TAPER_PX / 2
     image = render_stars((401, 401), np.array([[200 + dx, 200 + dy]]), np.ones(1), [electrons], psf) / electrons
@@ -44,8 +44,8 @@ def tables():
         ("diffraction", "diffraction", 600.0, 1.0),
         ("wide diffraction", "diffraction", 2500.0, 1.0),
     ):
-        section = PsfSection(
-            model=model, wavelength_nm=wavelength_nm, zernike_waves={"coma_x": 0.1 * (model != "airy")}
+        section = PsfModel(
+            model=model, wavelength_nm=wavelength_nm, zernike_waves=Zernike(coma_x=0.1 * (model != "airy"))
         )
         made[name] = build_psf(section, 4.0, (5.0 * aspect, 5.0))
     return made
@@ -74,7 +74,7 @@ def test_flux_of_a_table_does_not_hang_on_the_phase(dx, dy, name, log_electrons)
 def test_smear_keeps_the_flux(dx, dy, name, log_electrons, angle, length):
     from simulator.optics.smear import exposure_nodes
 
-    psf = TABLES[name] if name != "gaussian" else build_psf(PsfSection(sigma_px=0.6), 2.0, (10.0, 10.0))
+    psf = TABLES[name] if name != "gaussian" else build_psf(PsfModel(sigma_px=0.6), 2.0, (10.0, 10.0))
     electrons = 10.0**log_electrons
     size = 2 * int(np.ceil(psf.radius_px([electrons])[0] / min(psf.aspect, 1.0)) + psf.core_half_px + TAPER_PX) + 35
     nodes, weights = exposure_nodes(length, psf.feature_px)
@@ -93,7 +93,7 @@ def _exact(low, high):
 @settings(max_examples=100, deadline=None)
 @given(_exact(-40, 103), _exact(-40, 103), st.sampled_from(["gaussian", "airy"]), st.floats(1, 1e6))
 def test_part_off_the_image_is_a_window_of_the_whole(x, y, model, electrons):
-    psf = build_psf(PsfSection(model=model, first_dark_ring_px=2.0), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(model=model, first_dark_ring_px=2.0), 2.0, (10.0, 10.0))
     small = render_stars((64, 48), np.array([[x, y]]), np.ones(1), [electrons], psf)
     large = render_stars((164, 148), np.array([[x + 50, y + 50]]), np.ones(1), [electrons], psf)
     np.testing.assert_allclose(small, large[50:114, 50:98], rtol=1e-9, atol=1e-12 * electrons)
@@ -104,7 +104,7 @@ def test_part_off_the_image_is_a_window_of_the_whole(x, y, model, electrons):
 def test_no_edge_shows(model, log_electrons):
     """Where the drawing of a star ends its light is below the limit, or the table has ended."""
     electrons = 10.0**log_electrons
-    psf = build_psf(PsfSection(model=model, first_dark_ring_px=1.0), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(model=model, first_dark_ring_px=1.0), 2.0, (10.0, 10.0))
     radius = float(psf.radius_px([electrons])[0])
     if psf.wing is not None and radius < 511:
         beyond = psf.wing[int(np.ceil(radius / psf.wing_step_px)) :]

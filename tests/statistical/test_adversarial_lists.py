@@ -2,7 +2,8 @@
 
 import pytest
 
-from benchmarks.adversarial import KINDS, make, run_chunk, tracker
+from benchmarks.adversarial import KINDS, drawn, run_chunk, tracker
+from simulator.randomness import stream
 from startracker.identification import METHODS
 
 RATE = 1e-7
@@ -23,7 +24,9 @@ def test_no_clump_is_accepted_by_any_method(kind, method):
 
 def test_a_clump_that_was_once_taken_for_the_pleiades():
     """33 points within 5 % of the image: seven fit the cluster, by chance with 1e-8 were points spread evenly."""
-    xy, flux = make("clump", "15deg", 1, 95)
+    rng = stream(1, "adversarial clump 15deg", 95)
+    xy, flux = drawn(rng, "clump", "15deg", int(rng.integers(5, 61)))
+    assert len(xy) == 33
     found = tracker("15deg", "adaptive", RATE).solve_centroids(xy, flux)
     assert found.status == "no_match"
 

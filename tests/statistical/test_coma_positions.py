@@ -6,9 +6,9 @@ With the geometric centroids of the images at the stars' positions every star in
 import numpy as np
 import pytest
 
+from simulator.optics.psf_model import FieldAberrations, PsfModel, Zernike
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import PsfSection
 from startracker.centroid import METHODS
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
@@ -50,7 +50,7 @@ METHODS_TRIED = ["moment", "least_squares", "maximum_likelihood"]
 
 @pytest.mark.parametrize("method", METHODS_TRIED)
 def test_coma_leaves_no_radial_bias(method):
-    section = PsfSection(model="diffraction", wavelength_nm=600, field={"coma_waves": 0.1})
+    section = PsfModel(model="diffraction", wavelength_nm=600, field=FieldAberrations(coma_waves=0.1))
     at, error = measured_errors(section, 20_000.0, method)
     radius = np.hypot(*at.T)
     outward = np.einsum("ij,ij->i", error, at) / radius
@@ -62,7 +62,7 @@ def test_coma_leaves_no_radial_bias(method):
 
 @pytest.mark.parametrize("method", METHODS_TRIED)
 def test_constant_coma_leaves_no_shift(method):
-    section = PsfSection(model="diffraction", wavelength_nm=600, zernike_waves={"coma_x": 0.08})
+    section = PsfModel(model="diffraction", wavelength_nm=600, zernike_waves=Zernike(coma_x=0.08))
     _, error = measured_errors(section, 20_000.0, method)
     noise = error.std(axis=0) / np.sqrt(len(error))
     assert np.all(np.abs(error.mean(axis=0)) < 3.0 * noise + ALLOWED_PX / 2.0)  # -0.46 px before

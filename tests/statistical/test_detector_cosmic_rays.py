@@ -10,10 +10,25 @@ import pytest
 from scipy import stats
 from scipy.ndimage import gaussian_filter
 
-from simulator.detector import build_fixed_pattern, detect
-from simulator.detector.cosmic_rays import add_tracks, draw_hits, landau_quantile, mean_hits, most_probable_loss_ev
+from simulator.build import detector_parameters
+from simulator.detector.cosmic_rays import (
+    add_tracks,
+    draw_cosmic_rays,
+    landau_quantile,
+    mean_cosmic_rays,
+    most_probable_loss_ev,
+)
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
+
+
+def draw(section, rng):
+    return draw_cosmic_rays(detector_parameters(section), section.exposure_s, rng)
+
+
+def mean_number(section):
+    return mean_cosmic_rays(detector_parameters(section), section.exposure_s)
 
 
 def tc211(rate, **keys):
@@ -25,17 +40,17 @@ def tc211(rate, **keys):
 def many(depth=10.0, n=200_000):
     """Some 200,000 tracks."""
     detector = tc211(n / 0.2 / (192 * 165 * 13.75 * 16e-8), depth_um=depth)
-    return detector, draw_hits(detector, stream(1, "cosmic_rays", 0))
+    return detector, draw(detector, stream(1, "cosmic_rays", 0))
 
 
 def test_fifteen_hits_in_the_anomaly_and_a_fiftieth_of_one_outside():
-    assert mean_hits(tc211(1100.0)) == pytest.approx(15.3, abs=0.1)
-    assert mean_hits(tc211(1.5)) == pytest.approx(0.021, abs=0.001)
-    counts = np.array([len(draw_hits(tc211(1100.0), stream(1, "cosmic_rays", k)).charge_e) for k in range(400)])
+    assert mean_number(tc211(1100.0)) == pytest.approx(15.3, abs=0.1)
+    assert mean_number(tc211(1.5)) == pytest.approx(0.021, abs=0.001)
+    counts = np.array([len(draw(tc211(1100.0), stream(1, "cosmic_rays", k)).charge_e) for k in range(400)])
     # Poisson of 15.3: σ of the mean √(15.3/400); index of dispersion × (n − 1) is χ² with n − 1 degrees.
     assert abs(counts.mean() - 15.335) < 4 * np.sqrt(15.3 / 400)
     assert 1e-4 < stats.chi2.sf(399 * counts.var(ddof=1) / counts.mean(), 399) < 1 - 1e-4
-    outside = sum(len(draw_hits(tc211(1.5), stream(1, "cosmic_rays", k)).charge_e) for k in range(4000))
+    outside = sum(len(draw(tc211(1.5), stream(1, "cosmic_rays", k)).charge_e) for k in range(4000))
     assert abs(outside - 4000 * 0.02091) < 4 * np.sqrt(84)
 
 
@@ -96,7 +111,7 @@ def test_hubbles_camera():
         exposure_s=1.0,
         cosmic_rays={"rate_cm2_s": 1100.0, "depth_um": layer_um, "charge_e_um": charge},
     )
-    hits = draw_hits(detector, stream(2, "cosmic_rays", 0))
+    hits = draw(detector, stream(2, "cosmic_rays", 0))
     assert np.median(hits.charge_e) == pytest.approx(1000.0, rel=0.35)
     assert np.mean(hits.charge_e < 500.0) < 0.03
     pixels = []
@@ -125,7 +140,7 @@ def test_mean_charge_of_the_chain():
     pattern = build_fixed_pattern(detector, 1)
     dark = np.zeros((256, 256))
     sums = [detect(dark, detector, pattern, lambda name, k=k: stream(1, name, k)).electrons.sum() for k in range(200)]
-    n = mean_hits(detector)
+    n = mean_number(detector)
     # Half a mean lateral reach (π/2 × 10 µm × 2/π per axis = 10 µm) is lost at each of 4 sides: 4 × 5 µm / 2560 µm.
     expected = n * 2 * 10.0 * 106.2 * (1 - 4 * 0.5 * 5.0 / 2560.0)
     assert np.mean(sums) == pytest.approx(expected, abs=4 * np.std(sums) / np.sqrt(200) + 0.005 * expected)

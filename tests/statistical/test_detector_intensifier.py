@@ -7,14 +7,14 @@ standard deviation σ/√n. Tolerances are four of these.
 import numpy as np
 import pytest
 
-from simulator.detector.chain import detect
+from simulator.build import detector_parameters
 from simulator.detector.excess_noise import bunch_e, excess_noise_factor
-from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.detector.intensifier import multiply
 from simulator.detector.video import video_signal
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection, IntensifierSection, VideoSection
 from simulator.study.trials.bounds import pixel_variance_e2
+from tests.detectors import build_fixed_pattern, detect
 
 SIDE = 240
 
@@ -159,5 +159,8 @@ def test_the_bounds_take_the_same_variance():
         adc_bits=10, gain_e_per_dn=20.0, offset_dn=40.0, read_noise_e=90.0, video=VideoSection(noise_dn=2.0),
     )  # fmt: skip
     image = frame(section, 15.0).astype(float)
-    stated = pixel_variance_e2(np.array([15.0]), 0.0, np.array([0.0]), section)[0] * (80.0 / 20.0) ** 2
+    stated = (
+        pixel_variance_e2(np.array([15.0]), 0.0, np.array([0.0]), detector_parameters(section), 0.1)[0]
+        * (80.0 / 20.0) ** 2
+    )
     assert image.var() == pytest.approx(stated, rel=4.0 * np.sqrt(2.4 / image.size))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector import build_fixed_pattern, detect
 from simulator.detector import photon_transfer as lab
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
 
 GAIN, READ, PRNU, DSNU, FULL, DARK, DOUBLING = 3.3, 13.0, 0.01, 0.3, 13_500.0, 2000.0, 7.0
 LEVELS = (200.0, 500.0, 1000.0, 2000.0, 4000.0, 7000.0, 10_000.0)

@@ -7,9 +7,9 @@ estimate, σ derived at its place. N is the number of pixels.
 import numpy as np
 import pytest
 
-from simulator.detector import build_fixed_pattern, detect
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
 
 SIDE = 256
 N = SIDE * SIDE
@@ -185,7 +185,7 @@ def test_signal_and_dark_current_are_one_poisson_number(level):
 
 def test_patterns_of_light_and_dark_are_uncorrelated():
     pattern = build_fixed_pattern(camera(prnu=0.01, dark_current_e_s=100.0, dsnu=0.2), 42)
-    assert abs(np.corrcoef(pattern.prnu.ravel(), pattern.dark_e.ravel())[0, 1]) < 4 / np.sqrt(N)
+    assert abs(np.corrcoef(pattern.prnu.ravel(), pattern.dark_e_s.ravel())[0, 1]) < 4 / np.sqrt(N)
 
 
 def test_frames_of_different_trials_are_uncorrelated():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector.pixels import TILE, walk
+from simulator.detector.pixels import apply_steps
 from simulator.detector.poisson import HIGHEST, LOWEST
-from simulator.detector.steps import SHOT_NOISE, Step
+from simulator.detector.steps import SHOT_NOISE, TILE, Step
 from simulator.randomness import stream
 
 P_LIMIT = 1e-4
@@ -18,7 +18,7 @@ P_LIMIT = 1e-4
 
 def draw_poisson(mean, rng):
     numbers = np.empty(mean.shape)
-    walk(mean, [Step(SHOT_NOISE, rng=rng)], numbers)
+    apply_steps(mean, [Step(SHOT_NOISE, rng=rng)], numbers)
     return numbers
 
 

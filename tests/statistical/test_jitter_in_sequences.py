@@ -5,25 +5,15 @@ import math
 import numpy as np
 import pytest
 from scipy.signal import welch
+from star_sequences import SMALL_CAMERA, pooled_nees
 
 from simulator import Scenario
-from simulator.optics.jitter import draw_jitter, load_spectrum
+from simulator.optics.jitter import Jitter, draw_jitter, load_spectrum
 from simulator.randomness import stream
-from simulator.scenario.schema import JitterSection
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
 
 ARCSEC = math.pi / 648000.0
-SMALL = [
-    "detector.width=384",
-    "detector.height=384",
-    "optics.focal_length_mm=12",
-    "optics.aperture_mm=12",
-    "optics.distortion.k1=0",
-    "sky.magnitude_limit=7",
-    "detector.exposure_s=0.1",
-    "pointing.rate_deg_s=[0.03, 0.02, 0.04]",
-]
 QUIET_GYRO = [
     "sequence.gyro.use=true",
     "sequence.gyro.angle_random_walk_deg_sqrt_h=1e-12",
@@ -33,7 +23,7 @@ QUIET_GYRO = [
 
 
 def runner_of(*overrides):
-    return SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL, *overrides]))
+    return SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL_CAMERA, *overrides]))
 
 
 def shaken(runner):
@@ -43,7 +33,7 @@ def shaken(runner):
 
 
 def test_shifted_path_is_the_same_process():
-    path = draw_jitter(JitterSection(rms_arcsec=(2.0, 3.0, 10.0)), load_spectrum(JitterSection()), stream(1, "x", 0))
+    path = draw_jitter(Jitter(rms_arcsec=(2.0, 3.0, 10.0)), load_spectrum(Jitter()), stream(1, "x", 0))
     t = np.linspace(-3.0, 3.0, 31)
     for shift in (0.0, 0.4, 1e4):
         np.testing.assert_allclose(path.shifted(shift).at(t), path.at(t + shift), rtol=0, atol=1e-8 * ARCSEC)
@@ -119,7 +109,7 @@ def test_power_spectrum_of_a_sequence():
     relative error of a bin is 1/√900 = 3.3 %, and as much again from the lines; 4.5 of both together is 21 %. Over all
     bins inside, some 90, the mean is good to 0.5 %, and the window's smoothing of the curved density to as much.
     """
-    section = JitterSection(rms_arcsec=(2.0, 2.0, 2.0), psd="lorentz", corner_hz=1.0)
+    section = Jitter(rms_arcsec=(2.0, 2.0, 2.0), psd="lorentz", corner_hz=1.0)
     spectrum, step_s, exposure_s, n = load_spectrum(section), 0.05, 0.04, 320
     powers = []
     for seed in range(100):
@@ -149,14 +139,13 @@ def test_filter_agrees_with_a_camera_that_shakes(gyro):
     NEES of two sequences of 40 frames; that of a filter without a gyro may be cautious: its model of the jitter is a
     wandering rate.
     """
-    weighed = number = 0.0
+    sequences = []
     for seed in (1, 2):
         overrides = "pointing.jitter.rms_arcsec=[20, 20, 20]", "sequence.frames=40", f"seed={seed}"
-        sequence = run_sequence(Scenario.load("cubesat", overrides=[*SMALL, *overrides, f"sequence.gyro.use={gyro}"]))
-        nees = sequence.summary["nees"]
-        assert sequence.summary["solved"] == 40
-        weighed += nees["mean"] * nees["effective_frames"]
-        number += nees["effective_frames"]
+        overrides = [*SMALL_CAMERA, *overrides, f"sequence.gyro.use={gyro}"]
+        sequences.append(run_sequence(Scenario.load("cubesat", overrides=overrides)))
+        assert sequences[-1].summary["solved"] == 40
+    mean, number = pooled_nees(sequences)
     deviation = 4.0 * math.sqrt(6.0 / number)
-    assert weighed / number < 3.0 + deviation
-    assert weighed / number > (3.0 - deviation if gyro == "true" else 1.0)
+    assert mean < 3.0 + deviation
+    assert mean > (3.0 - deviation if gyro == "true" else 1.0)

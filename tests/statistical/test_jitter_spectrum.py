@@ -5,12 +5,12 @@ import pytest
 from scipy.signal import periodogram
 from scipy.spatial.transform import Rotation
 
-from simulator.optics.jitter import COMPONENTS, Spectrum, draw_jitter, load_spectrum
+from simulator.optics.jitter import COMPONENTS, Jitter, Spectrum, draw_jitter, load_spectrum
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.smear import exposure_nodes, star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from simulator.scenario.schema import JitterSection, PsfSection
 from startracker.camera import Camera
 from startracker.errors import InputError
 
@@ -20,7 +20,7 @@ TABLE = "frequency_hz,psd\n# three lines of a reaction wheel\n0,1\n9,1\n10,40\n1
 
 def spectrum_of(name, tmp_path, corner_hz=5.0):
     (tmp_path / "wheel.csv").write_text(TABLE, encoding="utf-8")
-    section = JitterSection(rms_arcsec=(2.0, 3.0, 10.0), psd=name, corner_hz=corner_hz, table="wheel.csv")
+    section = Jitter(rms_arcsec=(2.0, 3.0, 10.0), psd=name, corner_hz=corner_hz, table="wheel.csv")
     return section, load_spectrum(section, tmp_path)
 
 
@@ -103,7 +103,7 @@ def test_rate(tmp_path):
 
 
 def test_body_axes(tmp_path):
-    section = JitterSection(rms_arcsec=(5.0, 0.0, 0.0), axes="body")
+    section = Jitter(rms_arcsec=(5.0, 0.0, 0.0), axes="body")
     mounting = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # body x is the boresight
     path = draw_jitter(section, load_spectrum(section), stream(1, "jitter", 0), mounting)
     turned = path.at(np.linspace(0, 1, 50))
@@ -116,7 +116,7 @@ def test_body_axes(tmp_path):
 
 def test_none_draws_nothing():
     rng = stream(1, "jitter", 0)
-    assert draw_jitter(JitterSection(), Spectrum("white", 1.0, 1.0), rng) is None
+    assert draw_jitter(Jitter(), Spectrum("white", 1.0, 1.0), rng) is None
     assert rng.random() == stream(1, "jitter", 0).random()
     assert COMPONENTS >= 100  # by the central limit, and for the lines of a periodogram to overlap
 
@@ -135,9 +135,9 @@ def test_tables_that_are_none(tmp_path, text, message):
     if text is not None:
         (tmp_path / "t.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
-        load_spectrum(JitterSection(psd="table", table="t.csv"), tmp_path)
+        load_spectrum(Jitter(psd="table", table="t.csv"), tmp_path)
     with pytest.raises(InputError, match=r"needs pointing\.jitter\.table"):
-        load_spectrum(JitterSection(psd="table"))
+        load_spectrum(Jitter(psd="table"))
 
 
 # ---------------------------------------------------------------- on the image
@@ -156,9 +156,9 @@ def test_tables_that_are_none(tmp_path, text, message):
 def test_smear_with_jitter_within_1e4_of_a_1000_step_sum(name, rms_px, rate_deg_s, exposure_s, steps):
     """Brute force with scipy's rotations; 20,000 steps where 1,000 would themselves be off by more."""
     camera = Camera.from_fov(10.0, 512, 512)
-    psf = build_psf(PsfSection(model="gaussian", sigma_px=1.0), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(model="gaussian", sigma_px=1.0), 2.0, (10.0, 10.0))
     rms = rms_px * camera.pixel_rad / ARCSEC
-    section = JitterSection(rms_arcsec=(rms, rms, 2 * rms), psd=name, corner_hz=10.0)
+    section = Jitter(rms_arcsec=(rms, rms, 2 * rms), psd=name, corner_hz=10.0)
     path = draw_jitter(section, load_spectrum(section), stream(3, "jitter", 0))
     star, rate = camera.unproject([[100.3, 150.8]]), np.radians(rate_deg_s)
     xy, weights = star_paths(camera, star, rate, exposure_s, psf.feature_px, jitter=path)
@@ -173,7 +173,7 @@ def test_smear_with_jitter_within_1e4_of_a_1000_step_sum(name, rms_px, rate_deg_
 def test_truth_turned_by_the_mean_is_where_the_star_s_centroid_is():
     """A camera turned by φ sees v at R(−φ) v: the sign of `mean`, and that the rest leaves the centroid."""
     camera = Camera.from_fov(2.0, 512, 512)
-    section = JitterSection(rms_arcsec=(30.0, 30.0, 300.0), corner_hz=20.0)
+    section = Jitter(rms_arcsec=(30.0, 30.0, 300.0), corner_hz=20.0)
     path = draw_jitter(section, load_spectrum(section), stream(5, "jitter", 0))
     star = camera.unproject([[400.0, 90.0]])
     xy, weights = star_paths(camera, star, [0, 0, 0], 0.2, 0.5, jitter=path)

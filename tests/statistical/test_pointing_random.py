@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import MOUNTINGS, point, random_attitude
-from simulator.scenario.schema import PointingSection
 
 R_KM, V_KM_S = np.array([7178.0, 0.0, 0.0]), np.array([0.0, 1.0, 7.4])
 K = 5.0
@@ -17,7 +17,7 @@ K = 5.0
 def test_attitude_error_is_uniform_on_each_axis():
     n, half_deg = 3000, 1.0
     rng = np.random.default_rng(20260321)
-    section = PointingSection(error_deg=half_deg)
+    section = PointingParameters(error_deg=half_deg)
     to_body = MOUNTINGS["orbit_normal"].inverse
     errors = np.empty((n, 3))
     for trial in range(n):

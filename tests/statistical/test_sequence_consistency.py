@@ -9,40 +9,29 @@ import math
 
 import numpy as np
 import pytest
+from star_sequences import SMALL_CAMERA, pooled_nees
 
 from simulator import Scenario
 from simulator.study.sequence.run import run_sequence
 
-SMALL = [
-    "detector.width=384",
-    "detector.height=384",
-    "optics.focal_length_mm=12",
-    "optics.aperture_mm=12",
-    "optics.distortion.k1=0",
-    "sky.magnitude_limit=7",
-    "detector.exposure_s=0.1",
-    "pointing.rate_deg_s=[0.03, 0.02, 0.04]",
-]
-
 
 def sequence_of(*overrides):
-    return run_sequence(Scenario.load("cubesat", overrides=[*SMALL, *overrides]))
+    return run_sequence(Scenario.load("cubesat", overrides=[*SMALL_CAMERA, *overrides]))
 
 
 def test_errors_are_as_the_covariance_says():
     """With a gyro the truth is what the filter assumes of it: white noise, and a bias that wanders."""
-    weighed, number, inside, values = 0.0, 0.0, 0, 0
+    sequences, inside, values = [], 0, 0
     for seed in (1, 2, 3, 4):
-        sequence = sequence_of("sequence.gyro.use=true", "sequence.frames=50", f"seed={seed}")
-        nees, columns = sequence.summary["nees"], sequence.columns
-        assert sequence.summary["solved"] == 50
-        weighed += nees["mean"] * nees["effective_frames"]
-        number += nees["effective_frames"]
+        sequences.append(sequence_of("sequence.gyro.use=true", "sequence.frames=50", f"seed={seed}"))
+        columns = sequences[-1].columns
+        assert sequences[-1].summary["solved"] == 50
         for axis in ("roll", "pitch", "yaw"):
             inside += int(np.sum(np.abs(columns[f"error_{axis}_deg"]) < 3.0 * columns[f"sigma_{axis}_deg"]))
             values += 50
+    mean, number = pooled_nees(sequences)
     assert number > 60
-    assert abs(weighed / number - 3.0) < 4.0 * math.sqrt(6.0 / number)
+    assert abs(mean - 3.0) < 4.0 * math.sqrt(6.0 / number)
     # 99.7 % of normal errors within 3 σ; the count is binomial, of some third as many independent values
     assert inside / values > 0.9973 - 4.0 * math.sqrt(0.0027 / (values / 3.0))
 

@@ -8,15 +8,12 @@ import math
 
 import numpy as np
 import pytest
+from star_sequences import turned
 
 from startracker.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 
 RUNS = 150
-
-
-def turned(attitude, vector):
-    return Attitude.from_rotation_vector(vector, "camera", "camera") @ attitude
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.05])

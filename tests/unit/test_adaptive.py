@@ -11,13 +11,13 @@ from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification import Observed, Prior, adaptive
-from startracker.identification.adaptive import _no_finds, _Triangles
+from startracker.identification.adaptive import _no_finds, first_triangles, nearest_stars
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.pairs import separation
 from startracker.identification.search_state import Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, least_hits, search_triangles
 from startracker.identification.verification import focal_slopes
-from startracker.settings import IdentificationSettings
+from startracker.settings import AdaptiveSettings
 from startracker.solution import Status
 
 CAMERA = Camera.from_fov(20.0, 512, 512)
@@ -95,15 +95,20 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     assert found == expected if focal_range == 0.0 else abs(found - expected) <= 0.15 * expected + 2
 
 
-def test_every_triangle_comes_once_bright_ones_first():
-    rng = np.random.default_rng(1)
-    vectors = CAMERA.unproject(rng.uniform(0, 511, (15, 2)))
-    triangles = _Triangles(vectors, 0.4)
-    every = triangles.part(0, 10**6)
-    assert len(every) == len(triangles) == math.comb(15, 3)
+def test_the_first_triangles_are_small_ones_of_the_brightest_nine():
+    vectors = CAMERA.unproject(np.random.default_rng(1).uniform(0, 511, (15, 2)))
+    every = first_triangles(vectors, 0.4, 1000)
+    assert len(every) == math.comb(9, 3)
     assert len({tuple(sorted(row)) for row in every.tolist()}) == len(every)
-    assert every[: math.comb(9, 3)].max() <= 8
-    assert np.array_equal(triangles.part(10, 30), every[10:30])
+    assert every.max() == 8
+    assert np.array_equal(first_triangles(vectors, 0.4, 10), every[:10])
+
+
+def test_nearest_stars_are_those_of_a_tree():
+    from scipy.spatial import cKDTree
+
+    vectors = CAMERA.unproject(np.random.default_rng(2).uniform(0, 511, (40, 2)))
+    assert np.array_equal(nearest_stars(vectors, 7), cKDTree(vectors).query(vectors, 8)[1][:, 1:])
 
 
 def test_least_hits_are_the_poisson_tails():
@@ -175,7 +180,7 @@ def test_stars_in_one_place_or_in_a_line_are_no_match(guide):
 
 def test_a_tolerance_of_ones_own_is_the_only_one(guide):
     index, stars = seen(guide, Attitude.from_radec_roll(84.0, 2.0, 75.0), 0.2)
-    found = adaptive(stars, guide, IdentificationSettings(separation_tolerance_deg=0.1))
+    found = adaptive(stars, guide, AdaptiveSettings(separation_tolerance_deg=0.1))
     assert found.status is Status.SOLVED
     assert len(found.pairs) >= 0.9 * len(index)
     assert "tolerance given" in found.steps[0]

@@ -15,7 +15,7 @@ from startracker import (
     StarTracker,
     TrackingSettings,
 )
-from startracker.settings import CentroidSettings, OperationSettings
+from startracker.settings import AdaptiveSettings, CentroidSettings, OperationSettings, PyramidSettings
 
 ATTITUDE = Attitude.from_radec_roll(85.0, -2.0, 123.0)
 
@@ -51,7 +51,7 @@ def test_a_false_alarm_rate_lies_between_0_and_1(rate):
         (IdentificationSettings, "min_stars", 0),
         (IdentificationSettings, "max_operations", 0),
         (IdentificationSettings, "max_centroids", -5),
-        (IdentificationSettings, "magnitude_tolerance", math.nan),
+        (AdaptiveSettings, "magnitude_tolerance", math.nan),
         (DetectionSettings, "threshold_sigma", 0.0),
         (DetectionSettings, "max_stars", 0),
         (DetectionSettings, "background_tile_px", 1),
@@ -71,7 +71,7 @@ def test_every_knob_is_looked_at(kind, name, value):
 @pytest.mark.parametrize("kind", [IdentificationSettings, DetectionSettings, CentroidSettings, TrackingSettings])
 def test_defaults_and_numpy_numbers_are_fine(kind):
     kind()
-    assert IdentificationSettings(false_alarm_rate=np.float32(0.1), max_stars=np.int64(9)).max_stars == 9
+    assert PyramidSettings(false_alarm_rate=np.float32(0.1), max_stars=np.int64(9)).max_stars == 9
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,16 @@ def test_magnitudes_tell_when_they_fit_and_count_for_nothing_when_unknown():
     assert not log_magnitude_ratios(field[:10], np.full(10, -1), field).any()
 
 
+def test_magnitudes_belong_to_their_stars_in_whatever_order_they_come():
+    rng = np.random.default_rng(6)
+    field = np.sort(rng.uniform(2.0, 6.5, 40))
+    matched = rng.choice(40, 9, replace=False).astype(np.int64)
+    magnitude = field[matched] + rng.normal(17.0, 0.5, 9)
+    order = np.append(0, 1 + rng.permutation(8))  # the first star pays for the zero point
+    ratios = log_magnitude_ratios(magnitude, matched, field)
+    np.testing.assert_allclose(log_magnitude_ratios(magnitude[order], matched[order], field), ratios[:, order])
+
+
 def test_a_rough_attitude_becomes_that_of_least_squares(guide):
     rng = np.random.default_rng(4)
     matrix = Attitude.from_radec_roll(100.0, 40.0, 20.0).as_matrix()

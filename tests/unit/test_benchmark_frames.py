@@ -15,8 +15,8 @@ def bench():
 def _sources(bench, index):
     at_s, attitude = bench._placed(index)
     names = list(bench.case.bodies)
-    directions = np.array([bench._direction(name, at_s) for name in names])
-    sun = bench._direction("Sun", at_s)
+    directions = np.array(bench._directions(names, at_s))
+    sun = bench._directions(["Sun"], at_s)[0]
     return bench.renderer.camera.project(attitude.apply(directions)), directions, sun
 
 

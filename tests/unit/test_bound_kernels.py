@@ -1,12 +1,13 @@
 """The kernels behind the bounds of the attitude, the paths of stars and the camera, against plain NumPy and SciPy that
 does the same on whole arrays; tolerances are rounding."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from simulator import Renderer, Scenario
-from simulator.detector.excess_noise import signal_gain
 from simulator.detector.fixed_pattern import FixedPattern
 from simulator.optics.smear import _longest, _rotations, _turned, star_paths
 from simulator.optics.splat import add_gaussians
@@ -52,20 +53,22 @@ def test_images_and_slopes_are_differences_of_images_of_the_renderer(renderer):
 @pytest.mark.parametrize("shot_noise", [True, False])
 def test_variances_are_those_of_whole_arrays(renderer, even_dark, shot_noise):
     rng = np.random.default_rng(4)
-    section = renderer.scenario.detector.model_copy(update={"shot_noise": shot_noise})
+    section = replace(renderer.detector.parameters, shot_noise=shot_noise)
+    section_exposure_s = 0.5
     mean = rng.uniform(0.0, 1.2 * section.full_well_e, (40, 50))
     dark = 12.0 if even_dark else rng.uniform(0.0, 400.0, mean.shape).astype(np.float32)
     centres = np.array([[0, 0], [49, 39], [20, 10], [-30, 5]])
     star = rng.uniform(0.0, 5e3, (4, 7, 7))
-    found, maps = star.copy(), bounds._dark_e(FixedPattern(1.0, dark))
-    noise = bounds._noise(section)
-    bounds._variances_about(found, mean, maps, centres.astype(float), section.full_well_e, signal_gain(section), noise)
+    found, exposure_s = star.copy(), section_exposure_s
+    wells = bounds._wells(FixedPattern(1.0, dark / exposure_s), section, exposure_s)
+    noise = bounds._noise(section, exposure_s)
+    bounds._variances_about(found, mean, wells, centres.astype(float), noise)
     offsets = np.arange(7) - 3
     columns, rows = centres[:, 0, None] + offsets, centres[:, 1, None] + offsets
     inside = ((rows >= 0) & (rows < 40))[:, :, None] & ((columns >= 0) & (columns < 50))[:, None, :]
     at = (np.clip(rows, 0, 39)[:, :, None], np.clip(columns, 0, 49)[:, None, :])
     darkness = np.broadcast_to(dark, mean.shape)[at].astype(float)
-    variance = bounds.pixel_variance_e2(mean[at], darkness, star, section)
+    variance = bounds.pixel_variance_e2(mean[at], darkness, star, section, exposure_s)
     expected = np.where(inside & (mean[at] + darkness < section.full_well_e), variance, np.inf)
     assert 0 < np.isinf(expected[:3]).sum() < expected[:3].size
     assert np.isinf(expected[3]).all()
@@ -88,13 +91,16 @@ def test_fisher_matrices_are_those_of_matrix_products():
         np.testing.assert_allclose(found[n], expected, rtol=1e-11, atol=1e-12)
 
 
+STEP_RAD = 1e-5
+
+
 def test_slopes_of_pixels_are_central_differences_of_crossed_vectors(renderer):
     camera = renderer.focal_plane.true_camera
     vectors = camera.unproject(np.random.default_rng(6).uniform(0.0, 255.0, (20, 2)))
-    turns = np.concatenate([np.eye(3), -np.eye(3)]) * bounds._TURN_RAD
+    turns = np.concatenate([np.eye(3), -np.eye(3)]) * STEP_RAD
     turned = vectors[None] - np.cross(turns[:, None, :], vectors[None])
     xy = camera.project(turned.reshape(-1, 3)).reshape(6, 20, 2)
-    expected = np.moveaxis((xy[:3] - xy[3:]) / (2.0 * bounds._TURN_RAD), 0, -1)
+    expected = np.moveaxis((xy[:3] - xy[3:]) / (2.0 * STEP_RAD), 0, -1)
     np.testing.assert_array_equal(bounds.pixel_slopes(camera, vectors), expected)
 
 

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from simulator.build import build_camera
 from simulator.checks import load_scenario
-from simulator.focal_plane import camera_of
 from simulator.study.coverage.boresights import whole_sky
 from simulator.study.design.files import write_design
 from simulator.study.design.search import PARAMETERS, changed, design, predict, verify
@@ -78,7 +78,7 @@ def test_prediction_follows_the_exact_law_of_exposure_without_noise():
 @pytest.mark.parametrize("projection", ["pinhole", "equidistant", "equisolid"])
 def test_the_field_is_the_one_asked_for(scenario, projection):
     other = load_scenario("cubesat", [*SMALL, f"optics.projection={projection}", "optics.distortion={k1: 0}"])
-    assert camera_of(changed(other, "field", 24.0)).fov_deg == pytest.approx(24.0, abs=1e-9)
+    assert build_camera(changed(other, "field", 24.0)).fov_deg == pytest.approx(24.0, abs=1e-9)
 
 
 def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):

@@ -8,7 +8,7 @@ from scipy.special import erf
 from startracker.detection import Background, estimate, find_bad_pixels, find_clusters, mask_pixels
 from startracker.detection.clustering import adaptive_radius, cluster_pixels, merge_clusters
 from startracker.detection.objects import find_runs
-from startracker.detection.spots import FLUX, PIXELS
+from startracker.detection.sources import SOURCE
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -48,10 +48,10 @@ def test_one_pass_equals_its_twin(tau, growth, density):
     fluxes = sorted(sum(float(image[y, x]) for x, y in m) for m in members)
     # a pixel equally near to two centres may go to either: at most one in twenty clusters
     if len(table) == len(members):
-        assert np.mean(np.sort(table[:, PIXELS]) != sizes) < 0.05
-        assert np.mean(~np.isclose(np.sort(table[:, FLUX]), fluxes, rtol=1e-9)) < 0.08
+        assert np.mean(np.sort(table["pixels"]) != sizes) < 0.05
+        assert np.mean(~np.isclose(np.sort(table["flux"]), fluxes, rtol=1e-9)) < 0.08
     assert abs(len(table) - len(members)) <= 0.02 * len(members)
-    assert table[:, PIXELS].sum() == np.count_nonzero(image > 5.0)
+    assert table["pixels"].sum() == np.count_nonzero(image > 5.0)
 
 
 def star_frame(seed, count=25):
@@ -83,12 +83,12 @@ def test_radius_follows_the_size_of_the_stars_and_close_clusters_merge():
     small = adaptive_radius(find_runs(image, background.level, background.noise, np.float32(50.0)), 400)
     large = adaptive_radius(find_runs(image, background.level, background.noise, np.float32(5.0)), 400)
     assert 2.0 <= small < large < 20.0
-    table = np.zeros((3, 14))
-    table[:, PIXELS], table[:, FLUX] = [4, 6, 5], [10.0, 30.0, 20.0]
-    table[:, 8], table[:, 9] = [10.0 * 5, 30.0 * 7, 20.0 * 40], [10.0 * 5, 30.0 * 5, 20.0 * 40]  # SUM_X, SUM_Y
+    table = np.zeros(3, SOURCE)
+    table["pixels"], table["flux"] = [4, 6, 5], [10.0, 30.0, 20.0]
+    table["sum_x"], table["sum_y"] = [10.0 * 5, 30.0 * 7, 20.0 * 40], [10.0 * 5, 30.0 * 5, 20.0 * 40]
     merged = merge_clusters(table, 3.0)
-    assert sorted(merged[:, PIXELS]) == [5, 10]
-    assert merged[:, FLUX].sum() == 60.0
+    assert sorted(merged["pixels"]) == [5, 10]
+    assert merged["flux"].sum() == 60.0
     assert len(merge_clusters(table, 1.5)) == 3
 
 
@@ -105,7 +105,7 @@ def test_the_radius_grows_with_the_star():
     static = merge_clusters(cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf), tau)
     grown = merge_clusters(cluster_pixels(runs, tau, image, np.zeros_like(image), np.inf, 1.0), tau, 1.0)
     assert len(static) > 16
-    assert sorted(grown[:, PIXELS].astype(int).tolist()) == [21] * 15 + [709]
+    assert sorted(grown["pixels"].astype(int).tolist()) == [21] * 15 + [709]
     settings = DetectionSettings(threshold_dn=50.0, min_pixels=10, max_pixels=1000, isolation=0.0, reject_hits=False)
     spots = find_clusters(image, flat(image.shape), settings, None)
     assert spots.pixels.max() == 709

@@ -7,26 +7,14 @@ import pytest
 from scipy import ndimage
 
 from startracker.detection.background import Background, estimate
+from startracker.detection.cosmic_rays import peak_share
 from startracker.detection.forms import are_long, brightest_first, is_halo, measure_forms
-from startracker.detection.hits import peak_share
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
 from startracker.detection.objects import row_edges, row_marks
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
-from startracker.detection.spots import (
-    COLUMNS,
-    FLUX,
-    PEAK_RESIDUAL,
-    PIXELS,
-    SUM_X,
-    SUM_XX,
-    SUM_XY,
-    SUM_Y,
-    SUM_YY,
-    X_PEAK,
-    Y_PEAK,
-)
+from startracker.detection.sources import SOURCE
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.surroundings import is_clutter, ring_pixels, ring_space
 from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
@@ -191,36 +179,38 @@ def test_clutter_against_its_definition(missing):
 
 
 def a_table(count=60):
-    table = np.zeros((count, COLUMNS))
+    table = np.zeros(count, SOURCE)
     random = rng(19)
-    table[:, FLUX] = np.sort(random.lognormal(8, 2, count))[::-1]
-    table[:, PEAK_RESIDUAL] = table[:, FLUX] * random.uniform(0.1, 0.5, count)
-    table[:, PIXELS] = random.integers(1, 40, count)
-    table[:, [X_PEAK, Y_PEAK]] = random.integers(0, 100, (count, 2))
+    table["flux"] = np.sort(random.lognormal(8, 2, count))[::-1]
+    table["peak_residual"] = table["flux"] * random.uniform(0.1, 0.5, count)
+    table["pixels"] = random.integers(1, 40, count)
+    table["x_peak"], table["y_peak"] = random.integers(0, 100, (2, count))
     return table
 
 
 def test_halo_against_its_definition():
     table = a_table()
-    peak, flux = table[:, PEAK_RESIDUAL], table[:, FLUX]
+    peak, flux = table["peak_residual"], table["flux"]
     expected = np.zeros(len(table), bool)
     for star in range(len(table)):
         times = peak[star] / peak
         dark = 1.9 * np.sqrt(flux[star] / (np.pi * peak[star]))
-        reach = np.maximum(2.5 * np.sqrt(table[star, PIXELS] / np.pi) + 3.0, dark * np.cbrt(3.0 * 0.045 * times))
-        distance = np.hypot(table[:, X_PEAK] - table[star, X_PEAK], table[:, Y_PEAK] - table[star, Y_PEAK])
+        reach = np.maximum(2.5 * np.sqrt(table["pixels"][star] / np.pi) + 3.0, dark * np.cbrt(3.0 * 0.045 * times))
+        distance = np.hypot(table["x_peak"] - table["x_peak"][star], table["y_peak"] - table["y_peak"][star])
         expected |= (distance < reach) & (times > 20.0)
     assert np.array_equal(is_halo(table), expected)
     assert 0 < expected.sum() < len(table)
 
 
 def test_forms_are_the_moments_of_the_pixels():
-    random, table = rng(20), np.zeros((12, COLUMNS))
+    random, table = rng(20), np.zeros(12, SOURCE)
     expected = []
     for row in table:
         x, y, s = random.uniform(0, 9, 30), random.uniform(0, 4, 30), random.uniform(1, 2, 30)
-        row[[PIXELS, FLUX]] = 30, s.sum()
-        row[[SUM_X, SUM_Y, SUM_XX, SUM_YY, SUM_XY]] = s @ np.stack([x, y, x * x, y * y, x * y], axis=1)
+        row["pixels"], row["flux"] = 30, s.sum()
+        row["sum_x"], row["sum_y"], row["sum_xx"], row["sum_yy"], row["sum_xy"] = (
+            s @ product for product in (x, y, x * x, y * y, x * y)
+        )
         expected.append(np.cov(np.stack([x, y]), aweights=s, bias=True) + np.eye(2) / 12)
     forms = measure_forms(table, 5.0)
     values = np.linalg.eigvalsh(expected)
@@ -316,15 +306,15 @@ def test_runs_above_a_higher_threshold_are_those_of_a_search_for_it(width):
 
 def test_brightest_first_is_a_sort_by_flux_then_place():
     table = a_table()
-    table[:, FLUX] = np.round(table[:, FLUX] / 3000) * 1000 - 1000
-    table[:, Y_PEAK] %= 3
-    fits = (table[:, PIXELS] >= 5) & (table[:, PIXELS] <= 30)
-    good = np.flatnonzero(fits & (table[:, FLUX] > 0))
-    order = good[np.lexsort((table[good, X_PEAK], table[good, Y_PEAK], -table[good, FLUX]))]
+    table["flux"] = np.round(table["flux"] / 3000) * 1000 - 1000
+    table["y_peak"] %= 3
+    fits = (table["pixels"] >= 5) & (table["pixels"] <= 30)
+    good = np.flatnonzero(fits & (table["flux"] > 0))
+    order = good[np.lexsort((table["x_peak"][good], table["y_peak"][good], -table["flux"][good]))]
     index, small, large, dark = brightest_first(table, 5, 30)
     assert index.tolist() == order.tolist()
-    assert len(np.unique(table[order, FLUX])) < len(order)
-    counts = (table[:, PIXELS] < 5).sum(), (table[:, PIXELS] > 30).sum(), (fits & (table[:, FLUX] <= 0)).sum()
+    assert len(np.unique(table["flux"][order])) < len(order)
+    counts = (table["pixels"] < 5).sum(), (table["pixels"] > 30).sum(), (fits & (table["flux"] <= 0)).sum()
     assert (small, large, dark) == counts
     assert min(counts) > 0
 
@@ -333,10 +323,10 @@ def test_brightest_first_is_a_sort_by_flux_then_place():
 def test_long_objects_among_the_brightest(needed):
     random, table = rng(27), a_table()
     width = random.choice([0.5, 3.0], (2, len(table)))
-    for n, (column, square) in enumerate(((SUM_X, SUM_XX), (SUM_Y, SUM_YY))):
-        table[:, square] = table[:, FLUX] * width[n] ** 2
-        table[:, column] = 0.0
+    for n, (column, square) in enumerate((("sum_x", "sum_xx"), ("sum_y", "sum_yy"))):
+        table[square] = table["flux"] * width[n] ** 2
+        table[column] = 0.0
     long = measure_forms(table, 5.0).long
-    brightest = [n for n in np.argsort(-table[:, FLUX]) if table[n, PIXELS] >= 10][:20]
+    brightest = [n for n in np.argsort(-table["flux"]) if table["pixels"][n] >= 10][:20]
     assert are_long(table, needed, 10, 20, 5.0) == (long[brightest].sum() >= needed)
     assert 3 <= long[brightest].sum() < long.sum()

@@ -9,7 +9,6 @@ from startracker.detection import METHODS, Background, find_components, grow_reg
 from startracker.detection.background import estimate
 from startracker.detection.objects import cut_runs, find_runs, join_runs, measure_objects
 from startracker.detection.region_growing import grow_objects
-from startracker.detection.spots import EDGE, FLUX, PIXELS, SUM_X, SUM_XY, X_PEAK, Y_PEAK
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -54,14 +53,14 @@ def test_labelling_equals_scipy(density, width):
     y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
     for n in range(count):
         inside = label == n + 1
-        assert table[n, PIXELS] == inside.sum()
-        assert table[n, FLUX] == pytest.approx(signal[inside].sum(), rel=1e-12)
-        assert table[n, SUM_X] == pytest.approx((signal * x)[inside].sum(), rel=1e-12)
-        assert table[n, SUM_XY] == pytest.approx((signal * x * y)[inside].sum(), rel=1e-12)
-        assert image[int(table[n, Y_PEAK]), int(table[n, X_PEAK])] == image[inside].max()
+        assert table["pixels"][n] == inside.sum()
+        assert table["flux"][n] == pytest.approx(signal[inside].sum(), rel=1e-12)
+        assert table["sum_x"][n] == pytest.approx((signal * x)[inside].sum(), rel=1e-12)
+        assert table["sum_xy"][n] == pytest.approx((signal * x * y)[inside].sum(), rel=1e-12)
+        assert image[int(table["y_peak"][n]), int(table["x_peak"][n])] == image[inside].max()
         border = np.zeros_like(inside)
         border[[0, -1]] = border[:, [0, -1]] = True
-        assert table[n, EDGE] == (inside & border).any()
+        assert table["edge"][n] == (inside & border).any()
 
 
 def test_cutting_runs_is_thresholding_them_again():
@@ -81,10 +80,10 @@ def test_growing_from_every_pixel_equals_scipy():
     rng = np.random.default_rng(11)
     image = rng.random((40, 57)).astype(np.float32)
     background = flat(image.shape)
-    table, visited = grow_objects(image, background.level, background.noise, np.float32(0.55), 1, np.inf)
+    table, visited = grow_objects(image, background.level, np.full_like(image, 0.55), 1, np.inf)
     twin, expected = ndimage.label(image > np.float32(0.55))  # 4-connected
     assert visited == image.size
-    assert sorted(table[:, PIXELS]) == sorted(np.bincount(twin.ravel())[1:])
+    assert sorted(table["pixels"]) == sorted(np.bincount(twin.ravel())[1:])
     assert len(table) == expected
 
 
@@ -93,7 +92,7 @@ def test_search_pattern_of_the_thesis():
     # staggered pattern has one pixel fewer: 170 rows of 170 and 169 in turn
     image = np.zeros((512, 512), np.float32)
     background = flat(image.shape)
-    visited = grow_objects(image, background.level, background.noise, np.float32(5.0), 3, np.inf)[1]
+    visited = grow_objects(image, background.level, np.full_like(image, 5.0), 3, np.inf)[1]
     assert visited == 85 * 170 + 85 * 169
     assert visited == pytest.approx(28900, rel=0.004)
     assert visited / image.size == pytest.approx(0.11, abs=0.001)
@@ -111,8 +110,8 @@ def test_every_object_of_three_by_three_is_met():
 def test_growing_is_not_recursive():
     image = np.ones((700, 700), np.float32)
     sky = flat(image.shape, -9.0)
-    table, _ = grow_objects(image, sky.level, sky.noise, np.float32(5.0), 3, np.inf)
-    assert table[:, PIXELS].tolist() == [700 * 700]
+    table, _ = grow_objects(image, sky.level, sky.level + 5.0, 3, np.inf)
+    assert table["pixels"].tolist() == [700 * 700]
 
 
 @pytest.mark.parametrize("method", METHODS)

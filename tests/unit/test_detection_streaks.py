@@ -1,4 +1,4 @@
-"""Streaks drawn here from their formula, found and measured by `startracker.centroid.streaks`.
+"""Trails drawn here from their formula, found and measured by `startracker.trails`.
 
 A streak is drawn as the mean of many star images along a line, each a Gaussian integrated over pixels (erf): it shares
 no code with the fit. The bound of the position is the Cramér–Rao bound from numerical derivatives of such drawings.
@@ -20,11 +20,11 @@ from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker.camera import Camera
 from startracker.centroid.result import Centroids
-from startracker.centroid.streaks import Streaks, find_streaks
 from startracker.detection import METHODS, Background, estimate
-from startracker.detection.streak_kernels import best_lines
 from startracker.front_end import _bow
 from startracker.settings import DetectionSettings
+from startracker.trails import Trails, find_trails
+from startracker.trails.lines import best_lines
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def motion_line(xy: FloatArray, motion: tuple[float, float, float]) -> FloatArra
 def field(
     seed: int, length: float, degrees: float, snr: FloatArray, turn: float = 0.0, gradient: float = 0.0
 ) -> tuple[NDArray[np.float32], FloatArray, FloatArray, tuple[float, float, float]]:
-    """Streaks of these signal-to-noise ratios (with a filter along them), apart from each other and from the border.
+    """Trails of these signal-to-noise ratios (with a filter along them), apart from each other and from the border.
 
     The noise of a filter of the streak's shape is about NOISE √(length · 2 √π σ).
     """
@@ -83,7 +83,7 @@ def field(
     return image.astype(np.float32), np.array(places), flux, motion
 
 
-def nearest(found: Streaks, place: FloatArray) -> int:
+def nearest(found: Trails, place: FloatArray) -> int:
     return int(np.argmin(np.hypot(*(found.centroids.xy - place).T)))
 
 
@@ -96,7 +96,7 @@ def test_all_streaks_found_none_false(length: float, degrees: float, turn: float
     snr = np.array([60.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 12.0])
     for seed in range(3):
         image, places, flux, motion = field(seed, length, degrees, snr, turn, gradient=0.1)
-        found = find_streaks(image, estimate(image, 64))
+        found = find_trails(image, estimate(image, 64))
         assert found is not None
         apart = [np.hypot(*(found.centroids.xy[nearest(found, place)] - place)) for place in places]
         assert max(apart) < 0.2 * length + 3.0
@@ -140,7 +140,7 @@ def test_positions_reach_the_bound_and_say_how_good_they_are(length: float, degr
     across, along, stated, best = [], [], [], None
     for seed in range(12):
         image, places, flux, _ = field(100 + seed, length, degrees, np.full(6, float(snr)))
-        found = find_streaks(image, Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
+        found = find_trails(image, Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
         assert found is not None
         best = bound(length, degrees, flux[0])
         for place in places:
@@ -171,7 +171,7 @@ def test_bright_streaks_that_differ_a_little_are_measured_each_for_itself() -> N
     for k, (x, y) in enumerate(places):
         along = (1.0 + 0.03 * (-1) ** k) * np.array([15.0, 42.0])
         image += drawn(image.shape, x, y, along, 2e5 / (1.0 + k))
-    found = find_streaks(image.astype(np.float32), Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
+    found = find_trails(image.astype(np.float32), Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
     assert found is not None
     assert len(found.centroids) == len(places)
     for place in places:
@@ -185,14 +185,14 @@ def test_no_streaks_in_noise_and_in_a_still_field() -> None:
         rng = np.random.default_rng(seed)
         image = 100.0 + NOISE * rng.standard_normal((SIZE, SIZE))
         noise = image.astype(np.float32)
-        assert find_streaks(noise, estimate(noise, 64)) is None
+        assert find_trails(noise, estimate(noise, 64)) is None
         for _ in range(40):
             place = rng.uniform(5, SIZE - 6, 2)
             image += drawn(image.shape, *place, np.zeros(2), float(10 ** rng.uniform(2.5, 5.5)))
         image = np.minimum(image, 4000.0)
         image[rng.integers(0, SIZE, 60), rng.integers(0, SIZE, 60)] += rng.uniform(100, 3000, 60)  # hot pixels
         still = image.astype(np.float32)
-        assert find_streaks(still, estimate(still, 64), DetectionSettings(), 4000.0) is None
+        assert find_trails(still, estimate(still, 64), DetectionSettings(), 4000.0) is None
 
 
 def test_pixels_that_tell_nothing_do_no_harm() -> None:
@@ -201,7 +201,7 @@ def test_pixels_that_tell_nothing_do_no_harm() -> None:
     x, y = np.rint(places[1]).astype(int)
     image[y, x] = np.nan
     image[int(places[2][1]), int(places[2][0])] += 3000.0
-    found = find_streaks(image, estimate(image, 64), DetectionSettings(), saturation_dn=380.0, gain_e_per_dn=2.0)
+    found = find_trails(image, estimate(image, 64), DetectionSettings(), saturation_dn=380.0, gain_e_per_dn=2.0)
     assert found is not None
     for place in places:
         k = nearest(found, place)
@@ -213,7 +213,7 @@ def test_streaks_cut_by_the_border_are_left_out() -> None:
     """Nobody can know where their middle is."""
     image, places, _, motion = field(5, 80.0, 0.0, np.full(6, 40.0))
     image += drawn(image.shape, 20.0, 250.0, np.array(motion[:2]), 20_000.0).astype(np.float32)
-    found = find_streaks(image, estimate(image, 64))
+    found = find_trails(image, estimate(image, 64))
     assert found is not None
     assert all(np.hypot(*(found.centroids.xy - place).T).min() < 3.0 for place in places)
     cut = (np.abs(found.centroids.xy[:, 1] - 250.0) < 3.0) & (found.centroids.xy[:, 0] < 60.0)
@@ -226,7 +226,7 @@ def test_streaks_of_many_directions_are_no_motion() -> None:
     for degrees in np.arange(0.0, 180.0, 18.0):
         along = 70.0 * np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
         image += drawn(image.shape, *rng.uniform(60, SIZE - 60, 2), along, 15_000.0)
-    assert find_streaks(image.astype(np.float32), estimate(image, 64)) is None
+    assert find_trails(image.astype(np.float32), estimate(image, 64)) is None
 
 
 def test_sums_along_lines_are_those_of_a_plain_loop() -> None:
@@ -234,7 +234,7 @@ def test_sums_along_lines_are_those_of_a_plain_loop() -> None:
     bins = rng.standard_normal((30, 40)).astype(np.float32)  # 30 columns of 40 rows
     slopes, every, spans = np.array([-1.3, 0.0, 0.7]), np.array([1, 2]), np.array([[7, 12], [8, 13], [6, 11]])
     best, line = best_lines(bins, slopes, every, spans)
-    expected = np.zeros_like(best)
+    expected = np.full_like(best, -np.inf)
     for k, slope in enumerate(slopes):
         offset = np.floor(slope * (np.arange(30) - 15.0) + 0.5).astype(int)
         for m, span in enumerate(spans[k]):
@@ -266,7 +266,7 @@ def test_middle_of_a_streak_is_set_right_for_the_camera() -> None:
         :, None
     ] * side
     motion = np.array([turn[1] * camera.fx, -turn[0] * camera.fy, turn[2]])
-    none = Streaks(Centroids.none(), motion)
+    none = Trails(Centroids.none(), motion)
     np.testing.assert_allclose(_bow(xy, camera, none, np.array([511.5, 511.5])), expected, atol=0.04)
     assert np.abs(expected).max() > 0.3
 
@@ -281,7 +281,7 @@ def test_rendered_frames_are_solved(rate_deg_s: float, length: float) -> None:
     tracker = build_tracker(scenario, renderer.camera)
     for index in range(3):
         frame, truth = renderer.frame(index)
-        found = find_streaks(frame.image.astype(np.float32), estimate(frame.image, 64))
+        found = find_trails(frame.image.astype(np.float32), estimate(frame.image, 64))
         assert found is not None
         assert np.hypot(*found.motion[:2]) == pytest.approx(length, rel=0.03)
         solution = solve_frame(tracker, frame)
@@ -292,7 +292,7 @@ def test_rendered_frames_are_solved(rate_deg_s: float, length: float) -> None:
 
 @pytest.mark.parametrize("detector", METHODS)
 def test_short_streaks_are_stars_whatever_the_detector(detector: str) -> None:
-    """Streaks of 8 px, which no detector but the first looks for itself: half a pixel, lost in space."""
+    """Trails of 8 px, which no detector but the first looks for itself: half a pixel, lost in space."""
     overrides = ["study.sampling=sky", "tracker.prior=false", f"tracker.detector={detector}"]
     scenario = Scenario.load(CUBESAT, [*overrides, "pointing.rate_deg_s=[0.4, 0, 0.3]"], seed=4)
     renderer = Renderer(scenario)

@@ -5,14 +5,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulator.detector import CHARGE, READOUT, Detector, FixedPattern, build_fixed_pattern, detect
+from simulator.build import detector_parameters
+from simulator.detector import CHARGE, READOUT, Detector, FixedPattern
 from simulator.detector.fixed_pattern import dark_current_factor
-from simulator.detector.pixels import walk
-from simulator.detector.readout import convert, gain_e_per_dn, reset_noise_e, saturation_dn, section_reset_noise_e
-from simulator.detector.steps import CONVERT, NORMAL_NOISE, Step
+from simulator.detector.pixels import apply_steps
+from simulator.detector.readout import convert, detector_reset_noise_e, gain_e_per_dn, reset_noise_e, saturation_dn
+from simulator.detector.steps import CONVERT, GAUSSIAN_NOISE, Step
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
+from tests.detectors import build_fixed_pattern, detect
 
 ALL_ON = {
     "prnu": 0.02,
@@ -78,9 +80,9 @@ def test_everything_off_is_the_noiseless_image_to_the_bit(mean):
 
 def test_pattern_of_a_perfect_device_is_scalar():
     pattern = build_fixed_pattern(section(), 1)
-    assert (pattern.prnu, pattern.dark_e) == (1.0, 0.0)
+    assert (pattern.prnu, pattern.dark_e_s) == (1.0, 0.0)
     warm = build_fixed_pattern(section(dark_current_e_s=40.0, temperature_c=25.0), 1)
-    assert (warm.prnu, warm.dark_e) == (1.0, 20.0)
+    assert (warm.prnu, warm.dark_e_s) == (1.0, 40.0)
 
 
 def test_repeatable_and_different_each_trial(mean):
@@ -92,13 +94,13 @@ def test_repeatable_and_different_each_trial(mean):
     for one, two in [(1, 1), (1, 2)]:
         a, b = build_fixed_pattern(detector, one), build_fixed_pattern(detector, two)
         assert np.array_equal(a.prnu, b.prnu) == (one == two)
-        assert np.array_equal(a.dark_e, b.dark_e) == (one == two)
+        assert np.array_equal(a.dark_e_s, b.dark_e_s) == (one == two)
 
 
 def test_each_noise_is_its_own_stream(mean):
     """Read and reset noise are the same numbers whatever else is on: image − electrons shows them alone."""
     normal = np.empty(mean.shape)
-    walk(np.zeros(mean.shape), [Step(NORMAL_NOISE, (1.0,), rng=stream(1, "read_noise", 0))], normal)
+    apply_steps(np.zeros(mean.shape), [Step(GAUSSIAN_NOISE, (1.0,), rng=stream(1, "read_noise", 0))], normal)
     for extra in ({}, {"shot_noise": True}, {"shot_noise": True, "prnu": 0.1, "dark_current_e_s": 100.0, "dsnu": 0.5}):
         frame = expose(noiseless(read_noise_e=8.0, **extra), mean)
         np.testing.assert_allclose(frame.image - frame.electrons, 8.0 * normal, rtol=0, atol=1e-11)
@@ -107,18 +109,33 @@ def test_each_noise_is_its_own_stream(mean):
     np.testing.assert_allclose(both.image - reset.image, 8.0 * normal, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("what", ["prnu", "dsnu", "gradient"])
+def test_noise_stays_as_a_map_goes_to_zero(what):
+    """The same seed draws the same noise with a map of next to nothing as without it: a pixel differs only where a
+    change of 1e-7 of its mean crosses a step of its Poisson number or of the converter."""
+    keys = {"width": 256, "height": 256, "dark_current_e_s": 10.0, "read_noise_e": 5.0, "gain_e_per_dn": 1.0}
+    flat, faint = np.full((256, 256), 40.0), 1e-7
+    without = detect(flat, section(**keys), FixedPattern(1.0, 5.0), partial(stream, 1), keep_charge=False)
+    bump = 1.0 + faint * np.random.default_rng(1).standard_normal(flat.shape)
+    light = flat * bump if what == "gradient" else flat
+    pattern = FixedPattern(bump if what == "prnu" else 1.0, 5.0 * bump if what == "dsnu" else 5.0)
+    mapped = detect(light, section(**keys), pattern, partial(stream, 1), keep_charge=False)
+    assert np.mean(mapped.image != without.image) < 1e-3
+    assert np.abs(mapped.image.astype(float) - without.image).max() <= 1
+
+
 def test_the_fixed_patterns_are_their_own_streams():
     keys = ALL_ON | {"dead_pixel_fraction": 0.0, "dead_columns": 0}
     full = build_fixed_pattern(section(**keys), 3)
     assert np.array_equal(build_fixed_pattern(section(**(keys | {"dsnu": 0.0})), 3).prnu, full.prnu)
     no_hot = build_fixed_pattern(section(**(keys | {"hot_pixel_fraction": 0.0, "hot_columns": 0, "prnu": 0.0})), 3)
     no_dsnu = build_fixed_pattern(section(**(keys | {"dsnu": 0.0})), 3)
-    ordinary = 40.0 * 0.5 * dark_current_factor(20.0, 25.0, 8.0)
-    np.testing.assert_allclose(full.dark_e, no_hot.dark_e + (no_dsnu.dark_e - ordinary), rtol=1e-12)
+    ordinary = 40.0 * dark_current_factor(20.0, 25.0, 8.0)
+    np.testing.assert_allclose(full.dark_e_s, no_hot.dark_e_s + (no_dsnu.dark_e_s - ordinary), rtol=1e-12)
     dead = build_fixed_pattern(section(**ALL_ON), 3)
     assert np.array_equal(dead.hot, full.hot)
     assert np.array_equal(dead.prnu[~dead.dead], full.prnu[~dead.dead])
-    assert np.array_equal(dead.dark_e[~dead.dead], full.dark_e[~dead.dead])
+    assert np.array_equal(dead.dark_e_s[~dead.dead], full.dark_e_s[~dead.dead])
 
 
 @pytest.mark.parametrize(
@@ -181,10 +198,10 @@ def test_a_detector_made_ready_reads_frame_after_frame(mean, more, keep_charge):
     """Nothing of one frame is left in the next, though some effects on whole frames change them in place."""
     chosen = section(**(ALL_ON | more))
     pattern = build_fixed_pattern(chosen, 3)
-    ready = Detector(chosen, pattern)
+    ready = Detector(detector_parameters(chosen), pattern)
     for index in range(3):
         streams = partial(stream, 5, trial=index)
-        read = ready.expose(mean + index, streams, keep_charge=keep_charge)
+        read = ready.expose(mean + index, chosen.exposure_s, streams, keep_charge=keep_charge)
         alone = detect(mean + index, chosen, pattern, streams, keep_charge=keep_charge)
         assert np.array_equal(read.image, alone.image)
         assert (read.saturation_dn, read.gain_e_per_dn) == (alone.saturation_dn, alone.gain_e_per_dn)
@@ -197,17 +214,17 @@ def test_response_acts_on_light_and_not_on_dark_current(mean):
     response = np.float32(1.1)
     pattern = FixedPattern(np.full(mean.shape, response), 7.0)
     frame = detect(mean, noiseless(), pattern, lambda name: stream(1, name))
-    np.testing.assert_allclose(frame.electrons, float(response) * mean + 7.0, rtol=1e-15)
+    np.testing.assert_allclose(frame.electrons, float(response) * mean + 0.5 * 7.0, rtol=1e-15)
 
 
 def test_a_pattern_may_be_one_number(mean):
     frame = detect(mean, noiseless(), FixedPattern(0.5, 3.0), lambda name: stream(1, name))
-    np.testing.assert_allclose(frame.image, 0.5 * mean + 3.0, rtol=1e-15)
+    np.testing.assert_allclose(frame.image, 0.5 * mean + 0.5 * 3.0, rtol=1e-15)
 
 
 def test_hot_pixels_are_different_pixels():
     pattern = build_fixed_pattern(section(hot_pixel_fraction=1.0, hot_pixel_dark_e_s=100.0), 1)
-    assert np.all(pattern.dark_e > 0)
+    assert np.all(pattern.dark_e_s > 0)
 
 
 def test_full_well_comes_before_the_read_noise(mean):
@@ -267,7 +284,7 @@ def test_converter_rounds_and_clips():
     convert(signal, 255.0)
     assert signal.tolist() == [0, 0, 0, 1, 254, 255, 255]
     numbers = np.empty(1, dtype=np.uint16)
-    walk(np.array([7e4]), [Step(CONVERT, (65535.0,))], numbers)
+    apply_steps(np.array([7e4]), [Step(CONVERT, (65535.0,))], numbers)
     assert numbers.tolist() == [65535]
 
 
@@ -310,10 +327,10 @@ def test_offset_that_fills_the_converter(mean):
 def test_dark_signal_beyond_counting():
     with pytest.raises(InputError, match="raise dark_doubling_c"):
         build_fixed_pattern(section(dark_current_e_s=1.0, temperature_c=30.0, dark_doubling_c=1e-6), 1)
-    assert build_fixed_pattern(section(temperature_c=30.0, dark_doubling_c=1e-6), 1).dark_e == 0.0
+    assert build_fixed_pattern(section(temperature_c=30.0, dark_doubling_c=1e-6), 1).dark_e_s == 0.0
 
 
 def test_reset_noise_of_a_section_is_in_femtofarad():
-    noise = section_reset_noise_e(section(reset_capacitance_ff=80.0, temperature_c=25.0))
+    noise = detector_reset_noise_e(section(reset_capacitance_ff=80.0, temperature_c=25.0))
     assert noise == pytest.approx(reset_noise_e(80e-15, 25.0), rel=1e-12)
-    assert section_reset_noise_e(section()) == 0.0
+    assert detector_reset_noise_e(section()) == 0.0

@@ -5,13 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from simulator.detector import build_fixed_pattern, detect
 from simulator.detector.blooming import bloom, full_well
 from simulator.detector.cosmic_rays import add_tracks
 from simulator.detector.readout import bend, saturation_dn
 from simulator.detector.transfer import late_shares, transfer
 from simulator.randomness import stream
 from simulator.scenario.schema import DetectorSection
+from tests.detectors import build_fixed_pattern, detect
 
 
 # ------------------------------------------------------------------ blooming

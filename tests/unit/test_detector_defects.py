@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector import build_fixed_pattern, detect
 from simulator.randomness import stream
 from simulator.scenario.detector_rules import contradictions
 from simulator.scenario.schema import DetectorSection
 from startracker.errors import InputError
+from tests.detectors import build_fixed_pattern, detect
 
 
 def section(**keys):
@@ -40,7 +40,7 @@ def test_dead_columns_are_whole_columns():
     assert columns.sum() == 3
     assert not pattern.dead[:, ~columns].any()
     assert np.array_equal(pattern.prnu, np.where(pattern.dead, 0.0, 1.0))
-    assert pattern.dark_e == 0.0
+    assert pattern.dark_e_s == 0.0
 
 
 def test_hot_columns_glow_evenly_and_exponentially_between_them():
@@ -48,9 +48,9 @@ def test_hot_columns_glow_evenly_and_exponentially_between_them():
     for seed in range(40):
         pattern = build_fixed_pattern(section(hot_columns=10, hot_column_dark_e_s=300.0, temperature_c=25.0), seed)
         assert pattern.hot.all(axis=0).sum() == pattern.hot.any(axis=0).sum() == 10
-        assert np.all(pattern.dark_e == pattern.dark_e[:1])
-        assert not pattern.dark_e[~pattern.hot].any()
-        currents.extend(pattern.dark_e[0, pattern.hot[0]])
+        assert np.all(pattern.dark_e_s == pattern.dark_e_s[:1])
+        assert not pattern.dark_e_s[~pattern.hot].any()
+        currents.extend(pattern.dark_e_s[0, pattern.hot[0]])
     assert stats.kstest(currents, stats.expon(scale=300.0).cdf).pvalue > 1e-4
 
 
@@ -58,8 +58,8 @@ def test_the_map_holds_all_defects():
     keys = {"hot_pixel_fraction": 0.01, "hot_pixel_dark_e_s": 100.0, "hot_columns": 1, "hot_column_dark_e_s": 10.0}
     pattern = build_fixed_pattern(section(**keys, dead_pixel_fraction=0.01, dead_columns=2), 1)
     assert np.array_equal(pattern.bad_pixels((100, 200)), pattern.hot | pattern.dead)
-    assert np.all(pattern.dark_e[pattern.dead] == 0.0)
-    assert np.all(pattern.dark_e[pattern.hot & ~pattern.dead] > 0.0)
+    assert np.all(pattern.dark_e_s[pattern.dead] == 0.0)
+    assert np.all(pattern.dark_e_s[pattern.hot & ~pattern.dead] > 0.0)
 
 
 @pytest.mark.parametrize("key", ["hot_columns", "dead_columns"])

@@ -1,20 +1,21 @@
-"""The walk of the steps: which pixel takes which random word, tiles, layouts; all against plain twins."""
+"""The per-pixel pipeline: which pixel takes which random word, tiles, layouts; all against plain twins."""
 
 import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from simulator.detector.philox import draw_key, fill_words
-from simulator.detector.pixels import TILE, walk
+from simulator.detector.philox import draw_key, fill_bits
+from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import (
     AMPLIFY,
     BEND,
     CLIP,
     CONVERT,
-    DARK_SIGNAL,
-    NORMAL_NOISE,
+    DARK_CURRENT,
+    GAUSSIAN_NOISE,
     PHOTO_RESPONSE,
     SHOT_NOISE,
+    TILE,
     Step,
     of_map,
 )
@@ -23,7 +24,7 @@ from simulator.randomness import stream
 
 def normal(shape, rng, sigma=1.0):
     out = np.empty(shape)
-    walk(np.zeros(shape), [Step(NORMAL_NOISE, (sigma,), rng=rng)], out)
+    apply_steps(np.zeros(shape), [Step(GAUSSIAN_NOISE, (sigma,), rng=rng)], out)
     return out
 
 
@@ -33,16 +34,16 @@ def test_which_pixel_takes_which_word():
     numbers = normal((3 * TILE,), stream(1, "n"))
     for k in (0, 1, quarter, TILE - 1, TILE, 2 * TILE + 3 * quarter + 7):
         block = np.empty(4, dtype=np.uint32)
-        fill_words(key, np.uint64(k // TILE * quarter + k % quarter), np.uint64(0), block)
+        fill_bits(key, np.uint64(k // TILE * quarter + k % quarter), np.uint64(0), block)
         word = int(block[k % TILE // quarter])
         assert numbers[k] == pytest.approx(ndtri((word + 0.5) / 2**32), abs=1e-6)
 
 
-def test_a_pixel_hangs_on_its_number_alone():
+def test_noise_of_a_pixel_depends_on_its_number_alone():
     short, long = normal((5000,), stream(2, "n")), normal((100, 301), stream(2, "n"))
     assert np.array_equal(short, long.ravel()[:5000])
     image = np.empty((100, 301))
-    walk(np.full((100, 301), 7.0), [Step(NORMAL_NOISE, (3.0,), rng=stream(2, "n"))], image)
+    apply_steps(np.full((100, 301), 7.0), [Step(GAUSSIAN_NOISE, (3.0,), rng=stream(2, "n"))], image)
     np.testing.assert_allclose(image, 7.0 + 3.0 * long, rtol=0, atol=1e-14)
 
 
@@ -54,7 +55,7 @@ def test_steps_without_chance_against_numpy():
     kept = signal.copy()
     steps = [
         of_map(PHOTO_RESPONSE, response),
-        of_map(DARK_SIGNAL, dark),
+        of_map(DARK_CURRENT, dark),
         Step(CLIP, (2e4,)),
         Step(BEND, (2e4, 0.02, -0.01)),
         Step(AMPLIFY, (7.3, 55.0)),
@@ -69,13 +70,13 @@ def test_steps_without_chance_against_numpy():
     expected.append(np.clip(np.rint(expected[-1]), 0, 2500))
     for count, wanted in enumerate(expected):
         out = np.empty(shape)
-        walk(signal, steps[:count], out)
+        apply_steps(signal, steps[:count], out)
         np.testing.assert_allclose(out, wanted, rtol=1e-14)
     numbers = np.empty(shape, dtype=np.uint16)
-    walk(signal, steps, numbers)
+    apply_steps(signal, steps, numbers)
     assert np.array_equal(numbers, expected[-1])
     assert np.array_equal(signal, kept)
-    walk(signal, steps, signal)
+    apply_steps(signal, steps, signal)
     assert np.array_equal(signal, expected[-1])
 
 
@@ -83,33 +84,33 @@ def test_steps_without_chance_against_numpy():
 @pytest.mark.parametrize("dark", [2.0, np.linspace(0.0, 5.0, 12, dtype=np.float32)])
 def test_one_number_for_all_pixels_or_a_map(response, dark):
     out = np.empty((3, 4))
-    walk(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, response), of_map(DARK_SIGNAL, dark)], out)
+    apply_steps(np.full((3, 4), 10.0), [of_map(PHOTO_RESPONSE, response), of_map(DARK_CURRENT, dark)], out)
     assert np.array_equal(out.ravel(), np.broadcast_to(10.0 * np.float64(response) + dark, 12))
 
 
 def test_maps_are_taken_in_single_precision():
     light, response, dark = np.full((2, 3), 10.0), np.full((2, 3), 1.1), np.full((2, 3), 7.3)
     out = np.empty((2, 3))
-    walk(light, [of_map(PHOTO_RESPONSE, response), of_map(DARK_SIGNAL, dark)], out)
+    apply_steps(light, [of_map(PHOTO_RESPONSE, response), of_map(DARK_CURRENT, dark)], out)
     assert np.array_equal(out, 10.0 * np.float64(np.float32(response)) + np.float32(dark))
 
 
 def test_what_begins_a_row_stands_at_its_beginning():
-    with pytest.raises(ValueError, match="begin a row"):
-        walk(np.ones((3, 4)), [of_map(DARK_SIGNAL, 2.0), of_map(PHOTO_RESPONSE, 1.5)], np.empty((3, 4)))
+    with pytest.raises(ValueError, match="begin a sequence"):
+        apply_steps(np.ones((3, 4)), [of_map(DARK_CURRENT, 2.0), of_map(PHOTO_RESPONSE, 1.5)], np.empty((3, 4)))
 
 
 def test_layouts_that_do_not_fit_are_refused():
     image = np.zeros((4, 6))
     with pytest.raises(ValueError, match="contiguous"):
-        walk(image.T, [], np.zeros((6, 4)))
+        apply_steps(image.T, [], np.zeros((6, 4)))
     with pytest.raises(ValueError, match="contiguous"):
-        walk(image, [Step(SHOT_NOISE, rng=stream(1, "n"))], np.zeros((6, 4)).T)
+        apply_steps(image, [Step(SHOT_NOISE, rng=stream(1, "n"))], np.zeros((6, 4)).T)
 
 
 def test_an_empty_image():
     out = np.empty((0, 4))
-    walk(np.empty((0, 4)), [Step(SHOT_NOISE, rng=stream(1, "n"))], out)
+    apply_steps(np.empty((0, 4)), [Step(SHOT_NOISE, rng=stream(1, "n"))], out)
 
 
 def test_key_is_the_first_two_integers_of_its_stream():

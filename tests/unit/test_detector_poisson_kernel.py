@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simulator.detector.normal import normal_from_words
-from simulator.detector.philox import draw_key, fill_words, further_bits
-from simulator.detector.pixels import TILE, walk
+from simulator.detector.gaussian import gaussian_from_bits
+from simulator.detector.philox import draw_key, fill_bits, further_bits
+from simulator.detector.pixels import apply_steps
 from simulator.detector.poisson import (
     HIGHEST,
     LARGEST_MEAN,
@@ -22,7 +22,7 @@ from simulator.detector.poisson import (
     quantile,
     shot_noise,
 )
-from simulator.detector.steps import SHOT_NOISE, Step
+from simulator.detector.steps import SHOT_NOISE, TILE, Step
 from simulator.randomness import stream
 from startracker.errors import InputError
 
@@ -31,7 +31,7 @@ RATES = [6.0, 6.3, 7.9, 10.0, 15.2, 20.0, 33.3, 64.0, 300.0, 2000.0, 9e3, 65_000
 
 def draw_poisson(mean, rng):
     out = np.empty(np.shape(mean))
-    walk(np.ascontiguousarray(mean), [Step(SHOT_NOISE, rng=rng)], out)
+    apply_steps(np.ascontiguousarray(mean), [Step(SHOT_NOISE, rng=rng)], out)
     return out
 
 
@@ -56,13 +56,13 @@ def quantile_twin(word, fraction, mean):
 
 
 def test_further_bits_are_those_of_the_pixel():
-    """The first word and the last leave all to further bits, which belong to first + offset."""
+    """The first word and the last leave all to further bits, which belong to the pixels."""
     rng, size = stream(4, "pixels"), 500
-    key, first, offset = draw_key(stream(4, "key")), 9, np.cumsum(rng.integers(1, 4, size))
+    key, first = draw_key(stream(4, "key")), 9
     words = rng.choice(np.array([0, 2**32 - 1], dtype=np.uint32), size)
     signal, rooms = np.full(size, 5000.0), (np.empty(size, dtype=np.float32) for _ in range(2))
-    assert shot_noise(signal, key, first, offset, words, *rooms)
-    fraction = np.array([further_bits(key, first + i) for i in offset])
+    assert shot_noise(signal, key, first, words, *rooms)
+    fraction = np.array([further_bits(key, first + i) for i in range(size)])
     assert np.array_equal(signal, quantile_twin(words, fraction, 5000.0))
     assert len(np.unique(signal)) > 50
 
@@ -80,7 +80,7 @@ def test_what_the_expansion_settles_is_right(mean):
     rng = stream(1, f"expansion {mean}")
     words = np.concatenate([words_at_the_steps(mean, 60_000, rng), rng.integers(0, 2**32, 60_000, dtype=np.uint32)])
     number, rate = np.empty(words.size, dtype=np.float32), np.full(words.size, mean, dtype=np.float32)
-    normal_from_words(words, number)
+    gaussian_from_bits(words, number)
     expand(rate, number)
     settled = number >= 0
     for fraction in (0.0, 1.0):  # whatever the further bits
@@ -93,7 +93,7 @@ def test_what_the_expansion_settles_is_right_at_any_mean():
     mean = np.float32(10.0 ** rng.uniform(np.log10(6.0), np.log10(65_000.0), 100_000)).clip(LOWEST)
     words = words_at_the_steps(mean.astype(np.float64), mean.size, rng)
     number = np.empty(words.size, dtype=np.float32)
-    normal_from_words(words, number)
+    gaussian_from_bits(words, number)
     expand(mean, number)
     settled = number >= 0
     expected = quantile_twin(words[settled], 0.5, mean[settled].astype(np.float64))
@@ -160,7 +160,7 @@ def test_an_image_is_the_quantiles_of_its_words():
     key, quarter = draw_key(stream(4, "draws")), TILE // 4
     k = np.arange(means.size)
     blocks = np.empty((4, (means.size // TILE + 1) * quarter), dtype=np.uint32)
-    fill_words(key, np.uint64(0), np.uint64(0), blocks.reshape(-1))
+    fill_bits(key, np.uint64(0), np.uint64(0), blocks.reshape(-1))
     words = blocks[k % TILE // quarter, k // TILE * quarter + k % quarter]
     fraction = np.array([further_bits(key, pixel) for pixel in k])
     expected = np.zeros(means.size)

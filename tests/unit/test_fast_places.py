@@ -9,7 +9,7 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.places import seen_directions
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.distortion import Distortion, undistort
-from startracker.front_end import SAME_STAR_PX, clean_centroids
+from startracker.given_centroids import SAME_STAR_PX, clean_centroids
 from startracker.observer import Observer, aberrate
 
 

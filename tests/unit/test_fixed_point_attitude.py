@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from startracker.estimation import solve_plate
-from startracker.fixed_point.attitude import DIRECTION, NotSolved, plate_attitude, unit
+from startracker.fixed_point.attitude import NotSolved, plate_attitude, unit
 from startracker.fixed_point.formats import CENTROID, FixedPointOverflow
+from startracker.fixed_point.vectors import DIRECTION
 
 XY = [
     [16.13144, 74.39691],

@@ -229,25 +229,57 @@ def lzw(data):
     return bytes(int(bits[k : k + 8], 2) for k in range(0, len(bits), 8))
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("compression", [1, 8, 5])
-def test_colour_tiff_of_16_bits_keeps_them(tmp_path, order, compression):
-    deep = (300 * RNG.integers(0, 9, (50, 41, 3)) + 7).astype(order + "u2")
-    data = {1: bytes, 8: zlib.compress, 5: lzw}[compression](deep.tobytes())
-    tags = [(256, 4, 1, 41), (257, 4, 1, 50), (258, 3, 3, 8), (259, 4, 1, compression), (262, 4, 1, 2)]
-    tags += [(273, 4, 1, 14), (277, 4, 1, 3), (278, 4, 1, 50), (279, 4, 1, len(data)), (284, 4, 1, 1)]
-    start = 14 + len(data) + len(data) % 2
-    path = tmp_path / "deep.tiff"
-    path.write_bytes(
+def deep_tiff(pixels, order="<", compression=1, orientation=1):
+    """A colour TIFF of 16 bits a channel, by the book (TIFF 6.0, section 2)."""
+    height, width, _ = pixels.shape
+    data = {1: bytes, 8: zlib.compress, 5: lzw}[compression](pixels.astype(order + "u2").tobytes())
+    tags = [(256, 4, 1, width), (257, 4, 1, height), (258, 3, 3, 8), (259, 4, 1, compression), (262, 4, 1, 2)]
+    tags += [(273, 4, 1, 14), (274, 4, 1, orientation), (277, 4, 1, 3), (278, 4, 1, height), (279, 4, 1, len(data))]
+    tags += [(284, 4, 1, 1)]
+    return (
         (b"II" if order == "<" else b"MM")
-        + struct.pack(order + "HI", 42, start)
+        + struct.pack(order + "HI", 42, 14 + len(data) + len(data) % 2)
         + struct.pack(order + "HHH", 16, 16, 16)
         + data
         + b"\0" * (len(data) % 2)
         + struct.pack(order + "H", len(tags))
-        + b"".join(struct.pack(order + "HHII", *tag) for tag in tags)
+        # a single short stands in the first half of the value
+        + b"".join(
+            struct.pack(order + "HHIHH", tag, 3, 1, value, 0)
+            if tag == 274
+            else struct.pack(order + "HHII", tag, kind, count, value)
+            for tag, kind, count, value in tags
+        )
         + b"\0" * 4
     )
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("compression", [1, 8, 5])
+def test_colour_tiff_of_16_bits_keeps_them(tmp_path, order, compression):
+    deep = 300 * RNG.integers(0, 9, (50, 41, 3)) + 7
+    path = tmp_path / "deep.tiff"
+    path.write_bytes(deep_tiff(deep, order, compression))
     loaded = read_image(path)
     np.testing.assert_allclose(loaded.image, deep.astype(float).mean(axis=2), rtol=1e-6)
     assert loaded.saturation_dn == 65535.0
+
+
+@pytest.mark.parametrize(
+    ("orientation", "turn"), [(2, np.fliplr), (6, lambda a: np.rot90(a, -1)), (7, lambda a: np.rot90(a, 2).T)]
+)
+def test_colour_tiff_of_16_bits_is_turned_and_turned_back(tmp_path, orientation, turn):
+    deep = RNG.integers(0, 65536, (50, 41, 3))
+    path = tmp_path / "deep.tiff"
+    path.write_bytes(deep_tiff(deep, orientation=orientation))
+    stored = deep.astype(float).mean(axis=2)
+    np.testing.assert_allclose(read_image(path).image, turn(stored), rtol=1e-6)
+    np.testing.assert_allclose(read_image(path, upright=False).image, stored, rtol=1e-6)
+
+
+def test_a_truncated_colour_tiff_of_16_bits_is_one_clear_line(tmp_path):
+    path = tmp_path / "deep.tiff"
+    whole = deep_tiff(RNG.integers(0, 65536, (50, 41, 3)), compression=8)
+    path.write_bytes(whole[:9000] + whole[-200:])
+    with pytest.raises(InputError, match=r"deep\.tiff: .*(damaged or truncated|not an image)"):
+        read_image(path)

@@ -9,9 +9,9 @@ from simulator.randomness import stream
 from simulator.study.exported_c.attacks import Camera, scene
 from simulator.theses.yee1999.catalogue import sub_catalog
 from startracker.errors import InputError
-from startracker.fixed_point import verification
+from startracker.fixed_point.evidence import local_areas, log2, log_sum
 from startracker.fixed_point.formats import CENTROID
-from startracker.fixed_point.verification import FEW_FIT, FIT, NOT_SPREAD, local_areas, plane, verify
+from startracker.fixed_point.verification import FEW_FIT, FIT, NOT_SPREAD, plane, verify
 from startracker.identification.bayes_factor import SCALE_LOG_PRIOR, SCALES, count_table, log_assignments
 from startracker.identification.integer_acceptance import (
     MAX_POINTS,
@@ -52,7 +52,6 @@ def checked(tables, xy, matrix):
 
 
 def test_logarithms_and_sums_are_rounded_down(tables):
-    log2, log_sum = verification._log2, verification._log_sum
     rng = stream(1, "logs")
     for n in [1, 2, 3, 255, 256, 257, 511, 2**61, *(int(2.0**x) for x in rng.uniform(0.0, 62.0, 500))]:
         assert 0.0 <= 4096.0 * math.log2(n) - log2(n, tables.log_table) <= 24.0

@@ -15,7 +15,7 @@ from startracker.identification import METHODS, Observed, Prior, match_groups
 from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.match_kernels import collect, group_sizes, mark, popcount, validate
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
-from startracker.settings import IdentificationSettings
+from startracker.settings import MatchGroupSettings
 from startracker.solution import Status
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
@@ -190,7 +190,7 @@ def test_perfect_fields_are_identified_star_by_star(guide, ra_deg, dec_deg, flux
 
 def test_the_thesis_settings_work_around_a_prior(guide):
     attitude, index, vectors, _ = field(guide, 85.0, 8.6)
-    settings = IdentificationSettings(separation_tolerance_deg=0.2)
+    settings = MatchGroupSettings(separation_tolerance_deg=0.2)
     off = Attitude.from_rotation_vector(np.radians([1.0, -1.0, 1.0]), "camera", "camera") @ attitude
     prior = Prior(off, math.radians(1.8))
     found = METHODS["match_groups"](observed(guide, index, vectors), guide, settings, prior)

@@ -6,9 +6,9 @@ from scipy.special import erf
 
 from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.splat import add_stars, render_stars
-from simulator.scenario.schema import PsfSection
 from startracker.errors import InputError
 
 SHAPE = (40, 50)
@@ -67,7 +67,7 @@ def tabulated_twin(psf):
 
 @pytest.mark.parametrize("aspect", [1.0, 13.75 / 16])
 def test_gaussian_kernel_equals_its_twin(aspect):
-    psf = build_psf(PsfSection(sigma_px=1.1), 2.0, (10 * aspect, 10.0))
+    psf = build_psf(PsfModel(sigma_px=1.1), 2.0, (10 * aspect, 10.0))
     np.testing.assert_allclose(
         render_stars(SHAPE, XY, WEIGHTS, ELECTRONS, psf), gaussian_twin(psf), rtol=1e-11, atol=1e-9
     )
@@ -76,14 +76,14 @@ def test_gaussian_kernel_equals_its_twin(aspect):
 @pytest.mark.parametrize("aspect", [1.0, 13.75 / 16])
 @pytest.mark.parametrize("ring", [0.3, 1.5])
 def test_tabulated_kernel_equals_its_twin(ring, aspect):
-    psf = build_psf(PsfSection(model="airy", first_dark_ring_px=ring), 2.0, (10 * aspect, 10.0))
+    psf = build_psf(PsfModel(model="airy", first_dark_ring_px=ring), 2.0, (10 * aspect, 10.0))
     got = render_stars(SHAPE, XY, WEIGHTS, ELECTRONS, psf)
     np.testing.assert_allclose(got, tabulated_twin(psf), rtol=1e-10, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", ["gaussian", "airy"])
 def test_stars_add_up_and_nan_leaves_no_light(model):
-    psf = build_psf(PsfSection(model=model, first_dark_ring_px=1.5), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(model=model, first_dark_ring_px=1.5), 2.0, (10.0, 10.0))
     one = render_stars(SHAPE, XY[:1], WEIGHTS, ELECTRONS[:1], psf)
     both = render_stars(SHAPE, XY[:1], WEIGHTS, ELECTRONS[:1], psf, out=one.copy())
     np.testing.assert_allclose(both, 2 * one)
@@ -97,14 +97,14 @@ def test_stars_add_up_and_nan_leaves_no_light(model):
 
 
 def test_kernel_works_in_place():
-    psf = build_psf(PsfSection(sigma_px=1.0), 2.0, (10.0, 10.0))
+    psf = build_psf(PsfModel(sigma_px=1.0), 2.0, (10.0, 10.0))
     image = np.full(SHAPE, 7.0)
     add_stars(image, np.array([[[20.0, 20.0]]]), np.ones(1), np.array([100.0]), psf)
     assert image.sum() == pytest.approx(7.0 * image.size + 100.0, rel=1e-7)
 
 
 def test_stamp_grows_with_flux():
-    for section in (PsfSection(sigma_px=1.0), PsfSection(model="airy", first_dark_ring_px=1.0)):
+    for section in (PsfModel(sigma_px=1.0), PsfModel(model="airy", first_dark_ring_px=1.0)):
         radius = build_psf(section, 2.0, (10.0, 10.0)).radius_px([0.0, 1e2, 1e4, 1e6, 1e8])
         assert (np.diff(radius) >= 0).all()
         assert radius[-1] > radius[0]
@@ -114,11 +114,11 @@ def test_stamp_grows_with_flux():
     ("section", "said"),
     [
         (
-            PsfSection(model="gausian"),
+            PsfModel(model="gausian"),
             "'gausian' is not one of the psfs: airy, diffraction, gaussian; did you mean 'gaussian'",
         ),
-        (PsfSection(model="airy", sigma_px=1.0), "first_dark_ring_px, not sigma_px"),
-        (PsfSection(sigma_px=1.0, first_dark_ring_px=2.0), "not both"),
+        (PsfModel(model="airy", sigma_px=1.0), "first_dark_ring_px, not sigma_px"),
+        (PsfModel(sigma_px=1.0, first_dark_ring_px=2.0), "not both"),
     ],
 )
 def test_faults(section, said):

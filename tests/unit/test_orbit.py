@@ -9,7 +9,7 @@ import pytest
 
 from simulator.mission.frames import local_time_of_raan
 from simulator.mission.orbit import PROPAGATORS, Orbit, build_orbit
-from simulator.scenario.schema import OrbitSection
+from simulator.mission.parameters import OrbitParameters
 from startracker.errors import InputError
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
@@ -27,34 +27,36 @@ EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 )
 def test_orbits_that_cannot_be(section, message):
     with pytest.raises(InputError, match=message):
-        build_orbit(OrbitSection(**section), EPOCH)
+        build_orbit(OrbitParameters(**section), EPOCH)
 
 
 def test_limit_of_sun_synchronism_is_where_the_inclination_reaches_180_degrees():
-    orbit = build_orbit(OrbitSection(altitude_km=5973.0), EPOCH)
+    orbit = build_orbit(OrbitParameters(altitude_km=5973.0), EPOCH)
     assert 178.0 < math.degrees(orbit.inclination_rad) < 180.0
 
 
 def test_sgp4_below_the_surface_says_so():
-    orbit = build_orbit(OrbitSection(altitude_km=-100.0, inclination_deg=98.6, propagator="sgp4"), EPOCH)
+    orbit = build_orbit(OrbitParameters(altitude_km=-100.0, inclination_deg=98.6, propagator="sgp4"), EPOCH)
     with pytest.raises(InputError, match=r"SGP4 cannot follow this orbit.*decayed"):
         orbit.state(0.0)
 
 
 def test_unknown_propagator_is_named():
-    section = OrbitSection().model_copy(update={"propagator": "sgp8"})
+    section = OrbitParameters(propagator="sgp8")
     with pytest.raises(InputError, match=r"'sgp8' is not one of the propagators: j2, sgp4; did you mean 'sgp4'"):
         build_orbit(section, EPOCH)
 
 
 def test_node_is_at_half_past_ten_in_the_evening_by_default():
-    orbit = build_orbit(OrbitSection(), EPOCH)
+    orbit = build_orbit(OrbitParameters(), EPOCH)
     assert local_time_of_raan(orbit.clock, orbit.raan_rad(0.0)) == pytest.approx(22.5, abs=1e-9)
 
 
 @pytest.mark.parametrize("propagator", PROPAGATORS)
 def test_node_and_latitude_are_taken_as_given(propagator):
-    section = OrbitSection(raan_deg=-20.0, argument_of_latitude_deg=400.0, propagator=propagator, inclination_deg=60.0)
+    section = OrbitParameters(
+        raan_deg=-20.0, argument_of_latitude_deg=400.0, propagator=propagator, inclination_deg=60.0
+    )
     orbit = build_orbit(section, EPOCH)
     assert math.degrees(orbit.raan_rad(0.0)) == pytest.approx(340.0, abs=1e-9)
     assert math.degrees(orbit.inclination_rad) == pytest.approx(60.0, abs=1e-12)
@@ -63,7 +65,7 @@ def test_node_and_latitude_are_taken_as_given(propagator):
 
 @pytest.mark.parametrize("propagator", PROPAGATORS)
 def test_instants_alone_and_together(propagator):
-    orbit = build_orbit(OrbitSection(propagator=propagator), EPOCH)
+    orbit = build_orbit(OrbitParameters(propagator=propagator), EPOCH)
     assert isinstance(orbit, Orbit)
     t_s = np.array([[0.0, 17.25, 5e5], [1e6, -1e6, 3e7]])
     r, v = orbit.state(t_s)
@@ -83,7 +85,7 @@ def test_instants_alone_and_together(propagator):
 
 @pytest.mark.parametrize("propagator", PROPAGATORS)
 def test_pickled_orbit_gives_the_same_states_to_the_bit(propagator):
-    orbit = build_orbit(OrbitSection(propagator=propagator), EPOCH)
+    orbit = build_orbit(OrbitParameters(propagator=propagator), EPOCH)
     before = orbit.state(1e6)
     copy = pickle.loads(pickle.dumps(orbit))
     assert copy == orbit
@@ -94,7 +96,7 @@ def test_pickled_orbit_gives_the_same_states_to_the_bit(propagator):
 @pytest.mark.parametrize("propagator", PROPAGATORS)
 def test_a_leap_second_moves_nothing(propagator):
     # two epochs a leap second apart in label, 2 s apart in truth: states 2 s apart, as in any other night
-    section = OrbitSection(propagator=propagator, raan_deg=10.0)
+    section = OrbitParameters(propagator=propagator, raan_deg=10.0)
     orbit = build_orbit(section, datetime(2016, 12, 31, 23, 59, 59, tzinfo=UTC))
     r, v = orbit.state(np.array([0.0, 1.0, 2.0]))
     steps = np.linalg.norm(np.diff(r, axis=0), axis=1)
@@ -104,6 +106,6 @@ def test_a_leap_second_moves_nothing(propagator):
 
 def test_high_orbit_goes_through_the_deep_space_branch():
     section = {"altitude_km": 20_000.0, "inclination_deg": 55.0, "raan_deg": 30.0}
-    j2, sgp4 = (build_orbit(OrbitSection(**section, propagator=name), EPOCH) for name in PROPAGATORS)
+    j2, sgp4 = (build_orbit(OrbitParameters(**section, propagator=name), EPOCH) for name in PROPAGATORS)
     # Sun and Moon move a semi-synchronous orbit by some km a day
     assert np.linalg.norm(j2.state(3600.0)[0] - sgp4.state(3600.0)[0]) < 20.0

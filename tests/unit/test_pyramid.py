@@ -13,10 +13,10 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.identification.observed import Observed, Prior
 from startracker.identification.pyramid import pyramid
 from startracker.identification.pyramid_kernels import smart_triples
-from startracker.settings import IdentificationSettings
+from startracker.settings import PyramidSettings
 from startracker.solution import Status
 
-SETTINGS = IdentificationSettings()
+SETTINGS = PyramidSettings()
 
 
 @pytest.fixture(scope="module")

@@ -111,7 +111,7 @@ def test_answer_of_a_study_that_does_not(scenario):
     answer = content_of(scenario, summary_of(columns), columns).answer
     assert answer.state == NOT_MET
     assert answer.verdict == "No: the specification is not met about roll and yaw."
-    assert answer.margin.startswith("At the worst axis, roll, the error that 99.7 % stay below is")
+    assert answer.margin.startswith("Worst axis: roll, the 99.7th percentile of the error is")
 
 
 def test_a_wrong_attitude_spoils_the_answer(scenario):
@@ -167,7 +167,7 @@ def test_limits_are_told_from_the_bound_and_the_budget(scenario):
     said = " ".join(content.answer.limits)
     assert "it lies in the processing" in said  # twice the bound about the boresight
     assert "up to 50 %" in said or "up to 49 %" in said or "up to 51 %" in said or "up to 52 %" in said
-    assert "tells the truth" in said
+    assert "covariance is consistent" in said
     assert "shot noise 64 %" in said  # 0.8² of the mean square; what may be nothing is not named
     assert "cosmic rays" not in said
     assert content.budget.rows[0][0] == "cosmic rays"

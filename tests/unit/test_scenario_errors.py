@@ -61,7 +61,10 @@ def test_the_example_is_good():
             GOOD + "study: {base: y.yaml}\n",
             "x.yaml:11:9: study.base: unknown key; base belongs to the top level of the file",
         ),
-        (GOOD + "study: {zzz: 1}\n", "x.yaml:11:9: study.zzz: unknown key; known here: trials, sampling"),
+        (
+            GOOD + "study: {zzz: 1}\n",
+            "x.yaml:11:9: study.zzz: unknown key; known here: trials, sampling, sky_without_earth",
+        ),
         (
             GOOD + "quantum_eficiency: 1\n",
             "x.yaml:11:1: quantum_eficiency: unknown key; did you mean 'detector.quantum_efficiency'?",

@@ -114,8 +114,12 @@ IMPOSSIBLE = [
         "--set tracker.centroid.window_px: must be odd, so that it has a middle pixel, not 4; use 3 or 5",
     ),
     (
-        ["tracker.identification.min_stars=9"],
-        "--set tracker.identification.min_stars: tracker.identification.max_stars: 8 is less than tracker.identification.min_stars (9)",
+        [
+            "tracker.identifier=pyramid",
+            "tracker.identification.min_stars=9",
+            "tracker.identification.max_stars=8",
+        ],
+        "--set tracker.identification.max_stars: 8 is less than tracker.identification.min_stars (9)",
     ),
     (
         ["tracker.detection.max_pixels=2"],

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.adversarial import make
 from startracker import Attitude, Camera, IdentificationSettings, StarTracker, Status, solve_unknown_fov
-from startracker.front_end import SAME_STAR_PX, _first_of_each, clean_centroids
+from startracker.given_centroids import SAME_STAR_PX, _first_of_each, clean_centroids
 from startracker.identification import METHODS
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
@@ -65,7 +65,7 @@ def test_a_crowded_frame_in_a_narrow_field_is_refused_in_bounded_time():
     solution = tracker.solve_centroids(points, 10.0 ** (-0.4 * magnitude[order]))
     assert solution.operations <= 1.1 * tracker.identification.max_operations
     assert time.process_time() - started < 20.0
-    assert solution.status in (Status.SOLVED, Status.SEARCH_LIMIT)
+    assert solution.status in (Status.SOLVED, Status.NO_MATCH, Status.SEARCH_LIMIT)
     if solution.solved:
         assert math.degrees(Attitude.from_radec_roll(200.0, 60.0, 10.0).angle_to(solution.attitude)) < 0.1
 

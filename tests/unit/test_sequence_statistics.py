@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.scenario.schema import GyroSection
+from simulator.mission.parameters import Gyro
 from simulator.study.sequence.statistics import effective_number, longest_run, nees_test
 
 
@@ -43,9 +43,7 @@ def test_nees_bounds_hold_what_they_say():
 
 def test_gyro_noise():
     """White noise N/√dt and a bias of standard deviation B and correlation time T: k σ/√n with k = 5."""
-    section = GyroSection(
-        use=True, angle_random_walk_deg_sqrt_h=0.3, bias_deg_h=0.0, bias_instability_deg_h=20.0, bias_time_s=5.0
-    )
+    section = Gyro(angle_random_walk_deg_sqrt_h=0.3, bias_deg_h=0.0, bias_instability_deg_h=20.0, bias_time_s=5.0)
     n, dt = 20_000, 0.5
     rates, biases = gyro_samples(section, np.tile([0.01, 0.0, -0.02], (n, 1)), dt, np.random.default_rng(4))
     white = rates - np.array([0.02, 0.0, -0.04]) - 0.5 * (biases[1:] + biases[:-1])

@@ -7,10 +7,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from simulator.build import build_scenes
 from simulator.checks import load_scenario
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.randomness import stream
-from simulator.scene import SceneBuilder
 from simulator.sky.earth import occulted
 from simulator.study.coverage.boresights import Exclusion, along_path, sky_grid, whole_sky
 from simulator.study.coverage.field_counts import accumulate_information, circle, outline, solid_angle_sr
@@ -102,9 +102,9 @@ def test_attitudes_have_the_roll_they_tell():
 def test_the_path_is_that_of_the_trials(overrides):
     scenario = load_scenario("cubesat", ["pointing.error_deg=0", "sky.magnitude_limit=3", *overrides])
     looks = along_path(scenario, 5)
-    scenes = SceneBuilder(scenario)
+    scenes = build_scenes(scenario)
     for index in (0, 4):
-        scene = scenes.scene(index, lambda stage, i=index: stream(scenario.seed, stage, i), 0.01)
+        scene = scenes.scene(index, lambda stage, i=index: stream(scenario.seed, stage, i), 0.01, 0.1)
         assert looks.t_s[index] == scene.t_s
         assert looks.matrices[index] == pytest.approx(scene.pointing.camera.as_matrix(), abs=1e-10)
 
@@ -112,10 +112,10 @@ def test_the_path_is_that_of_the_trials(overrides):
 def test_exclusion_is_that_of_the_bodies_places():
     scenario = load_scenario("cubesat", ["pointing.error_deg=0", "sky.magnitude_limit=3"])
     looks = along_path(scenario, 40, Exclusion(sun_deg=115.0, moon_deg=90.0))
-    scenes = SceneBuilder(scenario)
+    scenes = build_scenes(scenario)
     seen = {"sun": 0, "moon": 0}
     for index in range(40):
-        scene = scenes.scene(index, lambda stage, i=index: stream(scenario.seed, stage, i), 0.01)
+        scene = scenes.scene(index, lambda stage, i=index: stream(scenario.seed, stage, i), 0.01, 0.1)
         for name, limit in (("sun", 115.0), ("moon", 90.0)):
             place = scene.bodies.direction[scene.bodies.name == name.title()][0]
             angle = math.degrees(math.acos(place @ looks.directions[index]))

@@ -1,23 +1,30 @@
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
 from simulator.mission.clock import Clock
-from simulator.scenario.schema import SkySection
 from simulator.sky.apparent import SkyIndex, apparent_directions
 from simulator.sky.observer import observe
+from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import sun_position_au
 from startracker.catalog import load_catalog
 from startracker.constants import ARCSEC_RAD
 from startracker.observer import Observer
 
-SECTION = SkySection()
+SECTION = Sky()
 
 
 @pytest.fixture(scope="module")
 def index():
     return SkyIndex(load_catalog("hipparcos").brighter_than(7.5))
+
+
+def view(index, direction, radius_rad, observer, sun):
+    """The stars near a direction, and where each appears."""
+    rows = index.near(direction, radius_rad, observer.epoch_jyear)
+    return index.catalog.select(rows), index.apparent(rows, observer, sun, SECTION)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +43,7 @@ def test_no_star_of_a_field_is_missed(index, sight, radius_deg, ra_dec_deg):
     inside = (
         everywhere @ centre >= np.cos(np.radians(radius_deg)) if radius_deg < 180 else np.ones(len(everywhere), bool)
     )
-    stars, directions = index.view(centre, np.radians(radius_deg), observer, sun, SECTION)
+    stars, directions = view(index, centre, np.radians(radius_deg), observer, sun)
     assert set(index.catalog.id[inside].tolist()) <= set(stars.id.tolist())
     # and hardly one too many: all lie within the widened radius
     reach = np.radians(radius_deg) + 60 * ARCSEC_RAD + 1.2 * 60 * index._fastest_rad_yr
@@ -62,14 +69,14 @@ def test_a_star_is_found_where_aberration_puts_it():
     observer = Observer(epoch_jyear=1991.25, velocity_km_s=np.array([36.0, 0.0, 0.0]), position_au=np.zeros(3))
     (there,) = apparent_directions(vega, observer, None, SECTION)
     assert np.linalg.norm(there - vega.directions(1991.25)[0]) > 20 * ARCSEC_RAD
-    stars, _ = index.view(there, 1e-6, observer, None, SECTION)
+    stars, _ = view(index, there, 1e-6, observer, None)
     assert stars.id.tolist() == [91262]
 
 
 def test_switches_and_what_an_observer_lacks(index, sight):
     observer, sun = sight
     catalog = index.catalog
-    off = SkySection(proper_motion=False, parallax=False, light_deflection=False, aberration=False)
+    off = Sky(proper_motion=False, parallax=False, light_deflection=False, aberration=False)
     np.testing.assert_array_equal(apparent_directions(catalog, observer, sun, off), catalog.directions(1991.25))
 
     def moved(section, sun_au=sun):
@@ -85,10 +92,10 @@ def test_switches_and_what_an_observer_lacks(index, sight):
         "aberration": (20, 27),
     }
     for switch, (least, most) in one.items():
-        shift = moved(off.model_copy(update={switch: True})) / ARCSEC_RAD
+        shift = moved(replace(off, **{switch: True})) / ARCSEC_RAD
         assert least < shift.max() < most, switch
     # without a Sun, or an observer that knows no place and no speed, the effects are left out
-    assert np.all(moved(off.model_copy(update={"light_deflection": True}), None) == 0.0)
+    assert np.all(moved(replace(off, light_deflection=True), None) == 0.0)
     blind = Observer(epoch_jyear=1991.25)
     np.testing.assert_allclose(
         apparent_directions(catalog, blind, sun, SECTION), catalog.directions(1991.25), rtol=0, atol=1e-16
@@ -104,6 +111,6 @@ def test_directions_are_unit_vectors_and_the_catalogue_is_left_alone(index, sigh
 
 def test_an_empty_sky():
     index = SkyIndex(load_catalog("bsc5").brighter_than(-5.0))
-    stars, directions = index.view(np.array([1.0, 0.0, 0.0]), 0.1, Observer(), None, SECTION)
+    stars, directions = view(index, np.array([1.0, 0.0, 0.0]), 0.1, Observer(), None)
     assert len(stars) == 0
     assert directions.shape == (0, 3)

@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from simulator.build import build_scenes
 from simulator.scenario import Scenario
-from simulator.scene import SceneBuilder
 from simulator.study.budget import error_budget as module
 from simulator.study.budget.effects import CLASSES, EFFECTS, effective
 from simulator.study.budget.error_budget import budget
@@ -187,7 +187,7 @@ def test_smear_off_is_a_camera_that_stands_still():
     effect = next(effect for effect in EFFECTS if effect.name == "smear by rates")
 
     def rate(of):
-        scene = SceneBuilder(of).scene(0, lambda stage: np.random.default_rng(1), 0.1)
+        scene = build_scenes(of).scene(0, lambda stage: np.random.default_rng(1), 0.1, of.detector.exposure_s)
         return float(np.linalg.norm(scene.pointing.rate_camera_rad_s))
 
     # the orbital rate of the circular state and that of the nodal period differ by J2, some 1e-3

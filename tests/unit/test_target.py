@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator import Renderer, Scenario
-from simulator.scenario.schema import PointingSection
+from simulator.mission.parameters import PointingParameters
 from simulator.sky.target import attitude_towards, find_target
 from startracker import InputError, load_catalog
 from startracker.attitude import radec_to_direction
@@ -24,7 +24,7 @@ def test_names_of_stars_and_bodies():
 @pytest.mark.parametrize("place", [(0.0, 0.0), (123.0, 89.9), (359.9, -60.0)])
 def test_offset_is_the_angle_in_the_image(place, offset):
     direction = radec_to_direction(*np.radians(place))
-    attitude = attitude_towards(direction, PointingSection(target_offset_deg=offset, target_roll_deg=33.0))
+    attitude = attitude_towards(direction, PointingParameters(target_offset_deg=offset, target_roll_deg=33.0))
     x, y, z = attitude.apply(direction)
     assert (x / z, y / z) == pytest.approx(tuple(np.tan(np.radians(offset))), abs=1e-12)
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from simulator.focal_plane import camera_of
-from simulator.optics.tether import cylinder_share, tether_points
+from simulator.build import build_camera
+from simulator.optics.tether import Tether, cylinder_share, tether_points
 from simulator.renderer import render
 from simulator.scenario import Scenario, ScenarioError
-from simulator.scenario.schema import TetherSection
 from startracker.camera import Camera
 
 CAMERA = Camera(fx=1110.0, fy=1110.0, cx=255.5, cy=239.5, width=512, height=480)
@@ -41,7 +40,7 @@ def test_what_is_scattered_into_all_directions_is_the_albedo_s_share_of_what_fal
 
 
 def test_pieces_run_from_end_to_end_and_add_up():
-    section = TetherSection(diameter_mm=1.0, near_m=(0.3, 0.2, 0.5), far_m=(0.5, -4.0, 300.0))
+    section = Tether(diameter_mm=1.0, near_m=(0.3, 0.2, 0.5), far_m=(0.5, -4.0, 300.0))
     lamp = unit(0.2, 0.1, -1.0)
     points = tether_points(section, CAMERA, 18.0, lamp)
     near, far = (unit(*end) for end in (section.near_m, section.far_m))
@@ -70,7 +69,7 @@ def test_the_rendered_tether_carries_that_light_where_it_should():
     with_tether, without = (render(one, 12, at_s=6.0)[1].mean_electrons for one in (scenario, bare))
     tether = with_tether - without
     assert tether.max() > 3.0
-    camera = camera_of(scenario)
+    camera = build_camera(scenario)
     line = camera.project(np.array([scenario.tether.near_m, scenario.tether.far_m]) / 1.0)
     rows, columns = np.nonzero(tether > 0.5 * tether.max())
     along = unit(*(line[1] - line[0]))

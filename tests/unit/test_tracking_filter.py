@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from star_sequences import turned
 
 from startracker.attitude import Attitude
 from startracker.errors import InputError
@@ -12,10 +13,6 @@ from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.mekf import chi_square_limit
 
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
-
-
-def turned(attitude, vector):
-    return Attitude.from_rotation_vector(vector, "camera", "camera") @ attitude
 
 
 def directions(rng, n, half_deg=5.0):

@@ -1,14 +1,18 @@
 """What a tracking session is made of, each part against a plain twin."""
 
+import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.identification.acceptance import log_chance
 from startracker.observer import Observer
 from startracker.tracker import StarTracker
+from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
 from startracker.tracking.looking import Sky, look
 from startracker.tracking.matching import match_gated, spreads, track
@@ -182,3 +186,27 @@ def test_evidence_of_one_star_is_its_predicted_density():
     density = math.exp(-0.5 * z @ np.linalg.solve(s, z)) / (2.0 * math.pi * math.sqrt(np.linalg.det(s)))
     _, _, _, evidence = track(seen, np.array([sigma]), place, p, area)
     assert evidence == pytest.approx(math.log(area * density / 2.0), abs=2e-3)  # second order in δ
+
+
+def test_frames_are_accepted_by_the_rule_of_identification(tracker):
+    """The chance of a followed frame is `acceptance.log_chance` of its evidence, and `false_alarm_rate` the limit."""
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    strict, loose = copy.copy(tracker), copy.copy(tracker)
+    session = TrackingSession(tracker)
+    session.reset(attitude, 0.01)
+    followed = session._follow_centroids(xy[:1], None, None)
+    seen, sigma = followed.seen, followed.seen.sigma_px * CAMERA.pixel_rad
+    expected = followed.expected.places
+    covariance = np.eye(3) * math.radians(0.01) ** 2
+    *_, evidence = track(seen.vectors, sigma, expected, covariance, seen.area_sr)
+    assert followed.log_chance == pytest.approx(log_chance(evidence), rel=1e-6)
+    rate = math.exp(followed.log_chance)
+    for other, share in ((strict, 0.99), (loose, 1.01)):
+        other.identification = replace(tracker.identification, false_alarm_rate=share * rate)
+        session = TrackingSession(other)
+        session.reset(attitude, 0.01)
+        found = session.update_centroids(xy[:1], None, 0.0)
+        assert found.solved == (other is loose), found.reason
+        assert session.state.matched == 1  # the filter takes the star in either way
+        assert not found.solved or found.log_false_alarm == session.state.log_chance < 0.0

@@ -13,7 +13,7 @@ from startracker.identification import METHODS
 from startracker.identification.observed import Observed, Prior
 from startracker.identification.triads import triads
 from startracker.observer import Observer
-from startracker.settings import IdentificationSettings
+from startracker.settings import TriadSettings
 from startracker.solution import Status
 from startracker.tracker import StarTracker
 
@@ -106,7 +106,7 @@ def test_thresholds_are_settings(guide):
     rng = np.random.default_rng(4)
     shaken = vectors + rng.normal(0, SIGMA, vectors.shape)
     seen = observed_of(guide, shaken / np.linalg.norm(shaken, axis=1, keepdims=True), index)
-    assert triads(seen, guide, IdentificationSettings(separation_tolerance_deg=0.05)).status is Status.SOLVED
+    assert triads(seen, guide, TriadSettings(separation_tolerance_deg=0.05)).status is Status.SOLVED
     for strict in (
         {"rotation_tolerance_deg": 1e-9},
         {"enclosed_tolerance_deg": 1e-9},
@@ -114,8 +114,8 @@ def test_thresholds_are_settings(guide):
         {"vote_number": 200},
     ):
         limits = {"separation_tolerance_deg": 0.02} | strict
-        assert triads(seen, guide, IdentificationSettings(**limits)).status is Status.NO_MATCH
-    assert triads(seen, guide, IdentificationSettings(enclosed_tolerance_deg=None)).status is Status.SOLVED
+        assert triads(seen, guide, TriadSettings(**limits)).status is Status.NO_MATCH
+    assert triads(seen, guide, TriadSettings(enclosed_tolerance_deg=None)).status is Status.SOLVED
 
 
 # fov, limit, noise px, false, dropped, trials, least share identified. Measured over 150 fields: 1.00 each; the least

@@ -42,7 +42,7 @@ def pair():
     """A focal plane, and the scene of two stars 0.3 px apart that it cannot resolve, of one colour."""
     renderer = Renderer(Scenario.load("cubesat", [*QUIET, "sky.planets=false", "sky.background=false"]))
     attitude = Attitude.from_radec_roll(40.0, 10.0, 0.0)
-    scene = renderer.scenes.scene(0, lambda name: np.random.default_rng(0), 0.1, 0.0, attitude)
+    scene = renderer.scene(0, at_s=0.0, attitude=attitude)
     separation = 0.3 * renderer.camera.pixel_rad
     first = scene.stars.select(np.array([0, 0]))
     stars = replace(
@@ -54,11 +54,11 @@ def pair():
         b_v=np.full(2, 0.6),
         variable=np.array([False, True]),
     )
-    return renderer.focal_plane, scene, stars, separation
+    return renderer, scene, stars, separation
 
 
 def expose(pair, stars):
-    focal_plane, scene, _, _ = pair
+    renderer, scene, _, _ = pair
     directions = radec_to_direction(stars.ra_rad, stars.dec_rad)
     light = replace(
         scene,
@@ -68,7 +68,7 @@ def expose(pair, stars):
         star_b_v=stars.b_v,
         star_giant=np.zeros(len(stars)),
     )
-    return focal_plane.expose(light)
+    return renderer.expose(light)
 
 
 def test_unresolved_double_is_drawn_as_the_sum_of_both(pair):

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from simulator.build import build_orbit, detector_parameters
 from simulator.detector.readout import gain_e_per_dn
-from simulator.mission.orbit import build_orbit
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
 
@@ -39,7 +39,7 @@ def _fixed(**changes: Any) -> Callable[[Scenario], Changes]:
 
 
 def _no_converter(scenario: Scenario) -> Changes:
-    return {"detector.adc_bits": None, "detector.gain_e_per_dn": gain_e_per_dn(scenario.detector)}
+    return {"detector.adc_bits": None, "detector.gain_e_per_dn": gain_e_per_dn(detector_parameters(scenario.detector))}
 
 
 def _even_gain(scenario: Scenario) -> Changes:
@@ -53,7 +53,7 @@ def _no_rate(scenario: Scenario) -> Changes:
     if spin_deg_s:
         return {"pointing.rate_deg_s": (0.0, 0.0, -spin_deg_s)}
     held = scenario.pointing.target is not None
-    period_s = build_orbit(scenario.orbit, scenario.epoch).period_s
+    period_s = build_orbit(scenario).period_s
     return {"pointing.rate_deg_s": (0.0, 0.0 if held else 360.0 / period_s, 0.0)}
 
 

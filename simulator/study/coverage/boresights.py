@@ -11,15 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.build import build_mounting, build_orbit, build_scenes, pointing_parameters
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
-from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import local_level, mounting_of, round_s
+from simulator.mission.pointing import level_matrices, round_s
 from simulator.mission.sampling import trial_time_s
 from simulator.randomness import stream
 from simulator.scenario import Scenario
-from simulator.scene import SceneBuilder
-from simulator.sky.ephemeris import EARTH, MOON, SUN, position_au, tdb_jd
+from simulator.sky.ephemeris import barycentric_position_au
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.constants import AU_KM
 from startracker.errors import InputError
@@ -32,9 +31,6 @@ BoolArray = NDArray[np.bool_]
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC = 0.754_877_666_246_692_8
 """1/ρ, ρ the plastic number: steps of the roll that repeat with no step of the golden angle."""
-
-_EPHEMERIS_STEP_S = 21_600.0
-"""Sun and Moon are interpolated between places six hours apart: 0.02° for the Moon, from a²/8 of its 13° a day."""
 
 NO_EARTH = 2.0
 """Cosine of the Earth's radius that no direction reaches."""
@@ -173,7 +169,7 @@ def whole_sky(
     nothing = Boresights("sky", matrices, np.zeros(n), np.zeros((n, 3)), np.full(n, NO_EARTH), {}, rolls)
     if scenario is None or exclusion is None:
         return nothing
-    r_km = np.broadcast_to(build_orbit(scenario.orbit, scenario.epoch).state(0.0)[0], (n, 3))
+    r_km = np.broadcast_to(build_orbit(scenario).state(0.0)[0], (n, 3))
     excluded = _excluded(exclusion, Clock(scenario.epoch), nothing.t_s, r_km, directions)
     return Boresights("sky", matrices, nothing.t_s, nothing.nadir, nothing.limb_cosine, excluded, rolls)
 
@@ -194,14 +190,14 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
         raise InputError(
             "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
         )
-    orbit = build_orbit(scenario.orbit, scenario.epoch)
-    period_s = round_s(scenario.pointing, orbit.period_s)
-    t_s = np.array([trial_time_s(sampling, scenario.seed, index, period_s) for index in range(count)])
+    orbit = build_orbit(scenario)
+    period_s = round_s(pointing_parameters(scenario.pointing), orbit.period_s)
+    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
     r_km, v_km_s = orbit.state(t_s)
     if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
         body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
-        turn = (mounting_of(scenario.pointing) @ body).as_matrix()
-        matrices = np.array([turn @ local_level(r, v).as_matrix() for r, v in zip(r_km, v_km_s, strict=True)])
+        turn = (build_mounting(scenario) @ body).as_matrix()
+        matrices = turn @ level_matrices(r_km, v_km_s)
     else:
         matrices = _of_scenes(scenario, t_s)
     distance = np.linalg.norm(r_km, axis=1)
@@ -226,13 +222,14 @@ def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
             )
         }
     )
-    scenes = SceneBuilder(steady)
+    scenes = build_scenes(steady)
+    scenes.plan(t_s)
 
     def attitude(index: int) -> FloatArray:
         def streams(stage: str) -> np.random.Generator:
             return stream(scenario.seed, stage, index)
 
-        return scenes.scene(index, streams, 1e-6, at_s=float(t_s[index])).pointing.camera.as_matrix()
+        return scenes.scene(index, streams, 1e-6, 0.0, at_s=float(t_s[index])).pointing.camera.as_matrix()
 
     return np.array([attitude(index) for index in range(len(t_s))])
 
@@ -242,23 +239,15 @@ def _excluded(
 ) -> dict[str, BoolArray]:
     """Which attitudes break which exclusion angle, for the angles that are set."""
     out: dict[str, BoolArray] = {}
-    for name, target, limit in (("sun", SUN, exclusion.sun_deg), ("moon", MOON, exclusion.moon_deg)):
+    for name, body, limit in (("sun", "Sun", exclusion.sun_deg), ("moon", "Moon", exclusion.moon_deg)):
         if limit > 0.0:
-            off = _angle_deg(_geocentric_km(target, clock, t_s) - r_km, directions)
+            barycentric = (barycentric_position_au(each, clock, t_s) for each in (body, "Earth"))
+            off = _angle_deg(np.subtract(*barycentric) * AU_KM - r_km, directions)
             out[name] = off < limit
     if exclusion.earth_deg > 0.0:
         limb = np.degrees(np.arcsin(np.minimum(EARTH_RADIUS_KM / np.linalg.norm(r_km, axis=1), 1.0)))
         out["earth"] = _angle_deg(-r_km, directions) - limb < exclusion.earth_deg
     return out
-
-
-def _geocentric_km(target: int, clock: Clock, t_s: FloatArray) -> FloatArray:
-    """Vector (N, 3) from the Earth's centre to a body, km, interpolated in time."""
-    first, last = float(t_s.min()), float(t_s.max())
-    nodes = np.linspace(first, last, 1 + math.ceil((last - first) / _EPHEMERIS_STEP_S)) if last > first else t_s[:1]
-    dates = [tdb_jd(*clock.tt_jd(float(t))) for t in nodes]
-    places = np.array([position_au(target, jd) - position_au(EARTH, jd) for jd in dates]) * AU_KM
-    return np.stack([np.interp(t_s, nodes, places[:, k]) for k in range(3)], axis=1)
 
 
 def _angle_deg(vectors: FloatArray, directions: FloatArray) -> FloatArray:

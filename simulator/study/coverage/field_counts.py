@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from startracker.camera import Camera
 from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone
+from startracker.kernels import kernel
 
 __all__ = ["accumulate_information", "circle", "count_by_level", "outline", "solid_angle_sr"]
 
@@ -39,7 +39,7 @@ def solid_angle_sr(shape: FieldShape) -> float:
     return 2.0 * math.pi * float(np.mean(1.0 - shape.least_cosine))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _in_field(
     matrix: FloatArray,
     directions: FloatArray,
@@ -69,7 +69,7 @@ def _in_field(
     return np.sort(out[:count])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def count_by_level(
     matrices: FloatArray,
     directions: FloatArray,
@@ -102,7 +102,7 @@ def count_by_level(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def accumulate_information(
     matrices: FloatArray,
     directions: FloatArray,

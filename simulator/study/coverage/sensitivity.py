@@ -13,15 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters, pointing_parameters
+from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
-from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import mounting_of
 from simulator.mission.spin import spin_rate_rad_s
 from simulator.optics.illumination import star_illumination
 from simulator.optics.smear import star_paths
 from simulator.scenario import Scenario
-from simulator.scenario.schema import DetectorSection
 from simulator.sky.background import sky_brightness_s10
 from simulator.sky.photometry import Photometer
 from simulator.study.coverage.boresights import sky_grid
@@ -119,15 +118,15 @@ class Sensitivity:
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
     """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
-    pointing = scenario.pointing
+    pointing = pointing_parameters(scenario.pointing)
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
     if pointing.spin.rate_deg_s:
         rate = rate + offset.apply(spin_rate_rad_s(pointing.spin, 0.0))
     elif pointing.target is None:
-        orbital = 2.0 * math.pi / build_orbit(scenario.orbit, scenario.epoch).period_s
+        orbital = 2.0 * math.pi / build_orbit(scenario).period_s
         rate = rate + offset.apply(np.array([0.0, -orbital, 0.0]))
-    return np.asarray(mounting_of(pointing).apply(rate))
+    return np.asarray(build_mounting(scenario).apply(rate))
 
 
 def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivity:
@@ -153,23 +152,24 @@ def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivi
     least = detection.threshold_sigma if snr is None else snr
     if not (math.isfinite(least) and least > 0):
         raise InputError(f"snr: must be positive, not {least}")
-    plane = FocalPlane(scenario)
-    images = _images(scenario, plane)
-    pixel = _pixel(scenario, plane)
+    plane = build_focal_plane(scenario)
+    exposure_s, detector = scenario.detector.exposure_s, detector_parameters(scenario.detector)
+    images = _images(plane, nominal_rate_rad_s(scenario), exposure_s)
+    pixel = _pixel(plane, detector, exposure_s)
     if detection.matched_filter:
         share = np.sqrt(np.sum(images[0] ** 2, axis=(1, 2)))
     else:
         falling = -np.sort(-images[0].reshape(len(images[0]), -1), axis=1)
         share = falling[:, min(detection.min_pixels, falling.shape[1]) - 1]
     sigma = [
-        math.sqrt(float(np.mean(centroid_bound_px(images, float(e), pixel, scenario.detector) ** 2)))
+        math.sqrt(float(np.mean(centroid_bound_px(images, float(e), pixel, detector, exposure_s) ** 2)))
         for e in _ELECTRONS
     ]
     return Sensitivity(
         camera=plane.camera,
         pixel=pixel,
         photometer=plane.photometer,
-        gathered_s=scenario.detector.exposure_s * _mean_illumination(scenario, plane),
+        gathered_s=exposure_s * _mean_illumination(plane),
         snr_per_electron=float(np.mean(share)) / pixel.noise_e,
         least_snr=least,
         electrons=_ELECTRONS,
@@ -178,7 +178,11 @@ def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivi
 
 
 def centroid_bound_px(
-    images: tuple[FloatArray, FloatArray, FloatArray], electrons: float, pixel: Pixel, detector: DetectorSection
+    images: tuple[FloatArray, FloatArray, FloatArray],
+    electrons: float,
+    pixel: Pixel,
+    detector: DetectorParameters,
+    exposure_s: float,
 ) -> FloatArray:
     """Cramér–Rao bound (P, 2) of a star's place along columns and rows, pixels: the inverse of
     `simulator.study.trials.bounds.fisher_of_place`, infinite where saturation leaves nothing.
@@ -191,12 +195,12 @@ def centroid_bound_px(
         Electrons of the star.
     pixel : Pixel
         Of a pixel without a star.
-    detector : DetectorSection
-        The detector.
+    detector, exposure_s : DetectorParameters, float
+        The detector and its exposure time.
     """
     signal = electrons * images[0]
     light = pixel.sky_e + signal
-    variance = pixel_variance_e2(light, pixel.dark_e, signal, detector)
+    variance = pixel_variance_e2(light, pixel.dark_e, signal, detector, exposure_s)
     variance = np.where(light + pixel.dark_e < pixel.top_e, variance, np.inf)
     information = fisher_of_place(*images, np.full(len(signal), electrons), variance)
     xx, yy, xy = information[:, 0, 0], information[:, 1, 1], information[:, 0, 1]
@@ -206,9 +210,9 @@ def centroid_bound_px(
     return np.sqrt(np.where(known, inverse, np.inf)).T
 
 
-def _images(scenario: Scenario, plane: FocalPlane) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _images(plane: FocalPlane, rate_rad_s: FloatArray, exposure_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smeared images (P, H, W) of a star at places spread over the field, and their derivatives along x and y."""
-    camera, detector = plane.camera, scenario.detector
+    camera = plane.camera
     k = np.arange(_PLACES)
     # at the rms distance from the centre, so that a roll draws streaks of the rms length
     azimuth = 2.0 * math.pi * k / _PLACES
@@ -216,9 +220,7 @@ def _images(scenario: Scenario, plane: FocalPlane) -> tuple[FloatArray, FloatArr
     y = 0.5 * (camera.height - 1) + camera.height / math.sqrt(6.0) * np.sin(azimuth)
     places = np.stack([np.floor(x) + (k + 0.5) / _PLACES, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
     psf = plane.psfs.psf(_B_V)
-    paths, weights = star_paths(
-        camera, camera.unproject(places), nominal_rate_rad_s(scenario), detector.exposure_s, psf.feature_px
-    )
+    paths, weights = star_paths(camera, camera.unproject(places), rate_rad_s, exposure_s, psf.feature_px)
     if not np.isfinite(paths).all():
         raise InputError("the lens model gives no direction at the rms distance from the centre of the image")
     local = paths - np.rint(places)[:, None, :]
@@ -227,15 +229,13 @@ def _images(scenario: Scenario, plane: FocalPlane) -> tuple[FloatArray, FloatArr
     return image_slopes(psf, local, weights, half)
 
 
-def _pixel(scenario: Scenario, plane: FocalPlane) -> Pixel:
-    detector, camera = scenario.detector, plane.camera
+def _pixel(plane: FocalPlane, detector: DetectorParameters, exposure_s: float) -> Pixel:
     directions = sky_grid(200)
     s10 = sky_brightness_s10(directions, -directions[0], plane.sky)
-    each = plane.photometer.background_e_s_pixel(1.0, 1.0 / (camera.fx * camera.fy)) * detector.exposure_s
-    sky_e = float(np.median(s10)) * each
-    dark_e = mean_dark_e(detector)
+    sky_e = float(np.median(s10)) * plane.s10_e_s_pixel * exposure_s
+    dark_e = mean_dark_e(detector, exposure_s)
     none = np.zeros(1)
-    noise_e = math.sqrt(max(float(pixel_variance_e2(none + sky_e, dark_e, none, detector)[0]), 1e-12))
+    noise_e = math.sqrt(max(float(pixel_variance_e2(none + sky_e, dark_e, none, detector, exposure_s)[0]), 1e-12))
     highest = highest_dn(detector)
     top_e = detector.full_well_e
     if highest is not None:
@@ -243,11 +243,11 @@ def _pixel(scenario: Scenario, plane: FocalPlane) -> Pixel:
     return Pixel(sky_e, dark_e, noise_e, top_e)
 
 
-def _mean_illumination(scenario: Scenario, plane: FocalPlane) -> float:
+def _mean_illumination(plane: FocalPlane) -> float:
     """Mean light of a star over the field against one in the middle: vignetting."""
     camera = plane.camera
-    if not plane.vignettes:
+    if plane.vignetting.is_off:
         return 1.0
     x, y = np.meshgrid((np.arange(16) + 0.5) / 16 * camera.width, (np.arange(16) + 0.5) / 16 * camera.height)
     seen = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1) - 0.5)
-    return float(np.nanmean(star_illumination(camera, scenario.optics.vignetting, seen)))
+    return float(np.nanmean(star_illumination(camera, plane.vignetting, seen)))

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from simulator.focal_plane import camera_of
+from simulator.build import build_camera
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
 from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
@@ -237,7 +237,7 @@ def coverage(
         raise InputError(f"circle: the radius must be above 0 and at most 180 degrees, not {circle_deg:g}")
     if magnitude_limit is not None and not math.isfinite(magnitude_limit):
         raise InputError(f"magnitude limit: must be a number, not {magnitude_limit}")
-    camera = camera_of(scenario)
+    camera = build_camera(scenario)
     angles = exclusion or baffle_exclusion(scenario)
     looks = along_path(scenario, count, angles) if path else whole_sky(count, rolls, scenario, angles)
     limit, reason = _limit(scenario, magnitude_limit, snr)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.special import gammaincinv
 
+from simulator.build import build_mounting
 from simulator.mission.clock import Clock
-from simulator.mission.pointing import mounting_of
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
 from simulator.sky.colours import spectral_coordinates
@@ -208,7 +208,7 @@ def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
     enough = (counts >= max(least_stars, _LEAST_STARS)) & looks.allowed
     three_sigma: dict[str, float | None] = dict.fromkeys(BODY_AXES)
     if enough.any():
-        to_body = mounting_of(scenario.pointing).inverse.as_matrix()
+        to_body = build_mounting(scenario).inverse.as_matrix()
         covariance = to_body @ np.linalg.inv(information[enough]).mean(axis=0) @ to_body.T
         three = np.degrees(3.0 * np.sqrt(np.diag(covariance)))
         three_sigma = {axis: float(v) for axis, v in zip(BODY_AXES, three, strict=True)}

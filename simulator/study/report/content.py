@@ -150,11 +150,9 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
     if known:
         tight = min(known, key=lambda axis: known[axis])
         margin = (
-            f"At the tightest axis, {tight}, the error that 99.7 % stay below could be {known[tight]:.3g} times as "
-            "large."
+            f"Tightest axis: {tight}, margin {known[tight]:.3g}× at the 99.7th percentile of the error."
             if known[tight] >= 1
-            else f"At the worst axis, {tight}, the error that 99.7 % stay below is {1 / known[tight]:.3g} times what "
-            "is allowed."
+            else f"Worst axis: {tight}, the 99.7th percentile of the error is {1 / known[tight]:.3g}× the limit."
         )
     right = solved - wrong
     rates = []
@@ -210,7 +208,7 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         )
     if nees := summary.get("nees"):
         low, high = nees["bounds95"]
-        finding = "tells the truth" if nees["inside"] else "is too large" if nees["mean"] < low else "is too small"
+        finding = "is consistent" if nees["inside"] else "is too large" if nees["mean"] < low else "is too small"
         said.append(
             f"The tracker's own covariance {finding}: mean normalised error squared {nees['mean']:.3f}, "
             f"{low:.3f} to {high:.3f} expected of {nees['freedom']} axes."
@@ -224,7 +222,7 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         residual = np.asarray(columns["residual_rms_px"], dtype=float)[solved]
         said.append(
             f"A frame gives {stars.mean():.1f} matched stars of {field_stars.mean():.1f} in the field "
-            f"({int(stars.min())} at least), whose places fit to {np.sqrt(np.nanmean(residual**2)):.3f} pixels."
+            f"({int(stars.min())} at least); centroid residual {np.sqrt(np.nanmean(residual**2)):.3f} px rms."
         )
     return tuple(said)
 

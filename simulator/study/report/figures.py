@@ -81,9 +81,10 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
     if "nees" in columns and np.isfinite(np.asarray(columns["nees"], dtype=float)[solved]).sum() >= LEAST_TRIALS:
         found.append(
             Panel(
-                "Does the covariance tell the truth?",
+                "Consistency of the covariance",
                 "Share of trials whose error squared, normalised by the tracker's own covariance (NEES), exceeds a "
-                "value; the curve is chi-square with three degrees of freedom, the band holds 95 % of honest trackers.",
+                "value; the curve is chi-square with three degrees of freedom, the band the 95 % band for a consistent "
+                "covariance.",
                 functools.partial(draw_nees, columns),
             )
         )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.build import gyro_parameters, pointing_parameters, sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
@@ -31,6 +30,7 @@ from simulator.study.trials.trial import (
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
+from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 
@@ -93,14 +93,17 @@ class SequenceRunner:
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
         section = scenario.sequence
+        self._pointing = pointing_parameters(scenario.pointing)
         self.start = self._start()
-        self.states = motion(scenario.pointing, section, self.renderer.scenes.orbit, self.start, section.frames)
+        plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
+        self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
+        self.renderer.scenes.plan([state.t_s for state in self.states])
         self.shaking = self._shaking()
         self.cameras = [state.camera for state in self.states]
         """True attitudes: those of the motion, turned by the mean of the jitter over the exposure."""
         self.rates = [state.rate_camera_rad_s for state in self.states]
         if self.shaking:
-            exposure_s = scenario.detector.exposure_s
+            exposure_s = self.renderer.exposure_s
             means = [Attitude.from_rotation_vector(j.mean(exposure_s), "camera", "camera") for j in self.shaking]
             self.cameras = [mean @ camera for mean, camera in zip(means, self.cameras, strict=True)]
             self.rates = [rate + j.rate(exposure_s) for rate, j in zip(self.rates, self.shaking, strict=True)]
@@ -109,7 +112,7 @@ class SequenceRunner:
         if section.gyro.use:
             turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
             samples = gyro_samples(
-                section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
+                gyro_parameters(section.gyro), np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
             self.gyro, self.biases = samples
         self.noise = self._noise()
@@ -130,12 +133,11 @@ class SequenceRunner:
         scenario, scenes = self.scenario, self.renderer.scenes
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
         if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
-            return point_spinning(scenario.pointing, start_s, rng)
+            return point_spinning(self._pointing, start_s, rng)
         if scenario.pointing.target is None:
-            return point(scenario.pointing, *scenes.orbit.state(start_s), rng)
-        streams = functools.partial(_stream, scenario.seed)
-        nominal = scenes.scene(0, streams, self.renderer.focal_plane.half_field_rad, start_s).pointing.prior
-        return hold(scenario.pointing, nominal, rng)
+            return point(self._pointing, *scenes.orbit.state(start_s), rng)
+        nominal = self.renderer.scene(0, at_s=start_s).pointing.prior
+        return hold(self._pointing, nominal, rng)
 
     def _noise(self) -> GyroNoise | RateNoise:
         """What the filter is told of the motion and of the gyro."""
@@ -164,7 +166,7 @@ class SequenceRunner:
         Those of an angle driven by a density q have the variance 2 q h³/3 at a step h.
         """
         section = self.scenario.sequence
-        angles = np.array([j.mean(self.scenario.detector.exposure_s) for j in self.shaking])
+        angles = np.array([j.mean(self.renderer.exposure_s) for j in self.shaking])
         if len(angles) < _FEWEST_FOR_WALK:
             return 0.0
         variance = np.mean(np.diff(angles, 2, axis=0) ** 2, axis=0).max()
@@ -174,7 +176,7 @@ class SequenceRunner:
     def frames(self) -> Iterator[TrackedFrame]:
         """All frames in order; the same every time."""
         scenario, section = self.scenario, self.scenario.sequence
-        session = TrackingSession(self.tracker, self.noise, exposure_s=scenario.detector.exposure_s)
+        session = TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
         if scenario.tracker.prior:  # uniform within its half width, about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
@@ -189,9 +191,9 @@ class SequenceRunner:
                 row |= self.operated.dropped(solution, session) if self.operated else {}
                 yield TrackedFrame(row, None, solution, np.empty((0, 2)), 0)
                 continue
-            started = time.perf_counter()
+            started = clock()
             taken = self._take(k, state, since_s, session)
-            rendered = time.perf_counter()
+            rendered = clock()
             if self.operated is not None and self.operated.verdict.image is None:
                 yield self._refused(k, state, since_s, session, gyro, taken, (rendered - started) * 1e3)
                 continue
@@ -206,7 +208,7 @@ class SequenceRunner:
                 "gain_e_per_dn": frame.gain_e_per_dn,
             }
             solution = session.update(image, since_s, gyro_rad_s=gyro, **known)
-            tracked = time.perf_counter()
+            tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude, session, solution, *times)
             row |= self._counts(frame, truth, solution)

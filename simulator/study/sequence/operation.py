@@ -17,7 +17,6 @@ from simulator.mission.motion import MotionState
 from simulator.optics.jitter import JitterPath
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.scenario.fields import flatten
 from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
@@ -42,16 +41,15 @@ class OperatedCamera:
     scenario : Scenario
         The scenario.
     renderer : Renderer
-        Of the scenario as it is; others are made for the exposures that the rules ask for.
+        Of the scenario; it takes the exposures that the rules ask for.
     tracker : StarTracker
         Its settings and its catalogue.
     """
 
     def __init__(self, scenario: Scenario, renderer: Renderer, tracker: StarTracker) -> None:
         self.scenario = scenario
-        settings, exposure_s = scenario.sequence.operation, scenario.detector.exposure_s
-        self.rules = SensorOperation(settings, tracker.detection, renderer.camera, exposure_s)
-        self._renderers = {exposure_s: renderer}
+        self.renderer, settings = renderer, scenario.sequence.operation
+        self.rules = SensorOperation(settings, tracker.detection, renderer.camera, renderer.exposure_s)
         reference = renderer.focal_plane.photometer.electrons_per_s(0.0, settings.reference_b_v)
         self._zero_point = 2.5 * math.log10(float(reference))
         catalog = tracker.guide.catalog
@@ -71,18 +69,16 @@ class OperatedCamera:
             self.verdict = Verdict("sun", "suspended until the Sun has passed", None)
             return None
         session.exposure_s = self.exposure_s
-        frame, truth = self._renderer().frame(
-            k, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s, jitter=jitter
+        frame, truth = self.renderer.frame(
+            k,
+            at_s=state.t_s,
+            attitude=state.camera,
+            rate_camera_rad_s=state.rate_camera_rad_s,
+            jitter=jitter,
+            exposure_s=self.exposure_s,
         )
         self.verdict = self.rules.judge(frame.image, since_s, frame.saturation_dn, session.rate_rad_s)
         return frame, truth
-
-    def _renderer(self) -> Renderer:
-        """Renderer for the exposure: the same device and sky."""
-        if self.exposure_s not in self._renderers:
-            changed = flatten(self.scenario) | {"detector.exposure_s": self.exposure_s}
-            self._renderers[self.exposure_s] = Renderer(self.scenario.changed(changed))
-        return self._renderers[self.exposure_s]
 
     def dropped(self, solution: Solution, session: TrackingSession) -> dict[str, Any]:
         """Columns of a time without a frame that no rule is the cause of."""
@@ -135,8 +131,8 @@ class OperatedCamera:
         """
         scenario = self.scenario
         shape = (scenario.detector.height, scenario.detector.width)
-        pattern = self._renderers[scenario.detector.exposure_s].pattern
-        dark = np.broadcast_to(pattern.dark_e, shape)
+        pattern = self.renderer.detector.pattern
+        dark = np.broadcast_to(pattern.dark_e_s, shape) * self.renderer.exposure_s
         middle = float(np.median(dark))
         spread = 1.4826 * float(np.median(np.abs(dark - middle)))
         limit = scenario.sequence.operation.blemish_sigma * math.sqrt(

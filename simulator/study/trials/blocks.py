@@ -6,12 +6,13 @@ the machine, and the rows do not.
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import pyarrow as pa
+
+from startracker.kernels import clock
 
 FIRST_TRIALS = 10
 """Trials of a block while their cost is not known yet."""
@@ -45,15 +46,13 @@ def run_block(
     trial: Callable[[int], dict[str, Any]], block: range, stopped: Callable[[], bool] | None = None
 ) -> Result:
     """Rows of the trials of a block; only the first of them where `stopped` says so in the middle."""
-    started = time.perf_counter()
+    started = clock()
     rows: list[dict[str, Any]] = []
     for index in block:
         if stopped is not None and stopped():
             break
         rows.append(trial(index))
-    return Result(
-        range(block.start, block.start + len(rows)), pa.Table.from_pylist(rows), time.perf_counter() - started
-    )
+    return Result(range(block.start, block.start + len(rows)), pa.Table.from_pylist(rows), clock() - started)
 
 
 class Blocks:

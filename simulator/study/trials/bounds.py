@@ -8,25 +8,25 @@ each pixel about it.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from simulator.detector.excess_noise import excess_noise_factor, signal_gain
 from simulator.detector.fixed_pattern import FixedPattern, dark_current_factor
-from simulator.detector.readout import gain_e_per_dn, section_reset_noise_e
+from simulator.detector.parameters import DetectorParameters
+from simulator.detector.readout import detector_reset_noise_e, gain_e_per_dn
 from simulator.frame import FrameTruth
 from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
-from simulator.scenario.schema import DetectorSection
 from startracker.camera import Camera
-from startracker.image_map import ImageMap, to_pixels
+from startracker.estimation.pose import pixel_slopes as slopes_of_pixels
+from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,7 +37,16 @@ SAME_STAR_PX = 3.0
 
 _STEP_PX = 0.02
 _HALF_WIDTHS, _LEAST_HALF, _MOST_HALF = 4.0, 4, 16
-_TURN_RAD = 1e-5
+
+
+class Wells(NamedTuple):
+    """What fills the pixels: dark current (H, W), or (1, 1) for all alike, exposure, electrons a photo-electron of the
+    photocathode, and where charge overflows."""
+
+    dark_e_s: FloatArray | NDArray[np.float32]
+    exposure_s: float
+    gain: float
+    full_well_e: float
 
 
 def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -70,44 +79,37 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
     return np.asarray(_deviations_deg(information, pixel_slopes(renderer.focal_plane.true_camera, directions)))
 
 
-@njit(cache=True, error_model="numpy")
 def _deviations_deg(information: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Kernel: roots of the diagonal of [Σ Jᵀ F J]⁻¹ in degrees (3,); NaN where it has none."""
-    total, bound = np.zeros((3, 3)), np.full(3, np.nan)
-    for n in range(len(information)):
-        for a in range(2):
-            for b in range(2):
-                for i in range(3):
-                    for j in range(3):
-                        total[i, j] += slopes[n, a, i] * information[n, a, b] * slopes[n, b, j]
+    """Roots of the diagonal of [Σ Jᵀ F J]⁻¹ in degrees (3,); NaN where it has none."""
+    rows = slopes.reshape(-1, 3)
+    total = rows.T @ (information @ slopes).reshape(-1, 3)
     if np.isfinite(total).all():
         value, axis = np.linalg.eigh(total)
         if value[0] > 1e-12 * value[2]:
-            bound[:] = np.degrees(np.sqrt((axis**2 / value).sum(axis=1)))
-    return bound
+            return np.asarray(np.degrees(np.sqrt((axis**2 / value).sum(axis=1))))
+    return np.full(3, np.nan)
 
 
 def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
     out."""
     sources = truth.sources
-    return np.asarray(
-        _brightest_near(np.asarray(xy, dtype=float), sources.image_xy, sources.electrons, sources.is_star)
-    )
+    best = _brightest_near(np.asarray(xy, dtype=float), sources.image_xy, sources.electrons, sources.is_star)
+    return np.array(sorted({*best.tolist()} - {-1}), np.int64)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray, is_star: BoolArray) -> IntArray:
-    """Kernel: rows of the brightest stars within `SAME_STAR_PX` of each place (N, 2), ascending, each once."""
-    best = np.full(len(xy), -1)
+    """Kernel: rows (N,) of the brightest stars within `SAME_STAR_PX` of each place (N, 2), −1 where there is none."""
+    best = np.empty(len(xy), np.int64)
     for n in range(len(xy)):
-        most = 0.0
+        best[n], most = -1, 0.0
         for k in range(len(source_xy)):
             if is_star[k] and electrons[k] > most:
                 dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
                 if abs(dx) <= SAME_STAR_PX and math.hypot(dx, dy) <= SAME_STAR_PX:
                     most, best[n] = electrons[k], k
-    return np.unique(best[best >= 0])
+    return best
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -133,12 +135,13 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
 
 def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directions: FloatArray) -> FloatArray:
     """`star_information` of stars seen along unit vectors (N, 3) in the camera."""
-    plane, sources, detector = renderer.focal_plane, truth.sources, renderer.scenario.detector
+    plane, sources, detector = renderer.focal_plane, truth.sources, renderer.detector.parameters
     information = np.empty((len(stars), 2, 2))
     assert truth.mean_electrons is not None
-    dark_e, gain, noise = _dark_e(renderer.pattern), signal_gain(detector), _noise(detector)
+    wells = _wells(renderer.detector.pattern, detector, renderer.exposure_s)
+    noise = _noise(detector, renderer.exposure_s)
     paths, weights = star_paths(
-        plane.true_camera, directions, truth.rate_camera_rad_s, detector.exposure_s, plane.psfs.feature_px
+        plane.true_camera, directions, truth.rate_camera_rad_s, renderer.exposure_s, plane.psfs.feature_px
     )
     streak_px = _widest(paths)
     for members, psf in plane.psfs.groups(sources.b_v[stars], sources.xy[stars]):
@@ -147,13 +150,11 @@ def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directi
         chosen = stars[members]
         centres = np.rint(sources.xy[chosen])
         images, flux = image_slopes(psf, paths[members] - centres[:, None, :], weights, half), sources.electrons[chosen]
-        information[members] = _about_stars(
-            *images, flux, centres, truth.mean_electrons, dark_e, detector.full_well_e, gain, noise
-        )
+        information[members] = _about_stars(*images, flux, centres, truth.mean_electrons, wells, noise)
     return information
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _about_stars(
     share: FloatArray,
     slope_x: FloatArray,
@@ -161,16 +162,14 @@ def _about_stars(
     flux: FloatArray,
     centres: FloatArray,
     mean_e: FloatArray,
-    dark_e: FloatArray,
-    full_well_e: float,
-    gain: float,
+    wells: Wells,
     noise: tuple[float, float, float, float],
 ) -> FloatArray:
     """Kernel: Fisher matrices (N, 2, 2) from images of unit flux and their slopes (N, M, M) about middle pixels."""
     variance, out = share.copy(), np.empty((len(flux), 2, 2))
     for n in range(len(flux)):
         variance[n] *= flux[n]
-    _variances_about(variance, mean_e, dark_e, centres, full_well_e, gain, noise)
+    _variances_about(variance, mean_e, wells, centres, noise)
     _fisher(out, share, slope_x, slope_y, flux, variance)
     return out
 
@@ -185,7 +184,7 @@ def fisher_of_place(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fisher(
     out: FloatArray, share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> None:
@@ -230,7 +229,7 @@ def image_slopes(
     return here, (right - left) / (2.0 * _STEP_PX), (below - above) / (2.0 * _STEP_PX)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gaussian_slopes(
     images: FloatArray, paths: FloatArray, weights: FloatArray, radius: float, sigma_x: float, sigma_y: float
 ) -> None:
@@ -257,7 +256,7 @@ def _gaussian_slopes(
                     images[2, n, j, i] += down * column[0, i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None:
     """Share of a Gaussian in each of the pixels of a line, as far as `radius`."""
     out[:] = 0.0
@@ -265,7 +264,7 @@ def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None
     shares_of_pixels(out[first:], first, last, centre, scale)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _widest(paths: FloatArray) -> float:
     """Kernel: the longest side of the boxes around paths (N, K, 2), without those that have a NaN."""
     widest = 0.0
@@ -283,7 +282,7 @@ def _widest(paths: FloatArray) -> float:
 
 
 def pixel_variance_e2(
-    mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorSection
+    mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorParameters, exposure_s: float
 ) -> FloatArray:
     """Variance of pixels, photo-electrons²: shot noise of light and dark current, reset and read noise, the converter's
     rounding (g²/12), and what is fixed in the device but not told to the tracker: the response of a pixel (PRNU) times
@@ -298,10 +297,10 @@ def pixel_variance_e2(
         Dark electrons, the mean over exposures: of each pixel, where they are not alike.
     star_e : array
         Of `mean_e`, those of the star itself.
-    detector : DetectorSection
-        The detector.
+    detector, exposure_s : DetectorParameters, float
+        The detector and its exposure time.
     """
-    return np.asarray(_variance(mean_e, dark_e, star_e, *_noise(detector)))
+    return np.asarray(_variance(mean_e, dark_e, star_e, *_noise(detector, exposure_s)))
 
 
 @register_jitable
@@ -311,44 +310,45 @@ def _variance(
     return of_light * mean_e + of_dark * dark_e + electronics + (prnu * star_e) ** 2
 
 
-def _noise(detector: DetectorSection) -> tuple[float, float, float, float]:
+def _noise(detector: DetectorParameters, exposure_s: float) -> tuple[float, float, float, float]:
     """Variance an electron of light and of dark current, the variance that is alike in every pixel, and the PRNU."""
     gain, dn_e = signal_gain(detector), gain_e_per_dn(detector)
     of_light = excess_noise_factor(detector) if detector.shot_noise else 0.0
     of_dark = 1.0 / gain**2 if detector.shot_noise else 0.0
-    cathode_e = detector.intensifier.dark_e_s * detector.exposure_s if detector.intensifier.gain else 0.0
+    cathode_e = detector.intensifier.dark_e_s * exposure_s if detector.intensifier.gain else 0.0
     rounding = 0.0 if detector.adc_bits is None else dn_e**2 / 12.0
     video = (detector.video.noise_dn * dn_e) ** 2
-    electronics = (detector.read_noise_e**2 + section_reset_noise_e(detector) ** 2 + video + rounding) / gain**2
-    uneven = (detector.dsnu * mean_dark_e(detector) / gain) ** 2
+    electronics = (detector.read_noise_e**2 + detector_reset_noise_e(detector) ** 2 + video + rounding) / gain**2
+    uneven = (detector.dsnu * mean_dark_e(detector, exposure_s) / gain) ** 2
     return of_light, of_dark, of_light * cathode_e + electronics + uneven, detector.prnu
 
 
-def mean_dark_e(detector: DetectorSection) -> float:
+def mean_dark_e(detector: DetectorParameters, exposure_s: float) -> float:
     """Mean dark electrons of an ordinary pixel over the exposure."""
     factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
-    return detector.dark_current_e_s * detector.exposure_s * factor
+    return detector.dark_current_e_s * exposure_s * factor
 
 
-def _dark_e(pattern: FixedPattern) -> FloatArray | NDArray[np.float32]:
-    """Dark electrons of each pixel, or a single one for all."""
-    return pattern.dark_e if isinstance(pattern.dark_e, np.ndarray) else np.full((1, 1), pattern.dark_e, np.float32)
+def _wells(pattern: FixedPattern, detector: DetectorParameters, exposure_s: float) -> Wells:
+    """What fills the pixels of a device."""
+    dark_e_s = pattern.dark_e_s
+    if not isinstance(dark_e_s, np.ndarray):
+        dark_e_s = np.full((1, 1), dark_e_s, np.float32)
+    return Wells(dark_e_s, exposure_s, signal_gain(detector), detector.full_well_e)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _variances_about(
     stars_e: FloatArray,
     mean_e: FloatArray,
-    dark_e: FloatArray,
+    wells: Wells,
     centres: FloatArray,
-    full_well_e: float,
-    gain: float,
     noise: tuple[float, float, float, float],
 ) -> None:
     """Kernel: variances (N, M, M) of the pixels about stars in the place of their light; infinite off the image and
     where charge overflows. A single dark pixel stands for all."""
     height, width = mean_e.shape
-    uneven = dark_e.size > 1
+    uneven = wells.dark_e_s.size > 1
     half = stars_e.shape[1] // 2
     for n in range(len(centres)):
         top, left = int(centres[n, 1]) - half, int(centres[n, 0]) - half
@@ -357,8 +357,8 @@ def _variances_about(
                 row, column, star_e = top + j, left + i, stars_e[n, j, i]
                 stars_e[n, j, i] = np.inf
                 if 0 <= row < height and 0 <= column < width:
-                    dark = dark_e[row, column] if uneven else dark_e[0, 0]
-                    if gain * mean_e[row, column] + dark < full_well_e:
+                    dark = wells.exposure_s * (wells.dark_e_s[row, column] if uneven else wells.dark_e_s[0, 0])
+                    if wells.gain * mean_e[row, column] + dark < wells.full_well_e:
                         stars_e[n, j, i] = _variance(mean_e[row, column], dark, star_e, *noise)
 
 
@@ -366,29 +366,4 @@ def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
     """∂(x, y)/∂θ (N, 2, 3), pixels per radian: how stars seen along unit vectors (N, 3) in the camera move on the image
     when it turns by small rotation vectors θ, v → v − θ × v; central differences, which lens and distortion go through.
     """
-    return np.asarray(_slopes(vectors, camera.image_map))
-
-
-@njit(cache=True, error_model="numpy")
-def _slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
-    """Kernel of `pixel_slopes`."""
-    xy, out = to_pixels(_turned(vectors), image), np.empty((len(vectors), 2, 3))
-    for n in range(len(vectors)):
-        for k in range(3):
-            for axis in range(2):
-                out[n, axis, k] = (xy[6 * n + k, axis] - xy[6 * n + 3 + k, axis]) / (2.0 * _TURN_RAD)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _turned(vectors: FloatArray) -> FloatArray:
-    """Kernel: (6 N, 3) each vector after small turns of the camera about +x, +y, +z, −x, −y, −z."""
-    out = np.empty((6 * len(vectors), 3))
-    for n in range(len(vectors)):
-        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
-        for k in range(2):
-            a, i = _TURN_RAD * (1 - 2 * k), 6 * n + 3 * k
-            out[i, 0], out[i, 1], out[i, 2] = x, y + a * z, z - a * y
-            out[i + 1, 0], out[i + 1, 1], out[i + 1, 2] = x - a * z, y, z + a * x
-            out[i + 2, 0], out[i + 2, 1], out[i + 2, 2] = x + a * y, y - a * x, z
-    return out
+    return np.asarray(slopes_of_pixels(vectors, camera.image_map))

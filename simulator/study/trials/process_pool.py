@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
@@ -15,7 +14,9 @@ from multiprocessing import get_context
 from simulator.scenario import Scenario
 from simulator.study.results_folder import refuse_other_files, scenario_sha256
 from simulator.study.trials.blocks import MAX_ATTEMPTS, Blocks, Result, run_block
+from simulator.study.trials.stopping import no_interrupt_for_children
 from simulator.study.trials.trial import TrialRunner
+from simulator.study.trials.warm_up import warm_up
 from startracker.errors import BoresightError
 
 STOP_CHECK_S = 0.2
@@ -72,6 +73,7 @@ def run_in_pool(
         When the workers die with the same block again and again.
     """
     key = scenario_sha256(scenario)
+    warm_up(scenario)
     while blocks and not stop.is_set():
         pending: dict[Future[Result], range] = {}
         try:
@@ -79,7 +81,7 @@ def run_in_pool(
                 if stop.is_set():
                     blocks.drop()
                     pending = {future: block for future, block in pending.items() if not future.cancel()}
-                with _no_interrupt_for_children():
+                with no_interrupt_for_children():
                     while blocks and len(pending) < 2 * pool.workers:
                         block = blocks.take()
                         try:
@@ -126,16 +128,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-@contextlib.contextmanager
-def _no_interrupt_for_children() -> Iterator[None]:
-    """Processes started within ignore Ctrl-C from their first instruction on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from simulator.frame import Frame, FrameTruth
-from simulator.mission.frames import true_of_date
-from simulator.mission.orbit import Orbit
+from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
@@ -20,7 +16,7 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specificat
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.identification.verification import solve_symmetric
+from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 
@@ -77,91 +73,36 @@ def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude)
 def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
     """Number of matched stars with no true star of that number within `tolerance_px` of the centroid.
 
-    A merged double carries the number of its brighter star, whose true place is within the camera's resolution.
+    A merged double carries the number of its brighter star, whose true position is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
-    return int(_strangers(stars.xy, stars.catalog_id, sources.image_xy, sources.id, sources.is_star, tolerance_px))
+    star, source = np.nonzero((stars.catalog_id[:, None] == sources.id) & sources.is_star)
+    offset = sources.image_xy[source] - stars.xy[star]
+    known = star[np.hypot(offset[:, 0], offset[:, 1]) <= tolerance_px]
+    return len(stars.xy) - len(set(known.tolist()))
 
 
-@njit(cache=True, error_model="numpy")
-def _strangers(
-    xy: FloatArray,
-    number: IntArray,
-    source_xy: FloatArray,
-    source_number: IntArray,
-    is_star: NDArray[np.bool_],
-    tolerance_px: float,
-) -> int:
-    """Kernel of `misidentified`."""
-    wrong = 0
-    for n in range(len(xy)):
-        found = False
-        for k in range(len(source_xy)):
-            if is_star[k] and source_number[k] == number[n]:
-                dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
-                found = found or math.hypot(dx, dy) <= tolerance_px
-        wrong += not found
-    return wrong
-
-
-@njit(cache=True, error_model="numpy")
-def _in_field(
-    xy: FloatArray, v_mag: FloatArray, is_star: NDArray[np.bool_], width: int, height: int, limit: float
-) -> tuple[int, int]:
-    """Numbers of stars down to a magnitude, and of bodies, whose places (N, 2) are on the image."""
-    stars = bodies = 0
-    for n in range(len(xy)):
-        if -0.5 <= xy[n, 0] < width - 0.5 and -0.5 <= xy[n, 1] < height - 0.5:
-            if not is_star[n]:
-                bodies += 1
-            elif v_mag[n] <= limit:
-                stars += 1
-    return stars, bodies
+def _in_field(sources: TrueSources, width: int, height: int, limit: float) -> tuple[int, int]:
+    """Numbers of stars down to a magnitude, and of bodies, that are on the image."""
+    x, y = sources.xy.T
+    inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+    star = inside & sources.is_star
+    return int((star & (sources.v_mag <= limit)).sum()), int(inside.sum() - star.sum())
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
     """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
     where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
-    return math.nan if covariance_rad2 is None else float(_normalised(error_deg, covariance_rad2))
-
-
-@njit(cache=True, error_model="numpy")
-def _normalised(error_deg: FloatArray, covariance_rad2: FloatArray) -> float:
-    """Kernel of `normalised_error_squared`."""
-    error, total = np.radians(error_deg), 0.0
-    if not math.isfinite(error[0] + error[1] + error[2]):
+    if covariance_rad2 is None or not np.isfinite(error_deg).all():
         return math.nan
-    scaled = solve_symmetric(covariance_rad2, error)
-    for axis in range(3):
-        total += error[axis] * scaled[axis]
-    return total
+    error = np.radians(error_deg)
+    return float(error @ np.linalg.solve(covariance_rad2, error))
 
 
 def galactic_latitude_deg(attitude: Attitude) -> float:
     """Galactic latitude of the boresight, degrees."""
     x, y, z = (GALACTIC @ attitude.boresight).tolist()
     return math.degrees(math.atan2(z, math.hypot(x, y)))
-
-
-def argument_of_latitude_deg(orbit: Orbit, t_s: float) -> float:
-    """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360)."""
-    return float(_argument_of_latitude_deg(true_of_date(orbit.clock, t_s), *orbit.state(t_s)))
-
-
-@njit(cache=True, error_model="numpy")
-def _argument_of_latitude_deg(of_date: FloatArray, r_km: FloatArray, v_km_s: FloatArray) -> float:
-    """Kernel of `argument_of_latitude_deg`."""
-    state = np.zeros((2, 3))
-    for row in range(3):
-        for column in range(3):
-            state[0, row] += of_date[row, column] * r_km[column]
-            state[1, row] += of_date[row, column] * v_km_s[column]
-    (x, y, z), (vx, vy, vz) = state[0], state[1]
-    a, b, c = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx  # angular momentum
-    node_x, node_y = (-b, a) if a != 0.0 or b != 0.0 else (1.0, 0.0)  # no node: from the x axis
-    momentum = math.sqrt(a * a + b * b + c * c)
-    ahead = (-c * node_y * x + c * node_x * y + (a * node_y - b * node_x) * z) / momentum
-    return math.degrees(math.atan2(ahead, x * node_x + y * node_y)) % 360.0
 
 
 class TrialRunner:
@@ -176,11 +117,11 @@ class TrialRunner:
 
     def run(self, index: int) -> dict[str, Any]:
         """Row of trial `index`."""
-        started = time.perf_counter()
+        started = clock()
         frame, truth = self.renderer.frame(index)
-        rendered = time.perf_counter()
+        rendered = clock()
         solution = solve_frame(self.tracker, frame)
-        solved = time.perf_counter()
+        solved = clock()
         row = self._row(index, frame, truth, solution)
         row["render_ms"] = (rendered - started) * 1e3
         row["solve_ms"] = (solved - rendered) * 1e3
@@ -189,7 +130,7 @@ class TrialRunner:
         return row
 
     def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
-        scenario, sources = self.scenario, truth.sources
+        scenario, sources, instant = self.scenario, truth.sources, self.renderer.scenes.instant(index)
         row: dict[str, Any] = {
             "index": index,
             "t_s": truth.t_s,
@@ -205,7 +146,10 @@ class TrialRunner:
         row |= zip(_TRUE_QUATERNION, truth.attitude.quat.tolist(), strict=True)
         row |= {
             "galactic_latitude_deg": galactic_latitude_deg(truth.attitude),
-            "orbit_argument_deg": argument_of_latitude_deg(self.renderer.scenes.orbit, truth.t_s),
+            "orbit_argument_deg": instant.orbit_argument_deg,
+            "latitude_deg": instant.latitude_deg,
+            "longitude_deg": instant.longitude_deg,
+            "sunlit": instant.sunlit,
             "temperature_c": scenario.detector.temperature_c,
         }
         errors = dict.fromkeys(_ERRORS, math.nan)
@@ -232,7 +176,7 @@ class TrialRunner:
         row["wrong"] = is_wrong(strangers, row["nees"], error_deg, bound_deg)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
-        stars, bodies = _in_field(sources.xy, sources.v_mag, sources.is_star, camera.width, camera.height, limit)
+        stars, bodies = _in_field(sources, camera.width, camera.height, limit)
         residuals = fitted.residual_px.ravel()
         row |= {
             "stars_in_field": stars,

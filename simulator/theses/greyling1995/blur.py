@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 from simulator.optics import airy
 from simulator.optics.psf import SIGMA_PER_RING
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.greyling1995.digits import compare_cut
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.centroid.bias import moment_bias
 
 if TYPE_CHECKING:
@@ -120,79 +120,49 @@ def section(
         "fig_4_3_difference": _difference_figure,
         "fig_4_4_pixel_spread": _spread_figure,
     }
-    return Section(
-        "Chapter 4.1: the stellar image", [*_airy_rows(f_number, wavelength_um), *_fit_rows(ring_px)], figures
-    )
+    rows = table_rows("greyling1995/blur", _airy_values(f_number, wavelength_um) | _fit_values(ring_px))
+    return Section("Chapter 4.1: the stellar image", rows, figures)
 
 
-def _airy_rows(f_number: float, wavelength_um: float) -> list[Row]:
-    disk_um = 2.0 * airy.first_ring() * f_number * wavelength_um
-    return [
-        compare_cut(
-            "eq. 4.2", "diameter of the Airy disk, f/1.4, 555 nm", "1.89", disk_um, unit="µm",
-            why="2 × 1.2197 λN; the text calls 1.22 λN, the radius, by the same name",
-        ),
-        compare(
-            "§ 4.1", "light within the Airy disk", "84",
-            100.0 * float(airy.encircled_energy(FIRST_DARK_RING / np.pi)), unit="%", form=".2f",
-            why="1 − J₀² − J₁²",
-        ),
-        compare(
-            "§ 4.1", "light within the second dark ring", "91",
-            100.0 * float(airy.encircled_energy(SECOND_DARK_RING / np.pi)), unit="%", form=".2f",
-        ),
-    ]  # fmt: skip
+def _airy_values(f_number: float, wavelength_um: float) -> Values:
+    return {
+        "disk_um": 2.0 * airy.first_ring() * f_number * wavelength_um,
+        "within_first_percent": 100.0 * float(airy.encircled_energy(FIRST_DARK_RING / np.pi)),
+        "within_second_percent": 100.0 * float(airy.encircled_energy(SECOND_DARK_RING / np.pi)),
+    }
 
 
-def _fit_rows(ring_px: float) -> list[Row]:
+def _fit_values(ring_px: float) -> Values:
     found = {name: best_sigma(criterion) for name, criterion in CRITERIA.items()}
     minimax = found["range of the error (max − min)"]
-    excess = [np.ptp(gaussian(X_FIT, s) - airy_pattern(X_FIT)) for s in (THESIS_FIT_SIGMA, minimax)]
-    ring = best_sigma(CRITERIA["range of the error (max − min)"], X_FIT[X_FIT < FIRST_DARK_RING])
-    error = gaussian(X_FIT, THESIS_FIT_SIGMA) - airy_pattern(X_FIT)
-    shares = {s: spread(s)[1:4, 1:4].sum() / spread(s).sum() for s in (THESIS_SIGMA, THESIS_FIT_SIGMA)}
-    above = int((spread(THESIS_FIT_SIGMA) > 0.3).sum())
-    return [
-        compare(
-            "Fig. 4.2", "σ of least error between Gaussian and Airy", "1.3497", minimax, form=".5f",
-            why="ag.m: least range max(e) − min(e) at x = 0.1, 0.2 … 5, σ from 1.3497 to 1.3499; at 1.3497 the range "
-            f"is larger by {excess[0] / excess[1] - 1:.1e} of itself. Other criteria: largest error "
-            f"{found['largest absolute error']:.4f}, rms {found['rms error']:.4f}, range within the first dark ring "
-            f"{ring:.4f}",
-        ),
-        compare_cut("§ 4.3.3", "the same σ, where it is used", "1.349", minimax),
-        compare(
-            "§ 4.3.3", "σ whose centroid bias is the Airy pattern's", "1.23", sigma_of_bias(), form=".4f",
-            why="least squares over the offsets of Table 4.1, 5 × 5 point samples, first dark ring at 3.83 px: the "
-            "argument of the Bessel function taken for pixels",
-        ),
-        Row(
-            "§ 4.1", f"σ for the first dark ring at {ring_px:g} pixels, as the text has it", "1.3497 px",
-            f"{SIGMA_PER_RING * ring_px:.4f} px", "differs",
-            f"σ = 0.3523 r_ring; 1.3497 px belongs to a ring {THESIS_FIT_SIGMA / SIGMA_PER_RING:.2f} px out",
-        ),
-        Row(
-            "Fig. 4.3", "largest relative error in the central region", "< 0.0008", f"{np.abs(error).max():.4f}",
-            "differs", "relative to the peak; ag.m draws the difference itself, at σ = 1.3499",
-        ),
-        Row(
-            "Fig. 4.4", "share of the central 3 × 3 in the 5 × 5 pixels", "≈ 80 %",
-            f"{100 * shares[THESIS_SIGMA]:.1f} % (σ 1.23), {100 * shares[THESIS_FIT_SIGMA]:.1f} % (σ 1.3497)",
-            "differs", f"80 % needs σ = {_sigma_of_share(0.8):.2f} px",
-        ),
-        Row(
-            "Fig. 4.4", "pixels above 30 % of the centre", "spread over 5 × 5 (25 pixels)",
-            f"{above} pixels, reaching 2 px out along rows and columns (σ 1.3497)", "close",
-            f"{spread(THESIS_FIT_SIGMA)[2, 4]:.3f} of the centre 2 px out; the corners have "
-            f"{spread(THESIS_FIT_SIGMA)[0, 0]:.3f}",
-        ),
-    ]  # fmt: skip
+    truth, light = airy_pattern(X_FIT), spread(THESIS_FIT_SIGMA)
+    excess = [np.ptp(gaussian(X_FIT, s) - truth) for s in (THESIS_FIT_SIGMA, minimax)]
+    return {
+        "minimax": minimax,
+        "range_excess": excess[0] / excess[1] - 1,
+        "sigmas": found,
+        "ring": best_sigma(CRITERIA["range of the error (max − min)"], X_FIT[X_FIT < FIRST_DARK_RING]),
+        "bias_sigma": sigma_of_bias(),
+        "ring_px": ring_px,
+        "ring_sigma_px": SIGMA_PER_RING * ring_px,
+        "fitted_ring_px": THESIS_FIT_SIGMA / SIGMA_PER_RING,
+        "largest_error": np.abs(gaussian(X_FIT, THESIS_FIT_SIGMA) - truth).max(),
+        "share_123": 100.0 * _central_share(THESIS_SIGMA),
+        "share_135": 100.0 * _central_share(THESIS_FIT_SIGMA),
+        "sigma_of_80": _sigma_of_share(0.8),
+        "above": int((light > 0.3).sum()),
+        "light": light,
+    }
+
+
+def _central_share(sigma_px: float) -> float:
+    """Share of the central 3 × 3 in the 5 × 5 pixels."""
+    light = spread(sigma_px)
+    return float(light[1:4, 1:4].sum() / light.sum())
 
 
 def _sigma_of_share(share: float) -> float:
-    found = minimize_scalar(
-        lambda s: (spread(s)[1:4, 1:4].sum() / spread(s).sum() - share) ** 2, bounds=(0.5, 2.0), method="bounded"
-    )
+    found = minimize_scalar(lambda s: (_central_share(s) - share) ** 2, bounds=(0.5, 2.0), method="bounded")
     return float(found.x)
 
 
@@ -205,17 +175,14 @@ def _airy_figure() -> Figure:
     for k, ring in enumerate((FIRST_DARK_RING, SECOND_DARK_RING)):
         left.axvline(ring, color=SOFT, ymax=0.76, linestyle=":", label="dark rings, 3.83 and 7.02" if k == 0 else None)
         left.axvline(-ring, color=SOFT, ymax=0.76, linestyle=":")
-    left.set_ylim(0.0, 1.35)
-    left.set_xlabel("ka sin θ")
-    left.set_ylabel("I(θ) / I(0)")
+    left.set(ylim=(0.0, 1.35), xlabel="ka sin θ", ylabel="I(θ) / I(0)")
     left.legend(loc="upper right")
     u, v = np.meshgrid(x[::4], x[::4])
     picture = right.imshow(
         np.log10(np.maximum(airy_pattern(np.hypot(u, v)), 1e-4)), extent=(-12, 12, -12, 12), cmap="Greys_r"
     )
     right.grid(visible=False)
-    right.set_xlabel("ka sin θ along x")
-    right.set_ylabel("ka sin θ along y")
+    right.set(xlabel="ka sin θ along x", ylabel="ka sin θ along y")
     figure.colorbar(picture, ax=right, label="log₁₀ I(θ) / I(0)")
     figure.suptitle("Fig. 4.1  The Airy function", fontsize=10)
     return figure
@@ -231,19 +198,23 @@ def _both_figure(f_number: float, wavelength_um: float, ring_px: float, pitch_um
         r_um, airy_pattern(r_um / wide * FIRST_DARK_RING), color=VERMILION, linestyle="--",
         label=f"defocused, ring {wide:g} µm",
     )  # fmt: skip
-    left.set_xlabel("distance from the centre [µm]")
-    left.set_ylabel("intensity / that of the centre")
-    left.set_title("(a) focused and defocused Airy pattern")
-    left.set_ylim(0.0, 1.35)
+    left.set(
+        xlabel="distance from the centre [µm]",
+        ylabel="intensity / that of the centre",
+        title="(a) focused and defocused Airy pattern",
+        ylim=(0.0, 1.35),
+    )
     left.legend(loc="upper right")
     x = np.linspace(-5.0, 5.0, 401)
     right.plot(x, airy_pattern(x), color=BLUE, label="Airy")
     right.plot(x, gaussian(x, THESIS_FIT_SIGMA), color=VERMILION, linestyle="--", label="Gaussian, σ = 1.3497")
     right.plot(x, gaussian(x, THESIS_SIGMA), color=GREEN, linestyle="-.", label="Gaussian, σ = 1.23")
-    right.set_xlabel("x")
-    right.set_ylabel("intensity / that of the centre")
-    right.set_title("(b) Airy and Gaussian distributions")
-    right.set_ylim(0.0, 1.35)
+    right.set(
+        xlabel="x",
+        ylabel="intensity / that of the centre",
+        title="(b) Airy and Gaussian distributions",
+        ylim=(0.0, 1.35),
+    )
     right.legend(loc="upper right")
     figure.suptitle("Fig. 4.2  The Airy and Gaussian functions", fontsize=10)
     return figure
@@ -257,9 +228,11 @@ def _difference_figure() -> Figure:
     axes.axhline(0.0, color=INK, linewidth=0.6)
     axes.axvline(FIRST_DARK_RING, color=SOFT, linestyle=":", label="first dark ring")
     axes.fill_between(x, -0.0008, 0.0008, color=ORANGE, alpha=0.5, linewidth=0, label="± 0.0008")
-    axes.set_xlabel("x")
-    axes.set_ylabel("(Gaussian − Airy) / peak")
-    axes.set_title("Fig. 4.3  Relative error between Airy and Gaussian functions")
+    axes.set(
+        xlabel="x",
+        ylabel="(Gaussian − Airy) / peak",
+        title="Fig. 4.3  Relative error between Airy and Gaussian functions",
+    )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=4)
     return figure
 
@@ -273,10 +246,8 @@ def _spread_figure() -> Figure:
             for column in range(5):
                 axes.text(column - 2, 2 - row, f"{image[row, column]:.0f}", ha="center", va="center", color=INK)
         axes.plot([-1.5, 1.5, 1.5, -1.5, -1.5], [-1.5, -1.5, 1.5, 1.5, -1.5], color=VERMILION, linewidth=1.2)
-        share = image[1:4, 1:4].sum() / image.sum()
-        axes.set_title(f"σ = {sigma:g} px: {100 * share:.0f} % in the 3 × 3")
+        axes.set_title(f"σ = {sigma:g} px: {100 * _central_share(sigma):.0f} % in the 3 × 3")
         axes.grid(visible=False)
-        axes.set_xlabel("x [pixels]")
-        axes.set_ylabel("y [pixels]")
+        axes.set(xlabel="x [pixels]", ylabel="y [pixels]")
     figure.suptitle("Fig. 4.4  Gaussian pixel intensity spread, per cent of the centre", fontsize=10)
     return figure

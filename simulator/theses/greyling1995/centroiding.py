@@ -22,7 +22,6 @@ from simulator.theses.greyling1995.centre import (
     smeared_frames,
 )
 from simulator.theses.greyling1995.centre import smear_errors as smear_errors_of_pixel
-from simulator.theses.greyling1995.digits import compare_cut
 from simulator.theses.greyling1995.star_images import (
     distortion_errors,
     smear_errors,
@@ -30,7 +29,8 @@ from simulator.theses.greyling1995.star_images import (
     star_stamps,
     tracker_errors,
 )
-from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.centroid.bias import moment_bias
 
 if TYPE_CHECKING:
@@ -83,71 +83,53 @@ def section(seeds: int = 200) -> Section:
         "fig_4_12_smear": _smear_figure,
         "fig_4_13_distortion": _distortion_figure,
     }
-    rows = [*_bias_rows(), *_noise_rows(seeds), *_smear_and_distortion_rows(), *_angle_rows()]
+    values = _bias_values() | _noise_values(seeds) | _smear_and_distortion_values() | _angle_values()
+    rows = table_rows("greyling1995/centroiding", values)
     return Section("Chapter 4.3: centroids", rows, figures)
 
 
-def _bias_rows() -> list[Row]:
+def _bias_values() -> Values:
     bias = moment_bias(OFFSETS, THESIS_SIGMA, 5, integrated=False)
-    real = moment_bias(OFFSETS, THESIS_SIGMA, 5)
-    rows = [
-        compare_cut(
-            "Table 4.1", f"bias at an offset of {offset:.2f}", printed, float(value), unit="L",
-            why="" if offset else "Gaussian of σ = 1.23 sampled at the pixels' centres, first moment over 5 × 5",
-        )
-        for offset, printed, value in zip(OFFSETS, TABLE_4_1, bias, strict=True)
-    ]  # fmt: skip
-    rows.append(
-        compare(
-            "§ 4.3.3", "absolute error at dx = 0.5 L", "0.109", float(bias[-1]), unit="L",
-            why=f"integrated over the pixels, as a detector does, it is {real[-1]:.4f} L",
-        )
-    )  # fmt: skip
-    return [*rows, *_equal_peak_rows(float(bias[-1]))]
+    sampled = "Gaussian of σ = 1.23 sampled at the pixels' centres, first moment over 5 × 5"
+    return {
+        "bias": [
+            {"offset": offset, "listed": listed, "own": own, "how": "" if offset else sampled}
+            for offset, listed, own in zip(OFFSETS, TABLE_4_1, bias, strict=True)
+        ],
+        "half_bias": bias[-1],
+        "integrated_bias": moment_bias(OFFSETS, THESIS_SIGMA, 5)[-1],
+        "twice_bias": 2.0 * bias[-1],
+        "step": 1.0 - 2.0 * bias[-1],
+        "shifts": _equal_peak_shifts(),
+    }
 
 
-def _equal_peak_rows(bias: float) -> list[Row]:
-    """What the choice between two equal central pixels costs."""
+def _equal_peak_shifts() -> list[float]:
+    """How far a star between two pixels of equal height moves when one is lowered by 1 or by 3 of 255 levels."""
     still = smeared_frames((np.zeros((1, 2)), np.ones(1)), np.array([0.5]), THESIS_SIGMA)
     frame = np.rint(255.0 * still / still.max())
-    shifts = [
-        float((first_moments(lowered, *central_pixels(lowered)) - first_moments(frame, *central_pixels(frame)))[0])
-        for lowered in (lower_equal_peaks(frame[0], levels)[None] for levels in (1, 3))
-    ]
-    return [
-        Row(
-            "Fig. 4.11", "error of the wrong one of two equal central pixels", "0.035 L", f"{2.0 * bias:.3f} L",
-            "differs",
-            "twice the bias where the table's value for the other pixel is taken off; 0 where its sign goes "
-            "with the measured moment, or where the window moves, as with us. centre.m measures from the chosen pixel "
-            f"and leaves the step of a whole pixel in: {1.0 - 2.0 * bias:.2f} L",
-        ),
-        Row(
-            "§ 4.3.1", "two equal highest pixels, one lowered by 1 to 3 of 255 levels: shift of the centroid", NOTHING,
-            f"{abs(shifts[0]):.4f} to {abs(shifts[1]):.4f} L", "not printed",
-            "the perturbation that settles which pixel is the central one; a star between two pixels, at full scale",
-        ),
-    ]  # fmt: skip
+    lowered = [lower_equal_peaks(frame[0], levels)[None] for levels in (1, 3)]
+    moments = [first_moments(frames, *central_pixels(frames))[0] for frames in (frame, *lowered)]
+    return [abs(float(moment - moments[0])) for moment in moments[1:]]
 
 
-def _noise_rows(seeds: int) -> list[Row]:
+def _noise_values(seeds: int) -> Values:
     rows = []
     for snr_db, printed in ((40.0, "0.0063"), (20.0, "0.088")):
         errors, wrong = noise_errors(snr_db)
-        own = float(np.abs(errors[~wrong]).max())
-        low, middle, high = _largest_quantiles(snr_db, seeds)
-        listing = "centre.m" if snr_db == 40.0 else "centre.m with ten times its factor"
         rows.append(
-            compare(
-                "Fig. 4.10", f"largest error at {snr_db:g} dB, seed {LISTING_SEED}", printed, own, unit="L",
-    why=f"{listing}: n = {10.0 ** (1.0 - snr_db / 20.0):g} (rand − 0.05) on I₀ = 10, σ = {LISTING_SIGMA}, "
-                "offsets in steps of 0.01, noise-free error taken off, right central pixel "
-                f"({np.count_nonzero(wrong)} of {wrong.size} have the wrong one); {seeds} seeds: "
-                f"median {middle:.4f}, 95 % {low:.4f} to {high:.4f}. "
-                "Which run the figure shows is not said",
-            )
-        )  # fmt: skip
-    return rows
+            {
+                "snr_db": snr_db,
+                "largest": printed,
+                "own": np.abs(errors[~wrong]).max(),
+                "script": "centre.m" if snr_db == 40.0 else "centre.m with ten times its factor",
+                "factor": 10.0 ** (1.0 - snr_db / 20.0),
+                "wrong": np.count_nonzero(wrong),
+                "offsets": wrong.size,
+                "quantiles": _largest_quantiles(snr_db, seeds),
+            }
+        )
+    return {"noise": rows, "seed": LISTING_SEED, "seeds": seeds, "sigma": LISTING_SIGMA}
 
 
 def _largest_quantiles(snr_db: float, seeds: int) -> FloatArray:
@@ -156,43 +138,21 @@ def _largest_quantiles(snr_db: float, seeds: int) -> FloatArray:
     return np.asarray(np.quantile(np.where(wrong, 0.0, np.abs(errors)).max(axis=1), [0.025, 0.5, 0.975]))
 
 
-def _smear_and_distortion_rows() -> list[Row]:
-    tilted = distortion_errors(0.8)[-1]
-    half = float(np.abs(distortion_errors(0.5)).max())
-    smear = max(float(np.abs(smear_errors(4.0, angle)).max()) for angle in np.arange(0.0, 181.0, 7.5))
-    spike = float(np.abs(smear_errors_of_pixel(smear_path(4.0, 45.0), other_of_equal=True)).max())
-    bias = float(moment_bias(0.5, THESIS_SIGMA, 5, integrated=False))
+def _smear_and_distortion_values() -> Values:
     noisy, wrong = noise_errors(20.0, np.arange(1, 201))
     noise = np.where(wrong, 0.0, np.abs(noisy)).max(axis=1)
-    limit, where = "≤ 0.1 L", "§ 4.3.3"
-    ours = float(np.abs(tracker_errors(THESIS_SIGMA / 0.5, THESIS_SIGMA)).max())
-    return [
-        Row(
-            "Fig. 4.13", "error at a distortion of 0.8", "nearly 0.09 L", f"{tilted:.4f} L", "exact",
-            "eq. 4.12, σ_x = σ_y / d_r: at an offset of 0.5, the bias of a round star taken off. centre.m has σ₁σ₂ "
-            f"under x and y alike, a round star, which gives {_listing_distortion(0.8):.3f} L at 0.8",
-        ),
-        Row(
-            where, "first moment without any correction", limit, f"{bias:.4f} L", "differs",
-            "the bias alone exceeds it near 0.5 L (Table 4.1)",
-        ),
-        Row(
-            where, "SNR of 20 dB, bias taken off", limit, f"{noise.max():.3f} L, the largest of 200 seeds",
-            "exact" if noise.max() <= CENTROID_ACCURACY else "differs",
-            f"noise by centre.m, right central pixel; median {np.median(noise):.3f} L",
-        ),
-        Row(where, "smear of 4 pixels/s over 0.5 s in any direction, bias taken off", limit, f"{smear:.4f} L", "exact"),
-        Row(
-            "Fig. 4.12", "spike where the wrong one of two equal pixels is the centre, 4 pixels/s", NOTHING,
-            f"{spike:.3f} L", "not printed",
-            "the figure shows spikes without a number; a smeared star at half a pixel has two equal highest pixels in "
-            "every direction, and rounding decides",
-        ),
-        Row(
-            where, "distortion of 50 %, bias taken off", limit, f"{half:.3f} L", "differs",
-            f"its own Fig. 4.13 has nearly 0.09 L at 20 %; our tracker, which measures the widths: {ours:.1e} L",
-        ),
-    ]  # fmt: skip
+    return {
+        "tilted": distortion_errors(0.8)[-1],
+        "listing": _listing_distortion(0.8),
+        "own_bias": float(moment_bias(0.5, THESIS_SIGMA, 5, integrated=False)),
+        "noise_largest": noise.max(),
+        "noise_small": noise.max() <= CENTROID_ACCURACY,
+        "noise_median": np.median(noise),
+        "smear": max(float(np.abs(smear_errors(4.0, angle)).max()) for angle in np.arange(0.0, 181.0, 7.5)),
+        "spike": np.abs(smear_errors_of_pixel(smear_path(4.0, 45.0), other_of_equal=True)).max(),
+        "half": np.abs(distortion_errors(0.5)).max(),
+        "ours": np.abs(tracker_errors(THESIS_SIGMA / 0.5, THESIS_SIGMA)).max(),
+    }
 
 
 def _listing_distortion(ratio: float) -> float:
@@ -203,30 +163,21 @@ def _listing_distortion(ratio: float) -> float:
     return float(np.abs(distorted - round_star).max())
 
 
-def _angle_rows() -> list[Row]:
+def _angle_values() -> Values:
     pixel_deg = FIELD_DEG / 192
-    rows = [
-        compare("§ 4.3.3", "detector length of the TC211 at a field of 10°", "0.0521", pixel_deg, unit="°"),
-        Row(
-            "§ 4.3", "specification of roll and yaw", "1.5 mrad", f"{1e3 * np.radians(0.025):.2f} mrad", "differs",
-            "0.025°, which is 1.5 arc minutes (Table 3.1)",
-        ),
-        Row(
-            "§ 4.3.3", "accuracy that the specification of 0.025° needs there", "L/2", f"{0.025 / pixel_deg:.2f} L",
-            "exact",
-        ),
-    ]  # fmt: skip
+    detectors = []
     for name, (size, seconds, degrees) in TABLE_4_2.items():
         accuracy_deg = CENTROID_ACCURACY * FIELD_DEG / min(size)
-        rows.append(
-            compare(
-                "Table 4.2", f"accuracy with the {name}, {size[0]} × {size[1]}", seconds, 3600.0 * accuracy_deg,
-                unit="″", why="0.1 L along the side with fewer pixels",
-            )
-        )  # fmt: skip
         why = "misprint: ten times its own figure in seconds" if name == "TH 7882" else ""
-        rows.append(compare("Table 4.2", f"the same, {name}", degrees, accuracy_deg, unit="°", why=why))
-    return rows
+        printed = {"name": name, "size": size, "seconds": seconds, "degrees": degrees, "misprint": why}
+        detectors.append(printed | {"accuracy_arcsec": 3600.0 * accuracy_deg, "accuracy_deg": accuracy_deg})
+    specified_deg = 0.025
+    return {
+        "pixel_deg": pixel_deg,
+        "specified_mrad": 1e3 * np.radians(specified_deg),
+        "specified_px": specified_deg / pixel_deg,
+        "detectors": detectors,
+    }
 
 
 def _offsets_figure() -> Figure:
@@ -264,9 +215,9 @@ def _bias_figure() -> Figure:
     axes.plot(
         fine, moment_bias(fine, THESIS_SIGMA, 5), color=ORANGE, linestyle=":", label="σ = 1.23, integrated over pixels"
     )
-    axes.set_xlabel("offset from the central pixel [L]")
-    axes.set_ylabel("bias error [L]")
-    axes.set_title("Fig. 4.9  Algorithm bias error")
+    axes.set(
+        xlabel="offset from the central pixel [L]", ylabel="bias error [L]", title="Fig. 4.9  Algorithm bias error"
+    )
     axes.legend(loc="upper left")
     return figure
 
@@ -281,9 +232,9 @@ def _noise_figure(seeds: int) -> Figure:
         axes.plot(LISTING_OFFSETS, shown[LISTING_SEED - 1], color=BLUE, linewidth=1.2, label=f"seed {LISTING_SEED}")
         axes.plot([], [], color=SOFT, linewidth=0.8, label=f"{seeds - 1} others")
         axes.axhline(0.0, color=INK, linewidth=0.6)
-        axes.set_title(f"({letter}) SNR = {snr_db:g} dB")
-        axes.set_xlabel("offset from the central pixel [L]")
-        axes.set_ylabel("error [L]")
+        axes.set(
+            title=f"({letter}) SNR = {snr_db:g} dB", xlabel="offset from the central pixel [L]", ylabel="error [L]"
+        )
         reach = 1.5 * float(np.nanmax(np.abs(shown)))
         axes.set_ylim(-reach, reach)
         axes.legend(loc="upper left", ncols=2)
@@ -320,12 +271,14 @@ def _largest_figure(seeds: int) -> Figure:
         label="our tracker, which does not know the offset",
     )
     axes.plot([40.0, 20.0], [0.0063, 0.088], "k*", markersize=11, label="printed")
-    axes.set_yscale("log")
-    axes.set_xlim(41.0, 19.0)
-    axes.set_xlabel("signal-to-noise ratio [dB]")
-    axes.set_ylim(4e-3, 3.0)
-    axes.set_ylabel("largest error [L]")
-    axes.set_title("Fig. 4.11  Maximum noise error after bias correction")
+    axes.set(
+        yscale="log",
+        xlim=(41.0, 19.0),
+        xlabel="signal-to-noise ratio [dB]",
+        ylim=(4e-3, 3.0),
+        ylabel="largest error [L]",
+        title="Fig. 4.11  Maximum noise error after bias correction",
+    )
     axes.legend(loc="upper left")
     return figure
 
@@ -347,12 +300,9 @@ def _smear_figure() -> Figure:
     left.set_title("right central pixel")
     middle.set_title("brightest pixel: spikes where two are equal")
     right.set_title("our tracker, least_squares")
-    left.set_ylabel("largest error along x [L]")
-    left.set_yscale("log")
-    left.set_ylim(1e-5, 100.0)
+    left.set(ylabel="largest error along x [L]", yscale="log", ylim=(1e-5, 100.0))
     for axes in (left, middle, right):
-        axes.set_xlabel("direction of the smear [°]")
-        axes.set_xticks(np.arange(0, 181, 45))
+        axes.set(xlabel="direction of the smear [°]", xticks=np.arange(0, 181, 45))
         axes.axhline(CENTROID_ACCURACY, color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
         axes.legend(loc="upper center", ncols=2)
     figure.suptitle("Fig. 4.12  Maximum error against smear direction, 0.5 s (dotted: 0.1 L)", fontsize=10)
@@ -387,8 +337,10 @@ def _distortion_figure() -> Figure:
     )
     axes.plot(0.8, 0.09, "k*", markersize=11, label="printed: nearly 0.09 at 0.8")
     axes.axhline(CENTROID_ACCURACY, color=SOFT, linewidth=0.8, linestyle="--")
-    axes.set_xlabel("distortion d_r = dy / dx")
-    axes.set_ylabel("largest error [L]")
-    axes.set_title("Fig. 4.13  Maximum error against distortion")
+    axes.set(
+        xlabel="distortion d_r = dy / dx",
+        ylabel="largest error [L]",
+        title="Fig. 4.13  Maximum error against distortion",
+    )
     axes.legend(loc="upper right")
     return figure

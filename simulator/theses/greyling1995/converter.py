@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from simulator.build import detector_parameters
 from simulator.detector.chain import detect
-from simulator.detector.comparators import compare_levels, geometric_levels
 from simulator.detector.fixed_pattern import build_fixed_pattern
 from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from simulator.scenario.schema import PsfSection
+from simulator.theses.greyling1995.comparators import compare_levels, geometric_levels
 from simulator.theses.greyling1995.holes import camera
 from startracker import centroid, detection
 from startracker.front_end import Clock, find_stars
@@ -78,17 +79,24 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
         Places tried, at random within a pixel.
     """
     scenario = camera()
-    update = {"width": _SIDE_PX, "height": _SIDE_PX, "adc_bits": None if geometric else bits, "offset_dn": 0.0}
-    detector = scenario.detector.model_copy(update=update)
+    detector = replace(
+        detector_parameters(scenario.detector),
+        width=_SIDE_PX,
+        height=_SIDE_PX,
+        adc_bits=None if geometric else bits,
+        offset_dn=0.0,
+    )
     pattern = build_fixed_pattern(detector, scenario.seed)
-    psf = build_psf(PsfSection(sigma_px=SIGMA_PX), 1.0, (1.0, 1.0))
+    psf = build_psf(PsfModel(sigma_px=SIGMA_PX), 1.0, (1.0, 1.0))
     total_e = peak * detector.full_well_e / float(erf(0.5 / (SIGMA_PX * math.sqrt(2.0))) ** 2)
     levels = geometric_levels(_LEVELS[0] * detector.full_well_e, _LEVELS[1] * detector.full_well_e)
     places = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (stars, 2))
     errors = []
     for k, xy in enumerate(places):
         mean_e = render_stars((_SIDE_PX, _SIDE_PX), xy[None], np.ones(1), np.array([total_e]), psf)
-        readout = detect(mean_e, detector, pattern, partial(stream, scenario.seed, trial=k))
+        readout = detect(
+            mean_e, detector, pattern, partial(stream, scenario.seed, trial=k), exposure_s=scenario.detector.exposure_s
+        )
         image = compare_levels(readout.image, levels) if geometric else readout.image
         found = find_stars(
             image,

@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.build import build_camera
 from simulator.checks import load_scenario
-from simulator.focal_plane import camera_of
 from simulator.study.coverage.boresights import along_path
 from simulator.study.coverage.field_counts import outline
 from simulator.study.coverage.survey import count_stars
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
 from simulator.theses.greyling1995.path import DECLINATION_DEG
-from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -104,116 +105,76 @@ def section() -> Section:
         figures[f"fig_3_{number}a_V{limit:g}_1deg"] = functools.partial(density_figure, limit, 1.0)
         figures[f"fig_3_{number}b_V{limit:g}_5deg"] = functools.partial(density_figure, limit, 5.0)
     figures["fig_3_8_minimum"] = minimum_figure
-    rows = [*_catalogue_rows(), *_sparse_rows(), *_window_rows(), _camera_row()]
+    values = _catalogue_values() | _sparse_values() | _window_values() | _camera_values()
+    rows = table_rows("greyling1995/density", values)
     return Section("Chapter 3.3: stellar density along the path", rows, figures)
 
 
-def _catalogue_rows() -> list[Row]:
+def _catalogue_values() -> Values:
     """Table 3.3 against the two catalogues that ship."""
-    _, _, bright = _bright_stars()
-    hipparcos = np.asarray(load_catalog("hipparcos").v_mag)
-    rows = []
-    for limit, printed in WERTZ_COUNTS.items():
-        own, deep = int(np.sum(bright <= limit)), int(np.sum(hipparcos <= limit))
-        why = f"printed are Wertz's counts, not this catalogue's; Hipparcos has {deep:,}"
-        if limit > 6.5:
-            why += "; the Bright Star Catalogue ends at V ≈ 6.5"
-        rows.append(
-            compare("Table 3.3", f"stars of the sky, V ≤ {limit:g}", f"{printed:,}", float(own), close=0.10, why=why)
-        )
-    return rows
+    bright, hipparcos = _bright_stars()[2], np.asarray(load_catalog("hipparcos").v_mag)
+    ends = "; the Bright Star Catalogue ends at V ≈ 6.5"
+    return {
+        "wertz": [
+            {
+                "limit": limit,
+                "stars": printed,
+                "own": int(np.sum(bright <= limit)),
+                "deep": int(np.sum(hipparcos <= limit)),
+                "ends": ends if limit > 6.5 else "",
+            }
+            for limit, printed in WERTZ_COUNTS.items()
+        ]
+    }
 
 
-def _sparse_rows() -> list[Row]:
-    """Whether the sections that the thesis calls sparse are: stars a window of 10°, down to V = 6."""
+def _sparse_values() -> Values:
+    """Whether the sections that section 3.3.2 calls sparse are: stars a window of 10°, down to V = 6."""
     ra, counts = window_counts(6.0)
     sparse = np.zeros(len(ra), dtype=bool)
     for low, high in SPARSE_RA_DEG:
         sparse |= (ra >= low) & (ra <= high) if low < high else (ra >= low) | (ra <= high)
     inside, outside = counts[sparse].mean(), counts[~sparse].mean()
-    low_ra, lowest = float(ra[counts.argmin()]), int(counts.min())
-    return [
-        Row(
-            "§ 3.3.2",
-            "RA 320° to 75° and 150° to 210° are the most sparsely populated",
-            "sparse",
-            f"{inside:.1f} stars a window, elsewhere {outside:.1f}",
-            "close" if inside < outside else "differs",
-            f"V ≤ 6, 10° windows; the mean bears it out, the emptiest window of all ({lowest} stars) stands at RA "
-            f"{low_ra:.0f}°, outside both",
-        )
-    ]
+    return {
+        "inside": inside,
+        "outside": outside,
+        "sparser": inside < outside,
+        "lowest": counts.min(),
+        "low_ra": ra[counts.argmin()],
+    }
 
 
-def _window_rows() -> list[Row]:
-    rows = []
-    ra, five = window_counts(5.0)
-    rows.append(
-        compare(
-            "Fig. 3.5",
-            "fewest stars, V ≤ 5, 10° window, 1° steps",
-            "0",
-            float(five.min()),
-            form=".0f",
-            why=f'at {int(np.sum(five == 0))} of {len(five)} points ("many"); mean {five.mean():.2f}, '
-            f"most {five.max()} at RA {ra[five.argmax()]:.0f}°",
-        )
-    )
-    _, coarse = window_counts(5.0, step_deg=5.0)
-    rows.append(
-        compare(
-            "Fig. 3.5(b)",
-            "fewest stars, V ≤ 5, 10° window, 5° steps",
-            "0",
-            float(coarse.min()),
-            form=".0f",
-            why=f"at {int(np.sum(coarse == 0))} of {len(coarse)} points; mean {coarse.mean():.2f}",
-        )
-    )
-    minima = {limit: window_counts(limit)[1].min() for limit in (6.0, 6.5, 7.0)}
-    ra, six = window_counts(6.0)
-    at = ra[six == six.min()]
+def _window_values() -> Values:
+    (ra, five), (_, coarse), (_, six) = window_counts(5.0), window_counts(5.0, step_deg=5.0), window_counts(6.0)
+    fewest = {limit: window_counts(limit)[1].min() for limit in (5.5, 6.0, 6.5, 7.0, 7.5)}
     wide = [str(window_counts(limit, WIDE_WINDOW_DEG)[1].min()) for limit in (5.0, 6.0, 6.5, 7.0)]
-    rows.append(
-        Row(
-            "§ 3.3.2",
-            'a limit "between 6.0 and 7.0" gives at least 3 stars',
-            "≥ 3 for a limit of 6.0 to 7.0",
-            f"{minima[6.0]} at V ≤ 6.0, {minima[6.5]} at 6.5, {minima[7.0]} at 7.0",
-            "exact" if minima[6.0] < 3 <= minima[6.5] else "differs",
-            f"so 6.0 is just not enough ({minima[6.0]} stars at RA {at[0]:.0f}° to {at[-1]:.0f}°; mean "
-            f"{six.mean():.1f}, most {six.max()}); the 12° window has at least {', '.join(wide)} at V ≤ 5, 6, 6.5, 7",
-        )
-    )
-    growth = np.diff([float(window_counts(limit)[1].min()) for limit in (5.5, 6.0, 6.5, 7.0, 7.5)])
-    rows.append(
-        Row(
-            "Fig. 3.8",
-            "departure from the logarithmic curve",
-            "above V = 6.5",
-            f"per half magnitude +{growth[0]:.0f}, +{growth[1]:.0f}, then +{growth[2]:.0f}, +{growth[3]:.0f}",
-            "exact" if growth[1] > 0 and growth[2:].sum() <= growth[1] else "differs",
-            "fewest stars of the 10° window from V = 5.5 to 7.5: the catalogue ends at V ≈ 6.5, with stragglers to 8",
-        )
-    )
-    return rows
+    growth = np.diff(list(fewest.values())).astype(float)
+    at = ra[six == six.min()]
+    return {
+        "five": {"fewest": five.min(), "empty": np.sum(five == 0), "points": len(five), "mean": five.mean()},
+        "most_5": five.max(),
+        "most_5_ra": ra[five.argmax()],
+        "coarse": {"fewest": coarse.min(), "empty": np.sum(coarse == 0), "points": len(coarse), "mean": coarse.mean()},
+        "fewest_60": fewest[6.0],
+        "fewest_65": fewest[6.5],
+        "fewest_70": fewest[7.0],
+        "limit_between": fewest[6.0] < 3 <= fewest[6.5],
+        "sparse_from": at[0],
+        "sparse_to": at[-1],
+        "mean_6": six.mean(),
+        "most_6": six.max(),
+        "wide_fewest": ", ".join(wide),
+        "growth": growth,
+        "departs": growth[1] > 0 and growth[2:].sum() <= growth[1],
+    }
 
 
-def _camera_row() -> Row:
+def _camera_values() -> Values:
     """The true field of sunsat.yaml, 10° square on the sky, at all rolls of the orbit."""
     scenario = load_scenario("sunsat", ["pointing.error_deg=0"])
     limits = np.array([5.0, 6.0, 6.5])
-    counts = count_stars(load_catalog("bsc5"), outline(camera_of(scenario)), along_path(scenario, 1500), limits)
-    fewest = counts.min(axis=0)
-    return Row(
-        "§ 3.3.2",
-        "the same in a true square field of 10°, V ≤ 5, 6, 6.5",
-        NOTHING,
-        f"fewest {fewest[0]}, {fewest[1]}, {fewest[2]}; mean {', '.join(f'{m:.1f}' for m in counts.mean(axis=0))}",
-        "not printed",
-        "the thesis counts in windows of RA and declination; this is the field of the product's "
-        "camera, turned as in orbit, at 1,500 instants of the year",
-    )
+    counts = count_stars(load_catalog("bsc5"), outline(build_camera(scenario)), along_path(scenario, 1500), limits)
+    return {"fewest": counts.min(axis=0), "field_means": ", ".join(f"{m:.1f}" for m in counts.mean(axis=0))}
 
 
 def cells_figure() -> Figure:
@@ -239,8 +200,7 @@ def cells_figure() -> Figure:
     ).set_clip_on(False)  # the box is wider than its axes
     solid.set_box_aspect((3.2, 1.1, 0.8), zoom=1.4)
     solid.view_init(elev=38, azim=-72)
-    solid.set_xlim(0, 360)
-    solid.set_xticks(range(0, 361, 60))
+    solid.set(xlim=(0, 360), xticks=range(0, 361, 60))
     solid.set_xlabel("right ascension [°]", labelpad=14)
     solid.set_yticks(range(-20, 41, 20))
     solid.set_ylabel("declination [°]", labelpad=4)
@@ -270,12 +230,14 @@ def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = 
     label = f"fewest: {counts.min()} stars, at {int(fewest.sum())} of {len(ra)} points"
     ax.plot(ra[fewest], density[fewest], "v", color=VERMILION, markersize=5, label=label, clip_on=False)
     ax.axhline(3.0 / window_deg**2, color=ORANGE, linestyle="--", label="3 stars in the window")
-    ax.set_title(f"V ≤ {magnitude_limit:g}, window {window_deg:g}° × {window_deg:g}°, resolution {step_deg:g}°")
-    ax.set_xlabel("right ascension of the boresight [°]")
-    ax.set_ylabel("stars per square degree")
-    ax.set_xlim(0, 360)
-    ax.set_xticks(range(0, 361, 30))
-    ax.set_ylim(0, 1.25 * float(density.max()))
+    ax.set(
+        title=f"V ≤ {magnitude_limit:g}, window {window_deg:g}° × {window_deg:g}°, resolution {step_deg:g}°",
+        xlabel="right ascension of the boresight [°]",
+        ylabel="stars per square degree",
+        xlim=(0, 360),
+        xticks=range(0, 361, 30),
+        ylim=(0, 1.25 * float(density.max())),
+    )
     ax.legend(loc="upper right", ncols=2)
     return figure
 
@@ -299,8 +261,7 @@ def minimum_figure() -> Figure:
             )
     ax.axhline(3.0 / WINDOW_DEG**2, color=ORANGE, linestyle=":", label="3 stars in 10° × 10°")
     ax.axhline(3.0 / WIDE_WINDOW_DEG**2, color=VERMILION, linestyle="-.", label="3 stars in 12° × 12°")
-    ax.set_xlabel("limiting magnitude V")
-    ax.set_ylabel("least density along the path [stars per square degree]")
+    ax.set(xlabel="limiting magnitude V", ylabel="least density along the path [stars per square degree]")
     ax.legend(loc="upper left")
     return figure
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
@@ -155,89 +156,58 @@ def section() -> Section:
         "fig_5_4_zones": _zones_figure,
         "fig_5_5_zone_stars": partial(_zone_stars_figure, 6.5),
     }
-    return Section(
-        "Chapter 5.2: guide stars", [*_limit_rows(), *_table_rows(), *_storage_rows(), *_zone_rows()], figures
-    )
+    rows = table_rows("greyling1995/guide_stars", _limit_values() | _table_values() | _zone_values())
+    return Section("Chapter 5.2: guide stars", rows, figures)
 
 
-def _limit_rows() -> list[Row]:
-    n = 133
-    possible = n * (n - 1) // 2
-    return [
-        compare("eq. 5.1", "closest resolved stars", "0.039", RESOLVED_PX / SIDE_PX * FIELD_DEG, unit="°"),
-        Row("§ 5.2.1", "the same, in the selection of guide stars", "3 arc seconds",
-            f"{3600.0 * RESOLVED_PX / SIDE_PX * FIELD_DEG:.0f} arc seconds", "differs", "by its own eq. 5.1"),
-        compare("§ 5.2.1", "longest separation in the field", "14.1414", math.hypot(FIELD_DEG, FIELD_DEG), unit="°",
-                why="10 √2 = 14.1421"),
-        compare("eq. 5.2", "lines between 133 stars", "8778", possible),
-        Row("§ 5.2.1", "2682 lines instead of 8778", "about 30 % less", f"{100 * (1 - 2682 / possible):.1f} % less",
-            "differs", f"2682 is {100 * 2682 / possible:.1f} % of 8778: less by the rest"),
-    ]  # fmt: skip
+def _limit_values() -> Values:
+    possible, resolved_deg = 133 * 132 // 2, RESOLVED_PX / SIDE_PX * FIELD_DEG
+    return {
+        "resolved_deg": resolved_deg,
+        "resolved_arcsec": 3600.0 * resolved_deg,
+        "diagonal_deg": math.hypot(FIELD_DEG, FIELD_DEG),
+        "possible": possible,
+        "less_percent": 100 * (1 - 2682 / possible),
+        "kept_percent": 100 * 2682 / possible,
+        "bytes": 4 * 1248 + 4 * 32290,
+        "one_byte_a_line": 4 * 1248 + 32290,
+    }
 
 
-def _table_rows() -> list[Row]:
+def _table_values() -> Values:
     rows = []
     for limit, (stars, pairs) in TABLE_5_1.items():
-        catalog = guide_stars(limit)
-        before = guide_stars(limit, closest_deg=0.0)
-        printed, found = int(stars), len(lines(catalog))
-        rows.append(
-            compare(
-                "Table 5.1", f"guide stars, V ≤ {limit:g}", stars, len(catalog),
-                why=f"Bright Star Catalogue, declination {BORESIGHT_DEC_DEG}° ± {BAND_DEG:g}°, half the field and the "
-                f"other sensors' {SENSORS_DEG:g}° (guide.m), dimmer ones of pairs closer than {CLOSEST_DEG}° left out; "
-                f"{len(before)} before that",
-            )
-        )  # fmt: skip
-        why = f"guide.m: each star with the next {PARTNERS} in right ascension, no cos δ, shorter than 14.14°"
-        if printed * PARTNERS < int(pairs):
-            why += f"; {printed} stars make {printed * PARTNERS} lines at most: {pairs} is not from this listing"
-        rows.append(
-            compare(
-                "Table 5.1", f"lines, V ≤ {limit:g}", pairs, found,
-                why=f"{why}. {len(lines(before))} before close stars are left out",
-            )
-        )  # fmt: skip
+        catalog, before, most = guide_stars(limit), guide_stars(limit, closest_deg=0.0), int(stars) * PARTNERS
+        above = f"; {stars} stars make {most} lines at most: {pairs} is not from this listing"
+        printed = {"limit": limit, "stars": stars, "lines": pairs, "above": above if most < int(pairs) else ""}
+        found = {"found": len(catalog), "before": len(before)}
+        rows.append(printed | found | {"found_lines": len(lines(catalog)), "lines_before": len(lines(before))})
     everyone, kept = guide_stars(6.5, closest_deg=0.0), guide_stars(6.5)
-    less = 100.0 * (1.0 - len(lines(kept)) / len(lines(everyone)))
-    rows.append(
-        compare("§ 5.2.1", "lines saved by leaving out close stars", "5", less, unit="%", form=".1f",
-                why=f"{len(everyone) - len(kept)} of {len(everyone)} stars left out")
-    )  # fmt: skip
-    return rows
+    return {
+        "limits": rows,
+        "band_deg": BAND_DEG,
+        "less": 100.0 * (1.0 - len(lines(kept)) / len(lines(everyone))),
+        "left_out": len(everyone) - len(kept),
+        "everyone": len(everyone),
+    }
 
 
-def _storage_rows() -> list[Row]:
-    stars, pairs = 1248, 32290
-    return [
-        Row(
-            "§ 5.2.1", "storage of 1248 stars and 32290 lines", "37282 bytes", f"{4 * stars + 4 * pairs} bytes",
-            "exact" if 4 * stars + 4 * pairs == 37282 else "differs",
-            f"37282 = 4 × 1248 + 32290 = {4 * stars + pairs}: two 16-bit coordinates a star but one byte a line, which "
-            "cannot hold two star numbers up to 1248; nor do 360° × 1000 go into 16 bits",
-        )
-    ]  # fmt: skip
-
-
-def _zone_rows() -> list[Row]:
+def _zone_values() -> Values:
     width, height = zone_size_deg()
     stars, pairs = zone_counts()
     everywhere = len(guide_stars(6.5))
     densest = int(np.argmax(stars))
-    return [
-        Row("eq. 5.5", "zone", "46° × 16°, 736 square degrees",
-            f"{width:g}° × {height:g}°, {width * height:g} square degrees", "exact"),
-        compare("§ 5.2.1", "zones of a year", "12", 365.2422 / ZONE_DAYS, form=".2f",
-                why="30 days each; the boresight moves 0.9856° a day"),
-        compare("Fig. 5.5", "zone with most stars", str(DENSEST_ZONE), densest + 1,
-                why="zone 1 starts at 0 h; RA 60° to 106°, the Milky Way from Taurus to Gemini"),
-        compare("Fig. 5.5", "its lines, V ≤ 6.5", "5844", float(pairs[densest]), form=".0f",
-                why=f"by guide.m's pairs; 159 stars would make {159 * PARTNERS} lines at most, so that 5844 belongs to "
-                f"more stars than are printed"),
-        compare("Fig. 5.5", "its stars, V ≤ 6.5", "159", float(stars[densest]), form=".0f",
-                why=f"the whole band of ± {BAND_DEG:g}° has {everywhere} × 46/360 = {everywhere * width / 360.0:.0f} "
-                f"stars in a zone on the mean, the mean zone of 46° × 16° {stars.mean():.0f}"),
-    ]  # fmt: skip
+    return {
+        "zone": {"width": width, "height": height, "area": width * height},
+        "zones": 365.2422 / ZONE_DAYS,
+        "densest": densest + 1,
+        "most_lines": pairs[densest],
+        "most_possible": 159 * PARTNERS,
+        "most_stars": stars[densest],
+        "everywhere": everywhere,
+        "band_mean": everywhere * width / 360.0,
+        "zone_mean": stars.mean(),
+    }
 
 
 def _lines_figure() -> Figure:
@@ -254,13 +224,15 @@ def _lines_figure() -> Figure:
             label=f"Table 5.1, V ≤ {limit:g}",
         )  # fmt: skip
     axes.plot(133, 2682, "^", color=ORANGE, markersize=8, label="133 stars, as printed")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlim(10, 2000)
-    axes.set_ylim(30, 3e6)
-    axes.set_xlabel("stars")
-    axes.set_ylabel("lines")
-    axes.set_title("Fig. 5.2  Number of lines against points")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(10, 2000),
+        ylim=(30, 3e6),
+        xlabel="stars",
+        ylabel="lines",
+        title="Fig. 5.2  Number of lines against points",
+    )
     axes.legend(loc="upper left")
     return figure
 
@@ -283,12 +255,14 @@ def _zones_figure() -> Figure:
         axes.text(360.0 / ZONES * k + 15.0, bottom + height + 2.4, str(k + 1), color=colour, ha="center", va="center",
                   bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8})  # fmt: skip
     axes.axhline(BORESIGHT_DEC_DEG, color=SOFT, linestyle=":", linewidth=0.9)
-    axes.set_xlim(360.0, 0.0)
-    axes.set_ylim(-12.0, 30.0)
-    axes.set_xticks(range(0, 361, 30))
-    axes.set_xlabel("right ascension [°]")
-    axes.set_ylabel("declination [°]")
-    axes.set_title("Fig. 5.4  Catalogue zones (drawn a little apart), stars to V = 6.5")
+    axes.set(
+        xlim=(360.0, 0.0),
+        ylim=(-12.0, 30.0),
+        xticks=range(0, 361, 30),
+        xlabel="right ascension [°]",
+        ylabel="declination [°]",
+        title="Fig. 5.4  Catalogue zones (drawn a little apart), stars to V = 6.5",
+    )
     return figure
 
 
@@ -300,9 +274,11 @@ def _zone_stars_figure(magnitude_limit: float) -> Figure:
         DENSEST_ZONE, 159, "*", color=VERMILION, markersize=13, markeredgecolor=INK, label="printed: 159 in zone 3"
     )
     axes.axhline(float(stars.mean()), color=SOFT, linestyle="--", label=f"mean {stars.mean():.0f}")
-    axes.set_xticks(range(1, ZONES + 1))
-    axes.set_xlabel("zone")
-    axes.set_ylabel("stars")
-    axes.set_title(f"Fig. 5.5  Number of stars in zones, V ≤ {magnitude_limit:g}")
+    axes.set(
+        xticks=range(1, ZONES + 1),
+        xlabel="zone",
+        ylabel="stars",
+        title=f"Fig. 5.5  Number of stars in zones, V ≤ {magnitude_limit:g}",
+    )
     axes.legend(loc="upper right")
     return figure

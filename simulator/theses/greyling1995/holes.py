@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from simulator.build import detector_parameters
 from simulator.detector.chain import detect
-from simulator.detector.comparators import compare_levels, even_levels
 from simulator.detector.fixed_pattern import build_fixed_pattern
-from simulator.detector.sequencer import COLUMNS, COUNTS_PER_LINE, LINES, SERIAL_CLOCK_HZ
 from simulator.optics.disk import add_disk
 from simulator.optics.shutter import frame_transfer_smear
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.sequencer import COLUMNS, COUNTS_PER_LINE, LINES, SERIAL_CLOCK_HZ
 
 __all__ = ["SLOW_CLOCK_HZ", "camera", "memory_image", "scene", "smear_share"]
 
@@ -65,8 +66,9 @@ def memory_image(clock_hz: float, defocus_um: float = 0.0) -> NDArray[np.uint16]
     still = scene(defocus_um) * frame_s
     mean_e = still + frame_transfer_smear(still, frame_s, line_s, "up")
     detector = scenario.detector.model_copy(update={"exposure_s": frame_s, "adc_bits": None, "offset_dn": 0.0})
-    pattern = build_fixed_pattern(detector, scenario.seed)
-    readout = detect(mean_e, detector, pattern, lambda stage: stream(scenario.seed, stage, 0))
+    device = detector_parameters(detector)
+    pattern = build_fixed_pattern(device, scenario.seed)
+    readout = detect(mean_e, device, pattern, lambda stage: stream(scenario.seed, stage, 0), exposure_s=frame_s)
     return compare_levels(readout.image, even_levels(2, detector.full_well_e))
 
 

@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 from simulator.checks import load_scenario
 from simulator.randomness import stream
 from simulator.study.style import BLUE, GREEN, INK, VERMILION
-from simulator.theses.greyling1995.digits import compare_cut
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
-from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.settings import IdentificationSettings
+from startracker.settings import IdentificationSettings, MatchGroupSettings
 from startracker.solution import Status
 
 if TYPE_CHECKING:
@@ -115,9 +115,9 @@ class Outcome:
 
 
 @lru_cache(maxsize=1)
-def thesis_identification() -> IdentificationSettings:
+def thesis_identification() -> MatchGroupSettings:
     """Settings of the thesis' program: 0.2°, 2 magnitudes, 3 to 8 stars, groups from 5 down."""
-    return load_scenario("sunsat").tracker.identification
+    return MatchGroupSettings.of(load_scenario("sunsat").tracker.identification)
 
 
 @lru_cache(maxsize=8)
@@ -240,7 +240,8 @@ def section(trials: int = 6) -> Section:
         "table_5_2_success": partial(_success_figure, thesis, own, beyond),
         "table_5_2_time": partial(_time_figure, thesis[0], own[0]),
     }
-    rows = [*_success_rows(thesis, own), *_region_rows(thesis[0], own[0]), *_time_rows(thesis[0], own[0])]
+    values = _success_values(thesis, own) | _region_values(thesis[0], own[0]) | _time_values(thesis[0], own[0])
+    rows = table_rows("greyling1995/identification", values)
     return Section("Chapter 5.2.4: star identification", rows, figures)
 
 
@@ -261,56 +262,44 @@ def _share(outcomes: dict[int, Outcome]) -> tuple[float, int, int]:
     )
 
 
-def _success_rows(thesis: Outcomes, own: Outcomes) -> list[Row]:
+def _success_values(thesis: Outcomes, own: Outcomes) -> Values:
     names = {0: "no star added or removed", 1: "1 star added", 2: "2 stars added", -1: "1 removed", -2: "2 removed"}
     rows = []
     for change in CHANGES:
         rate, fields, wrong = _share(thesis[change])
-        ours, _, wrong_ours = _share(own[change])
-        exact = wrong == 0 and wrong_ours == 0 and rate == 1.0
-        rows.append(
-            Row(
-                "§ 5.2.4", f"success rate, {names[change]}", NOTHING if change else "100 %",
-                f"{100 * rate:.1f} % with its tolerance of 0.2°, {100 * ours:.1f} % with ours",
-                "not printed" if change else "exact" if exact else "differs",
-                ("the thesis says: acceptable; " if change else "") + f"{fields} fields with three true stars or more; "
-                f"false identifications {wrong} and {wrong_ours}: what chance could explain is refused",
-            )
-        )  # fmt: skip
-    return rows
+        own_rate, _, own_wrong = _share(own[change])
+        exact = wrong == 0 and own_wrong == 0 and rate == 1.0
+        found = {"percent": 100 * rate, "own_percent": 100 * own_rate, "wrong": wrong, "own_wrong": own_wrong}
+        rows.append({"name": names[change], "fields": fields, "exact": exact} | found)
+    return {"unchanged": rows[:1], "changed": rows[1:]}
 
 
-def _region_rows(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> list[Row]:
+def _region_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
     rows = []
     for hour, (_groups, _ms, printed) in TABLE_5_2.items():
-        found = region_lines(hour)
         few = thesis[hour].too_few
         rows.append(
-            compare(
-                "Table 5.2", f"lines, region {hour} h", str(printed), found, form=".0f", close=0.1,
-                why="map of RA ± 15°, Dec 8.6° ± 10° as the program has it (WCat, Senacc), plane, mean of V < 6.0, 6.1 "
-                f"and 6.2; the declination is an input of the program. {own[hour].stars:.1f} stars a field, "
-                f"success {100 * thesis[hour].rate:.0f} % (0.2°) and {100 * own[hour].rate:.0f} % (ours)"
-                + (f", {few} fields with fewer than three stars left out" if few else ""),
-            )
-        )  # fmt: skip
-    return rows
+            {
+                "hour": hour,
+                "listed": printed,
+                "lines": region_lines(hour),
+                "stars": own[hour].stars,
+                "percents": (100 * thesis[hour].rate, 100 * own[hour].rate),
+                "left_out": f", {few} fields with fewer than three stars left out" if few else "",
+            }
+        )
+    return {"regions": rows}
 
 
-def _time_rows(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> list[Row]:
+def _time_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
     printed = np.array(list(TABLE_5_2.values()), dtype=float)
-    power = float(np.polyfit(np.log(printed[:, 2]), np.log(printed[:, 1]), 1)[0])
-    times = np.array([outcome.time_ms for outcome in thesis.values()])
-    ours = np.array([outcome.time_ms for outcome in own.values()])
-    return [
-        compare_cut("§ 5.2.4", "mean execution time of Table 5.2", "870", float(printed[:, 1].mean()), unit="ms",
-                    why="of the printed times themselves"),
-        Row("Table 5.2", "execution time", "380 to 1663 ms",
-            f"{times.min():.2g} to {times.max():.2g} ms (0.2°), {ours.min():.2g} to {ours.max():.2g} ms (ours)",
-            "differs", "Pascal on a 386 of 40 MHz; here compiled kernels, choosing the lines near the prior included"),
-        Row("§ 5.2.4", "growth of the time with the lines", "logarithmic", f"lines to the power {power:.1f}", "differs",
-            "fitted to the printed times and lines themselves"),
-    ]  # fmt: skip
+    times, ours = ([outcome.time_ms for outcome in outcomes.values()] for outcomes in (thesis, own))
+    return {
+        "printed_mean": printed[:, 1].mean(),
+        "times_ms": (min(times), max(times)),
+        "own_times_ms": (min(ours), max(ours)),
+        "power": float(np.polyfit(np.log(printed[:, 2]), np.log(printed[:, 1]), 1)[0]),
+    }
 
 
 def _success_figure(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, float]]) -> Figure:
@@ -325,10 +314,12 @@ def _success_figure(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, floa
             range(len(hours)), rate, marker, color=colour, linestyle=line, markersize=5, linewidth=0.9, label=name
         )
     left.set_xticks(range(len(hours)), [str(hour) for hour in hours])
-    left.set_xlabel("region, right ascension [h]")
-    left.set_ylabel("identified [%]")
-    left.set_ylim(-3, 104)
-    left.set_title(f"tolerance 0.2°, {thesis[0][hours[0]].trials} fields a point")
+    left.set(
+        xlabel="region, right ascension [h]",
+        ylabel="identified [%]",
+        ylim=(-3, 104),
+        title=f"tolerance 0.2°, {thesis[0][hours[0]].trials} fields a point",
+    )
     left.legend(loc="lower center", ncols=2)
     for outcomes, more, colour, marker, line, name in (
         (thesis, beyond[0], BLUE, "o", "-", "0.2°, as in the thesis"),
@@ -339,9 +330,7 @@ def _success_figure(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, floa
         rate = [100.0 * rates[change] for change in changes]
         right.plot(changes, rate, color=colour, marker=marker, markersize=4, linestyle=line, label=name)
     right.axvspan(-2, 2, color=INK, alpha=0.08, linewidth=0, label="what the thesis tried")
-    right.set_xticks(range(-8, 25, 4))
-    right.set_xlabel("stars removed (−) or added (+)")
-    right.set_title("all six regions, by tolerance")
+    right.set(xticks=range(-8, 25, 4), xlabel="stars removed (−) or added (+)", title="all six regions, by tolerance")
     right.legend(loc="lower center")
     figure.suptitle("Table 5.2  Success of the identification, V ≤ 6.0 to 6.2", fontsize=10)
     return figure
@@ -360,8 +349,8 @@ def _time_figure(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Figure:
     axes.set_yscale("log")
     axes.set_ylim(top=3e5)
     axes.set_xticks(place, [str(hour) for hour in hours])
-    axes.set_xlabel("region, right ascension [h]")
-    axes.set_ylabel("execution time [ms]")
-    axes.set_title("Table 5.2  Time of an identification")
+    axes.set(
+        xlabel="region, right ascension [h]", ylabel="execution time [ms]", title="Table 5.2  Time of an identification"
+    )
     axes.legend(loc="upper right")
     return figure

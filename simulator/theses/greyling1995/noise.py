@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.detector import build_fixed_pattern, detect
+from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
-from simulator.scenario.schema import DetectorSection
 from simulator.study.style import BLUE, GREEN, ORANGE, VERMILION
 from simulator.theses.greyling1995.starlight import SATURATION_MV, VOLT_PER_E
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +40,7 @@ _DSNU_FRAMES = 16
 def section() -> Section:
     """Noise budget and what the converter has to span."""
     figures = {"noise_budget": budget_figure, "dynamic_range": bits_figure}
-    rows = [*_term_rows(), *_ratio_rows(), *_range_rows(), *_memory_rows()]
+    rows = table_rows("greyling1995/noise", _noise_values() | _converter_values())
     return Section("Chapter 3.4 and 3.5: noise, dynamic range and converter", rows, figures)
 
 
@@ -88,7 +88,9 @@ def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
     section = _detector(full_well_e=1e7, gain_e_per_dn=1.0, adc_bits=None, **keys)
     pattern = build_fixed_pattern(section, _SEED)
     light = np.full((_SIDE, _SIDE), mean_e)
-    frames = [detect(light, section, pattern, functools.partial(_stream, k)).image for k in range(count)]
+    frames = [
+        detect(light, section, pattern, functools.partial(_stream, k), exposure_s=1.0).image for k in range(count)
+    ]
     return np.asarray(frames, dtype=float)
 
 
@@ -96,9 +98,8 @@ def _stream(frame: int, name: str) -> np.random.Generator:
     return stream(_SEED, name, frame)
 
 
-def _detector(**keys: Any) -> DetectorSection:
-    base = {"width": _SIDE, "height": _SIDE, "pixel_pitch_um": 16.0, "exposure_s": 1.0, "temperature_c": ROOM_C}
-    return DetectorSection(**(base | keys))
+def _detector(**keys: Any) -> DetectorParameters:
+    return DetectorParameters(width=_SIDE, height=_SIDE, pitch_um=(16.0, 16.0), temperature_c=ROOM_C, **keys)
 
 
 def brightness_ratio(faint_v: float = FAINTEST_V, bright_v: float = BRIGHTEST_V) -> float:
@@ -112,121 +113,42 @@ def faint_star_dn(bits: int) -> int:
     section = _detector(full_well_e=full_well, gain_e_per_dn="auto", adc_bits=bits, shot_noise=False)
     light = np.full((_SIDE, _SIDE), full_well / brightness_ratio())
     pattern = build_fixed_pattern(section, _SEED)
-    return int(detect(light, section, pattern, functools.partial(_stream, 0)).image[0, 0])
+    return int(detect(light, section, pattern, functools.partial(_stream, 0), exposure_s=1.0).image[0, 0])
 
 
-def _term_rows() -> list[Row]:
-    equation, measured = equation_terms_e(), measured_terms_e()
-    printed = {"photon noise": "1000", "dark signal": "100", "DSNU": "100", "reset noise": "110"}
-    how = {
-        "photon noise": "√N of 10⁶ electrons",
-        "dark signal": "the printed value put in, as the constant A of (3.11) is not printed",
-        "DSNU": "the printed value put in, as the constant A of (3.11) is not printed",
-        "reset noise": "√(kTC)/q at 0.08 pF and 25 °C; print rounds to two digits",
-    }
-    rows = []
-    for name, text in printed.items():
-        why = f"{how[name]}; on simulated frames {measured[name]:.1f} e⁻"
-        row = compare("§ 3.4.2", name, text, equation[name], unit="e⁻", form=".1f", why=why)
-        rows.append(replace(row, verdict="input missing") if "put in" in why else row)
-    rows.insert(
-        3,
-        compare(
-            "eq. 3.12",
-            "factor of 400 √C_L, C_L in pF",
-            "400",
-            reset_noise_e(1e-12, ROOM_C),
-            unit="e⁻",
-            form=".1f",
-            why="√(kTC)/q at 1 pF and 25 °C",
-        ),
-    )
-    return rows
-
-
-def _ratio_rows() -> list[Row]:
+def _noise_values() -> Values:
     terms, measured = equation_terms_e(), measured_terms_e()
-    total = sum(terms.values())
-    noise_mv = PRINTED_NOISE_E * VOLT_PER_E * 1e3
-    together_mv = measured["together"] * VOLT_PER_E * 1e3
-    electrons_full = SATURATION_MV * 1e-3 / VOLT_PER_E
-    return [
-        compare(
-            "eq. 3.13",
-            "total noise, terms added as they stand",
-            "1310",
-            total,
-            unit="e⁻",
-            form=".1f",
-            why=f"reset noise printed as 110 is {terms['reset noise']:.1f}",
-        ),
-        compare(
-            "§ 3.4.2",
-            "output voltage of 1310 electrons",
-            "1.5",
-            noise_mv,
-            unit="mV",
-            form=".3f",
-            why='(3.7) with G = 0.7 and C_o = 0.1 pF; "nearly 1.5 mV" in print',
-        ),
-        compare(
-            "eq. 3.14",
-            "signal-to-noise ratio, 20 log (450 mV / 1.5 mV)",
-            "49.54",
-            20.0 * math.log10(SATURATION_MV / PRINTED_NOISE_MV),
-            unit="dB",
-            why=f"with the unrounded {noise_mv:.3f} mV it is {20.0 * math.log10(SATURATION_MV / noise_mv):.2f} dB",
-        ),
-        compare(
-            "eq. 3.14",
-            "the same with all noise in one simulated frame",
-            "49.54",
-            20.0 * math.log10(SATURATION_MV / together_mv),
-            unit="dB",
-            close=0.01,
-            why=f"independent noise adds in squares: {measured['together']:.0f} e⁻ or {together_mv:.2f} mV, and a mean "
-            f"dark signal is no noise. Besides, at 1.12 µV 450 mV are {electrons_full:,.0f} electrons, not 10⁶",
-        ),
-    ]
+    noise_mv, together_mv = (e * VOLT_PER_E * 1e3 for e in (PRINTED_NOISE_E, measured["together"]))
+    return {
+        "terms": terms,
+        "measured": measured,
+        "reset_at_1_pf_e": reset_noise_e(1e-12, ROOM_C),
+        "total": sum(terms.values()),
+        "noise_mv": noise_mv,
+        "together_mv": together_mv,
+        "printed_db": 20.0 * math.log10(SATURATION_MV / PRINTED_NOISE_MV),
+        "unrounded_db": 20.0 * math.log10(SATURATION_MV / noise_mv),
+        "together_db": 20.0 * math.log10(SATURATION_MV / together_mv),
+        "electrons_full": SATURATION_MV * 1e-3 / VOLT_PER_E,
+    }
 
 
-def _range_rows() -> list[Row]:
+def _converter_values() -> Values:
     ratio = brightness_ratio()
-    bits = math.log2(LEAST_DN * ratio)
     least = next(b for b in range(1, 33) if faint_star_dn(b) >= LEAST_DN)
-    return [
-        compare("§ 3.4.3", "brightest over faintest star, V = −1.47 and 6.5", "1541.7", ratio, why="100^(7.97/5)"),
-        compare("eq. 3.19", "the same in decibels", "63.76", 20.0 * math.log10(ratio), unit="dB"),
-        compare(
-            "§ 3.4.3", "2^B for 5 counts of the faintest star", "7708.5", LEAST_DN * ratio, why="5 × 1541.7 in print"
-        ),
-        compare(
-            "§ 3.4.3",
-            "bits of the converter",
-            "13",
-            float(least),
-            form=".0f",
-            why=f"log₂ gives {bits:.2f}; the product's converter reads {faint_star_dn(least)} with {least} bits and "
-            f"{faint_star_dn(least - 1)} with {least - 1}",
-        ),
-    ]
-
-
-def _memory_rows() -> list[Row]:
-    bits = 192 * 165 * 8
-    return [
-        compare("§ 3.5.1", "memory of a frame, 192 × 165 × 8", "253440", float(bits), unit="bits"),
-        compare("§ 3.5.1", "the same", "248", bits / 1024, unit="kbits", form=".1f", why="of 1024 bits"),
-        compare(
-            "§ 3.5.1",
-            "the same",
-            "32",
-            bits / 8 / 1024,
-            unit="Kbytes",
-            form=".1f",
-            why="32 Kbytes is the memory chip that holds it",
-        ),
-    ]
+    return {
+        "ratio": ratio,
+        "ratio_db": 20.0 * math.log10(ratio),
+        "counts": LEAST_DN * ratio,
+        "bits": math.log2(LEAST_DN * ratio),
+        "least": least,
+        "reads": faint_star_dn(least),
+        "one_less": least - 1,
+        "reads_below": faint_star_dn(least - 1),
+        "frame_bits": 192 * 165 * 8,
+        "frame_kbits": 192 * 165 * 8 / 1024,
+        "frame_kbytes": 192 * 165 / 1024,
+    }
 
 
 def budget_figure() -> Figure:
@@ -244,8 +166,7 @@ def budget_figure() -> Figure:
     for k, (label, values, colour, hatch) in enumerate(series):
         bars = ax.bar(place + 0.27 * (k - 1), values, 0.25, color=colour, hatch=hatch, edgecolor="white", label=label)
         ax.bar_label(bars, fmt="%.0f", fontsize=7, padding=1)
-    ax.set_yscale("log")
-    ax.set_ylim(50, 3000)
+    ax.set(yscale="log", ylim=(50, 3000))
     ax.set_xticks(place, [*names, "total"])
     ax.set_ylabel("noise [electrons]")
     ax.legend(loc="upper center", ncols=3)
@@ -262,7 +183,6 @@ def bits_figure() -> Figure:
     ax.semilogy(bits[seen], counts[seen], "o", color=GREEN, label="simulated converter")
     ax.axhline(LEAST_DN, color=ORANGE, linestyle="--", label="5 counts, as the thesis asks for")
     ax.axvline(13, color=VERMILION, linestyle=":", label="13 bits")
-    ax.set_xlabel("bits of the converter")
-    ax.set_ylabel("counts of the V = 6.5 star")
+    ax.set(xlabel="bits of the converter", ylabel="counts of the V = 6.5 star")
     ax.legend(loc="upper left")
     return figure

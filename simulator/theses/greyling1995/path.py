@@ -1,4 +1,4 @@
-"""Section 3.2 and Fig. 3.3: the orbit, the camera's matrix and the boresight's path over the year."""
+"""Section 3.2, Fig. 3.3 and Appendix A: the orbit, the camera's matrix and the boresight's path over the year."""
 
 from __future__ import annotations
 
@@ -13,27 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.frames import true_of_date
 from simulator.mission.orbit import Orbit, build_orbit
+from simulator.mission.parameters import OrbitParameters, PointingParameters
 from simulator.mission.pointing import BoresightPath, boresight_path, local_level, mounting_of
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.mission.secular import mean_motion, sun_synchronous_inclination
-from simulator.scenario.schema import OrbitSection, PointingSection
 from simulator.sky.background import ECLIPTIC, GALACTIC
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.greyling1995.matrix import (
-    camera_to_celestial,
-    departure_from_rotation,
-    printed_matrix,
-    turn_x,
-    turn_y,
-    turn_z,
-)
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+__all__ = ["camera_to_celestial", "departure_from_rotation", "printed_matrix"]
 
 FloatArray = NDArray[np.float64]
 
@@ -50,13 +45,13 @@ DECLINATION_DEG = INCLINATION_DEG - 90.0
 @functools.cache
 def thesis_orbit() -> Orbit:
     """The orbit of Table 3.2 with J2's secular drift of the node."""
-    section = OrbitSection(altitude_km=ALTITUDE_KM, inclination_deg=INCLINATION_DEG, raan_deg=NODE_DEG)
+    section = OrbitParameters(altitude_km=ALTITUDE_KM, inclination_deg=INCLINATION_DEG, raan_deg=NODE_DEG)
     return build_orbit(section, EQUINOX)
 
 
-def year_path(count: int = 367, pointing: PointingSection | None = None) -> BoresightPath:
+def year_path(count: int = 367, pointing: PointingParameters | None = None) -> BoresightPath:
     """Boresight at `count` instants of the year after the equinox."""
-    return boresight_path(thesis_orbit(), pointing or PointingSection(), np.linspace(0.0, TROPICAL_YEAR_S, count))
+    return boresight_path(thesis_orbit(), pointing or PointingParameters(), np.linspace(0.0, TROPICAL_YEAR_S, count))
 
 
 def sanson_flamsteed(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -112,128 +107,57 @@ def bs_path(omega_deg: float, spin_deg: float = 0.0, *, exchanged: bool = False)
 
 def section() -> Section:
     """Boresight path, camera matrix and period."""
-    return Section(
-        "Chapter 3.2: the orbit and the path of the boresight",
-        [*_orbit_rows(), *_path_rows(), *_matrix_rows()],
-        {"fig_3_3_path": path_figure},
-    )
+    values = _orbit_values() | _path_values() | _matrix_values()
+    rows = table_rows("greyling1995/path", values)
+    return Section("Chapter 3.2: the orbit and the path of the boresight", rows, {"fig_3_3_path": path_figure})
 
 
-def _orbit_rows() -> list[Row]:
+def _orbit_values() -> Values:
     radius = EARTH_RADIUS_KM + ALTITUDE_KM
-    kepler_min = 2.0 * math.pi / mean_motion(radius) / 60.0
-    nodal_min = thesis_orbit().period_s / 60.0
-    i_deg = math.degrees(sun_synchronous_inclination(radius))
-    return [
-        compare(
-            "Table 3.2",
-            "period",
-            "100",
-            kepler_min,
-            unit="min",
-            form=".2f",
-            why=f"2π √(a³/μ), rounded in print; from node to node it is {nodal_min:.2f} min under J2",
-        ),
-        compare(
-            "Table 3.2",
-            "inclination",
-            "98.6",
-            i_deg,
-            unit="°",
-            form=".4f",
-            why="the inclination at which J2 turns the node once a tropical year at 800 km",
-        ),
-    ]
+    return {
+        "kepler_min": 2.0 * math.pi / mean_motion(radius) / 60.0,
+        "nodal_min": thesis_orbit().period_s / 60.0,
+        "i_deg": math.degrees(sun_synchronous_inclination(radius)),
+    }
 
 
-def _path_rows() -> list[Row]:
-    path = year_path()
-    t_s = np.linspace(0.0, TROPICAL_YEAR_S, 367)
-    ahead = (path.ra_date_deg - np.degrees(thesis_orbit().raan_rad(t_s))) % 360.0
+def _path_values() -> Values:
+    path, orbit = year_path(), thesis_orbit()
+    ahead = (path.ra_date_deg - np.degrees(orbit.raan_rad(np.linspace(0.0, TROPICAL_YEAR_S, 367)))) % 360.0
     tilted = boresight_path(
-        thesis_orbit(), PointingSection(offset_deg=(0.0, 0.0, 2.0)), np.linspace(0.0, thesis_orbit().period_s, 361)
+        orbit, PointingParameters(offset_deg=(0.0, 0.0, 2.0)), np.linspace(0.0, orbit.period_s, 361)
     )
-    low, high = galactic_crossings_deg(DECLINATION_DEG)
     equinox_ra = float(path.ra_date_deg[0])
-    right_ra, right_dec = bs_path(0.0, exchanged=True)
+    exchanged_ra, exchanged_dec = bs_path(0.0, exchanged=True)
     listing = [bs_path(float(omega))[1] for omega in range(0, 360, 5)]
-    return [
-        compare(
-            "§ 3.2",
-            "declination of the boresight, constant over the year",
-            "8.6",
-            float(path.dec_date_deg.mean()),
-            unit="°",
-            form="+.3f",
-            why=f"along +Y of the local level (+X velocity, +Z nadir), true equator of date; varies by "
-            f"{np.ptp(path.dec_date_deg):.0e}°. RA = Ω + {ahead.mean():.3f}°",
-        ),
-        compare(
-            "Fig. 3.3",
-            "boresight behind the Sun at the equinox, 90° + β with β = 30° (bs_path.m)",
-            "120",
-            360.0 - equinox_ra,
-            unit="°",
-            form=".2f",
-            why=f"from Ω = {NODE_DEG:g}° of Table 3.2, to which β = {270.0 - equinox_ra:.2f}° belongs; β = 30° belongs "
-            "to Ω = 150°, which scenarios/sunsat.yaml and greyling1995.yaml take",
-        ),
-        Row(
-            "App. B",
-            "declination of the boresight over the year by the turns of bs_path.m",
-            "+8.6°",
-            f"{min(listing):+.1f}° to {max(listing):+.1f}°",
-            "differs",
-            f"it turns by 90° − i about z and by β + 90° − Ω about x; with these axes exchanged the declination is "
-            f"{right_dec:+.2f}° and the boresight {360.0 - right_ra:.2f}° behind the Sun at the equinox",
-        ),
-        Row(
-            "§ 3.2",
-            "offset from +Y",
-            "circles around Dec 8.6°",
-            f"2° of yaw: {tilted.dec_date_deg.min():.2f}° to {tilted.dec_date_deg.max():.2f}°",
-            "exact",
-            "one circle an orbit, of the radius of the offset",
-        ),
-        Row(
-            "Fig. 3.3",
-            "RA where the path crosses the galactic plane",
-            "90° and 270°",
-            f"{low:.1f}° and {high:.1f}°",
-            "close",
-            "read off the map in the thesis; computed for b = 0 at Dec 8.6°. The Milky Way is some 20° wide",
-        ),
-    ]
+    return {
+        "dec_deg": path.dec_date_deg.mean(),
+        "varies_deg": np.ptp(path.dec_date_deg),
+        "ahead_deg": ahead.mean(),
+        "behind_sun_deg": 360.0 - equinox_ra,
+        "beta_deg": 270.0 - equinox_ra,
+        "least_dec_deg": min(listing),
+        "most_dec_deg": max(listing),
+        "exchanged_dec_deg": exchanged_dec,
+        "exchanged_behind_deg": 360.0 - exchanged_ra,
+        "circle": (tilted.dec_date_deg.min(), tilted.dec_date_deg.max()),
+        "crossings": galactic_crossings_deg(DECLINATION_DEG),
+    }
 
 
-def _matrix_rows() -> list[Row]:
-    u, i, gamma = math.radians(37.0), math.radians(INCLINATION_DEG), math.radians(-65.0)
-    printed = printed_matrix(u, i, gamma, corrected=False)
-    corrected = printed_matrix(u, i, gamma, corrected=True)
-    return [
-        Row(
-            "eq. 3.3, A.19",
-            "M_Total is a rotation: greatest |M Mᵀ − I| at u = 37°, γ = −65°",
-            "0 (a rotation)",
-            f"{departure_from_rotation(printed):.3f} as printed, {departure_from_rotation(corrected):.0e} corrected",
-            "differs",
-            "element (3,1) should be −cos(u + π/2) sin(π/2 − i); printed is −cos(u + π/2) cos(π/2 − i) sin γ",
-        ),
-        Row(
-            "eq. A.12, A.13",
-            "greatest difference of the camera's attitude from the turns of Appendix A",
-            "0",
-            f"{_attitude_difference():.0e}",
-            "exact",
-            "with the turn by u + π/2 about y, as the text has it; (A.12) prints a turn about z, (A.13) one about y",
-        ),
-    ]
+def _matrix_values() -> Values:
+    angles = math.radians(37.0), math.radians(INCLINATION_DEG), math.radians(-65.0)
+    return {
+        "printed_departure": departure_from_rotation(printed_matrix(*angles, corrected=False)),
+        "corrected_departure": departure_from_rotation(printed_matrix(*angles, corrected=True)),
+        "attitude_difference": _attitude_difference(),
+    }
 
 
 def _attitude_difference() -> float:
     """Of the product's orbit, local level and mounting from `camera_to_celestial`, around one orbit."""
     orbit = thesis_orbit()
-    mounting = mounting_of(PointingSection())
+    mounting = mounting_of(PointingParameters())
     greatest = 0.0
     for t_s in np.linspace(0.0, orbit.period_s, 9):
         camera = mounting.as_matrix() @ local_level(*orbit.state(t_s)).as_matrix()
@@ -266,8 +190,7 @@ def path_figure(magnitude_limit: float = 5.0) -> Figure:
     ax.plot(px, py, "-", color=BLUE, linewidth=2.0, label="boresight")
     ax.plot(*sanson_flamsteed(0.0, 0.0), "o", color=ORANGE, markeredgecolor=INK, label="Sun at the equinox")
     ax.plot(*sanson_flamsteed(path.ra_deg[0], path.dec_deg[0]), "D", color=VERMILION, label="boresight at the equinox")
-    ax.set_xlabel("right ascension [°] along the equator; x = (α − 180°) cos δ")
-    ax.set_ylabel("declination [°]")
+    ax.set(xlabel="right ascension [°] along the equator; x = (α − 180°) cos δ", ylabel="declination [°]")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=6)
     return figure
 
@@ -279,10 +202,7 @@ def _graticule(ax: Axes) -> None:
     for parallel in range(-60, 61, 30):
         ax.plot(*sanson_flamsteed([0.0, 360.0], [parallel, parallel]), color=SOFT, linewidth=0.4, alpha=0.6)
     ax.set_xticks(np.arange(-180, 181, 30), [f"{ra}" for ra in range(0, 361, 30)])
-    ax.set_yticks(np.arange(-90, 91, 30))
-    ax.set_xlim(-184, 184)
-    ax.set_ylim(-93, 93)
-    ax.set_aspect("equal")
+    ax.set(yticks=np.arange(-90, 91, 30), xlim=(-184, 184), ylim=(-93, 93), aspect="equal")
     ax.grid(visible=False)
 
 
@@ -292,3 +212,68 @@ def _great_circle(ax: Axes, to_frame: FloatArray, style: str, colour: str, label
     ra, dec = np.degrees(direction_to_radec(np.cos(t)[:, None] * to_frame[0] + np.sin(t)[:, None] * to_frame[1]))
     order = np.argsort(ra % 360.0)
     ax.plot(*sanson_flamsteed((ra % 360.0)[order], dec[order]), style, color=colour, label=label)
+
+
+_LEVEL_FROM_FOV = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+"""(A.9): field of view (x right, y up, z against the boresight) to local level."""
+
+FOV_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+"""From this product's camera axes (x right, y down, z along the boresight) to the thesis' of the field of view."""
+
+
+def turn_z(angle_rad: float) -> FloatArray:
+    """(A.1): turn of the axes about z."""
+    s, c = math.sin(angle_rad), math.cos(angle_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turn_y(angle_rad: float) -> FloatArray:
+    """(A.2): turn of the axes about y."""
+    s, c = math.sin(angle_rad), math.cos(angle_rad)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def turn_x(angle_rad: float) -> FloatArray:
+    """(A.3): turn of the axes about x."""
+    s, c = math.sin(angle_rad), math.cos(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+
+
+def printed_matrix(u_rad: float, inclination_rad: float, gamma_rad: float, *, corrected: bool) -> FloatArray:
+    """M_Total of (3.3) and (A.19), field of view to Earth axes, letter by letter or with element (3,1) corrected.
+
+    Parameters
+    ----------
+    u_rad, inclination_rad : float
+        Angle from the ascending node, inclination.
+    gamma_rad : float
+        β + π/2 − Ω.
+    corrected : bool
+        Element (3,1) as −cos(u + π/2) sin(π/2 − i), without which no row or column through it is a unit vector; printed
+        is −cos(u + π/2) cos(π/2 − i) sin γ.
+    """
+    su, cu = math.sin(u_rad + math.pi / 2), math.cos(u_rad + math.pi / 2)
+    si, ci = math.sin(math.pi / 2 - inclination_rad), math.cos(math.pi / 2 - inclination_rad)
+    sg, cg = math.sin(gamma_rad), math.cos(gamma_rad)
+    return np.array(
+        [
+            [-cu * ci * cg + su * sg, si * cg, -su * ci * cg - cu * sg],
+            [cu * ci * sg + su * cg, -si * sg, su * ci * sg - cu * cg],
+            [-cu * si if corrected else -cu * ci * sg, -ci, -su * si],
+        ]
+    )
+
+
+def camera_to_celestial(u_rad: float, inclination_rad: float, raan_rad: float) -> FloatArray:
+    """Camera to celestial axes from the turns that the text of Appendix A names, in their order.
+
+    Local level to Earth: by u + π/2 about y, by π/2 − i about x, by −Ω about z. The printed factors (A.12) and (A.13)
+    have the first about z and the second about y.
+    """
+    earth_from_level = turn_z(-raan_rad) @ turn_x(math.pi / 2 - inclination_rad) @ turn_y(u_rad + math.pi / 2)
+    return np.asarray(earth_from_level @ _LEVEL_FROM_FOV @ FOV_FROM_CAMERA)
+
+
+def departure_from_rotation(matrix: FloatArray) -> float:
+    """Greatest element of |M Mᵀ − I|; 0 for a rotation."""
+    return float(np.abs(matrix @ matrix.T - np.eye(3)).max())

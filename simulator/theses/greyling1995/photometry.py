@@ -26,7 +26,8 @@ from simulator.theses.greyling1995.starlight import (
     second_script_mv,
     thesis_mv,
 )
-from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ def section() -> Section:
         "fig_3_14_voltage_V-1.47": functools.partial(voltage_figure, BRIGHTEST_V),
         "fig_3_15_voltage_magnitude": magnitude_figure,
     }
-    rows = [*spectral.rows(), *_magnitude_rows(), *_irradiance_rows(), *_voltage_rows(), *_lens_rows()]
+    values = _magnitude_values() | _irradiance_values() | _voltage_values() | _lens_values()
+    rows = table_rows("greyling1995/spectral", spectral.values()) + table_rows("greyling1995/photometry", values)
     return Section("Chapter 3.4: starlight, output voltage and the lens", rows, figures)
 
 
@@ -81,144 +83,55 @@ def illuminance_lux(curve: str) -> float:
     return float(most * np.trapezoid(efficiency * watt_m2_nm, wavelength_nm))
 
 
-def _magnitude_rows() -> list[Row]:
-    day, night = illuminance_lux("photopic"), illuminance_lux("scotopic")
-    return [
-        compare(
-            "eq. 3.18",
-            "luminous flux density of V = 0 from (3.6), 10^(m₀/2.5)",
-            "2.65e-6",
-            10.0 ** (ZERO_LUX / 2.5),
-            unit="lx",
-            form=".3e",
-            why="from the printed m₀ = −13.94188",
-        ),
-        compare(
-            "eq. 3.6",
-            "the same from the spectrum of an A0V star and the eye's response",
-            "2.65e-6",
-            day,
-            unit="lx",
-            form=".3e",
-            why=f'CIE 1924, the eye by day; with the "scotopic response curve" that the text names it would be '
-            f"{night:.2e} lx",
-        ),
-    ]
+def _magnitude_values() -> Values:
+    return {
+        "printed_lux": 10.0 ** (ZERO_LUX / 2.5),
+        "day": illuminance_lux("photopic"),
+        "night": illuminance_lux("scotopic"),
+    }
 
 
-def _irradiance_rows() -> list[Row]:
-    rows = []
+def _irradiance_values() -> Values:
+    bands = []
     for um, printed in zip(BANDS_UM, IRRADIANCE_W_CM2_UM * 1e12, strict=True):
         nearby = np.linspace(um * 1e3 - 25.0, um * 1e3 + 25.0, 201)
-        ours = float(irradiance_w_cm2_um(nearby, 0.0, 0.0, 0.0).mean()) * 1e12
-        rows.append(
-            compare(
-                "App. B",
-                f"irradiance of A0V, V = 0, at {um:g} µm",
-                f"{printed:g}",
-                ours,
-                unit="× 10⁻¹² W cm⁻² µm⁻¹",
-                form=".4g",
-                why="mean over 50 nm of the product's spectrum (Pickles 1998, zero points of Bessell et al. 1998)",
-            )
+        bands.append(
+            {"um": um, "irradiance": printed, "found": irradiance_w_cm2_um(nearby, 0.0, 0.0, 0.0).mean() * 1e12}
         )
-    return rows
+    return {"bands": bands}
 
 
-def _voltage_rows() -> list[Row]:
-    coded = float(thesis_mv(FAINTEST_V, extra_lambda=True))
-    right = float(thesis_mv(FAINTEST_V, extra_lambda=False))
-    ours = float(camera_mv(FAINTEST_V))
-    bright = float(thesis_mv(BRIGHTEST_V, extra_lambda=True))
-    camera = "V = 6.5, 0.5 s, 12 cm, 25 pixels"
-    return [
-        compare(
-            "Fig. 3.13",
-            f"output voltage as the script codes it: {camera}",
-            "5.5",
-            coded,
-            unit="mV",
-            form=".3f",
-            why="ccdmag.m: bands of 0.10, 0.11, 0.09, 0.15 and 0.46 µm, q G/C₀ = 1.12 µV an electron; with the 1.4 µV "
-            f"of section 3.4.1 it gives {coded * PROTOTYPE_VOLT_PER_E / VOLT_PER_E:.2f} mV",
-        ),
-        compare(
-            "Fig. 3.13",
-            f"output voltage with correct physics: {camera}",
-            "5.5",
-            right,
-            unit="mV",
-            form=".2f",
-            why="the script multiplies E_λ λ/(hc) by λ in µm once more; without it the same bands give "
-            f"{right / coded:.3f} times as much",
-        ),
-        compare(
-            "Fig. 3.13",
-            f"output voltage by this product's spectra and TC211 curve: {camera}",
-            "5.5",
-            ours,
-            unit="mV",
-            form=".2f",
-            why="no surplus λ, and the spectrum times the efficiency integrated from 350 to 1260 nm in place of five "
-            "products; 1.12 µV an electron",
-        ),
-        compare(
-            "§ 3.4.3",
-            "the same on a scale of 0 to 255, 2⁸ (5.5 mV / 450 mV)",
-            "3",
-            2**8 * 5.5 / SATURATION_MV,
-            form=".2f",
-            why=f"with correct physics {2**8 * right / SATURATION_MV:.1f}",
-        ),
-        Row(
-            "Fig. 3.14",
-            "V = −1.47 at 0.5 s and 12 cm",
-            "completely saturated (450 mV)",
-            f"{bright / 1e3:.1f} V if nothing saturated",
-            "exact" if bright > SATURATION_MV else "differs",
-            f"450 mV are reached after {0.5e3 * SATURATION_MV / bright:.0f} ms as coded, after "
-            f"{0.5e3 * SATURATION_MV / float(thesis_mv(BRIGHTEST_V, extra_lambda=False)):.0f} ms with correct physics",
-        ),
-        compare(
-            "§ 3.4.1",
-            "output voltage an electron, q G / C_o of (3.7)",
-            "1.4",
-            VOLT_PER_E * 1e6,
-            unit="µV",
-            why="G = 0.7, C_o = 0.1 pF, as ccdmag.m has them in the first of its two scripts; 1.4 µV is said of the "
-            "TC211 and used in the second one; section 6.1 has 4 µV for it",
-        ),
-        Row(
-            "App. B",
-            f"the second script of ccdmag.m: {camera.replace('25', '10')}",
-            NOTHING,
-            f"{float(second_script_mv(FAINTEST_V)):.1f} mV",
-            "not printed",
-            "efficiencies 0.1, 0.28, 0.4, 0.38, 0.05, ten pixels, 1.4 µV, and no surplus λ; its own loop computes a "
-            "star of V = −1.6 (a factor of 4.36)",
-        ),
-    ]
+def _voltage_values() -> Values:
+    coded, bright = (float(thesis_mv(v_mag, extra_lambda=True)) for v_mag in (FAINTEST_V, BRIGHTEST_V))
+    right, bright_right = (float(thesis_mv(v_mag, extra_lambda=False)) for v_mag in (FAINTEST_V, BRIGHTEST_V))
+    return {
+        "coded": coded,
+        "coded_prototype": coded * PROTOTYPE_VOLT_PER_E / VOLT_PER_E,
+        "right": right,
+        "right_to_coded": right / coded,
+        "ours": camera_mv(FAINTEST_V),
+        "counts": 2**8 * 5.5 / SATURATION_MV,
+        "right_counts": 2**8 * right / SATURATION_MV,
+        "bright_v": bright / 1e3,
+        "saturated": bright > SATURATION_MV,
+        "saturated_ms": 0.5e3 * SATURATION_MV / bright,
+        "right_saturated_ms": 0.5e3 * SATURATION_MV / bright_right,
+        "microvolt_per_e": VOLT_PER_E * 1e6,
+        "second": float(second_script_mv(FAINTEST_V)),
+    }
 
 
-def _lens_rows() -> list[Row]:
-    rows = []
+def _lens_values() -> Values:
+    lenses = []
     for what, width_mm, aperture_mm in (
         ("512 pixels of 10 µm, 10° across, 12 cm of lens", 5.12, 120.0),
         ("TC211 (2.64 mm), 10° across, 10 cm of lens (Fig. 3.15)", 2.64, 100.0),
     ):
         focal_mm = width_mm / 2.0 / math.tan(math.radians(FIELD_DEG / 2.0))
         broken = violations({"optics.focal_length_mm": round(focal_mm, 2), "optics.aperture_mm": aperture_mm})
-        rows.append(
-            Row(
-                "§ 3.4.3",
-                what,
-                "an off-the-shelf lens",
-                f"f/{focal_mm / aperture_mm:.2f}",
-                "differs" if broken else "close",
-                f"cannot be built: {broken[0].message}" if broken else "can be built",
-            )
-        )
-    return rows
+        reason = f"cannot be built: {broken[0].message}" if broken else "can be built"
+        lenses.append({"what": what, "f_number": focal_mm / aperture_mm, "broken": broken, "reason": reason})
+    return {"lenses": lenses}
 
 
 @functools.cache
@@ -237,9 +150,7 @@ def irradiance_figure() -> Figure:
         irradiance = irradiance_w_cm2_um(wavelength_nm, v_mag, float(b_v), float(giant))
         ax.semilogy(wavelength_nm / 1e3, irradiance, style, color=colour, label=f"{name}, V = {_signed(v_mag)}")
     ax.plot(BANDS_UM, IRRADIANCE_W_CM2_UM, "D", color=INK, markersize=5, label="thesis, A0V, V = 0")
-    ax.set_xlabel("wavelength [µm]")
-    ax.set_ylabel("spectral irradiance [W cm⁻² µm⁻¹]")
-    ax.set_ylim(5e-16, 1e-9)
+    ax.set(xlabel="wavelength [µm]", ylabel="spectral irradiance [W cm⁻² µm⁻¹]", ylim=(5e-16, 1e-9))
     ax.legend(loc="upper right", ncols=2)
     return figure
 
@@ -270,8 +181,7 @@ def voltage_figure(v_mag: float) -> Figure:
         reached = "saturated" if shown.max() == SATURATION_MV else f"{float(shown.max()):.3g} mV"
         ax.set_title(f"V = {_signed(v_mag)}, {title}\n{reached} at 12 cm, 0.5 s", y=0.93)
         ax.view_init(elev=24, azim=-128)
-        ax.set_xlabel("lens diameter [cm]")
-        ax.set_ylabel("integration time [s]")
+        ax.set(xlabel="lens diameter [cm]", ylabel="integration time [s]")
         ax.set_zlabel("output voltage [mV]", labelpad=4)
         ax.set_box_aspect(None, zoom=0.86)
     for ax in axes:
@@ -308,8 +218,10 @@ def magnitude_figure(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Figure
     for label, volts, style, colour in curves:
         ax.semilogy(v_mag, volts, style, color=colour, label=label)
     ax.axhline(SATURATION_MV, color=INK, linewidth=1.0, label="saturation, 450 mV")
-    ax.set_xlabel("visual magnitude")
-    ax.set_ylabel("output voltage [mV]")
-    ax.set_title(f"lens {aperture_m * 100:g} cm, {exposure_s * 1e3:g} ms, 1.4 µV/e⁻, 25 pixels")
+    ax.set(
+        xlabel="visual magnitude",
+        ylabel="output voltage [mV]",
+        title=f"lens {aperture_m * 100:g} cm, {exposure_s * 1e3:g} ms, 1.4 µV/e⁻, 25 pixels",
+    )
     ax.legend(loc="lower left")
     return figure

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 
 from simulator.randomness import stream
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.greyling1995.digits import compare_cut
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
 
 if TYPE_CHECKING:
@@ -90,37 +90,26 @@ def section(pairs: int = 200) -> Section:
         "fig_5_10_pair": _pair_figure,
         "fig_5_11_pitch": partial(_pitch_figure, pairs),
     }
-    return Section("Chapter 5.3: pitch from a pair of stars", [*_equation_rows(), *_rule_rows(pairs)], figures)
+    rows = table_rows("greyling1995/pitch", _values(pairs))
+    return Section("Chapter 5.3: pitch from a pair of stars", rows, figures)
 
 
-def _equation_rows() -> list[Row]:
-    far = float(pitch_error_deg(FIELD_DEG, FIELD_DEG, ACCURACY_DEG))
-    near = float(pitch_error_deg(3 * PIXEL_DEG, 3 * PIXEL_DEG, ACCURACY_DEG))
-    return [
-        compare("eq. 5.13", "least error, x = y = 10°", "0.0458", far, unit="°", form=".4f"),
-        compare_cut("eq. 5.13", "largest error, x = y = 0.06°", "7.62", near, unit="°"),
-        compare("§ 5.3.2", "largest separation in the field", "14.14", float(np.hypot(FIELD_DEG, FIELD_DEG)), unit="°",
-                form=".4f", why="printed there as √(10 × 10°), which is 10°; section 5.2.1 has 14.1414°"),
-    ]  # fmt: skip
-
-
-def _rule_rows(pairs: int) -> list[Row]:
-    along, diagonal = least_separation_deg(), least_separation_deg(direction_deg=45.0)
-    measured = measured_pitch_errors_deg(along, pairs)
-    return [
-        compare("§ 5.3.2", "separation for a pitch accuracy of 0.286°", "1.6", along, unit="°", form=".4f",
-                why="of stars along x or y; or x and y alike when x = y"),
-        Row("§ 5.3.2", "the same for any direction", "1.6°", f"{diagonal:.4f}°", "differs",
-            "along the diagonal x = y = 1.6°: √2 times as far apart"),
-        Row("eq. 5.13", "θ_err as an accuracy", "0.286° at 1.6°",
-            f"± {0.5 * float(pitch_error_deg(along, 0.0, ACCURACY_DEG)):.4f}°", "differs",
-            "θ_max − θ_min is the whole range, twice the largest error either way: 0.286° is kept from "
-            f"{least_separation_deg(2 * SPECIFIED_DEG, direction_deg=45.0):.3f}° on in any direction"),
-        Row("§ 5.3.2", "error of our star_pair, 1.6° apart", "≤ 0.286°",
-            f"{np.abs(measured).max():.3f}° largest, {np.sqrt(np.mean(measured**2)):.3f}° rms",
-            "exact" if np.abs(measured).max() <= SPECIFIED_DEG else "differs",
-            f"{pairs} pairs, each star off by up to ±{ACCURACY_DEG}° along x and y"),
-    ]  # fmt: skip
+def _values(pairs: int) -> Values:
+    along, measured = least_separation_deg(), measured_pitch_errors_deg(least_separation_deg(), pairs)
+    far, near = (float(pitch_error_deg(apart, apart, ACCURACY_DEG)) for apart in (FIELD_DEG, 3 * PIXEL_DEG))
+    return {
+        "far": far,
+        "near": near,
+        "diagonal_deg": np.hypot(FIELD_DEG, FIELD_DEG),
+        "along": along,
+        "diagonal": least_separation_deg(direction_deg=45.0),
+        "half_range_deg": 0.5 * float(pitch_error_deg(along, 0.0, ACCURACY_DEG)),
+        "any_direction_deg": least_separation_deg(2 * SPECIFIED_DEG, direction_deg=45.0),
+        "largest_deg": np.abs(measured).max(),
+        "rms_deg": np.sqrt(np.mean(measured**2)),
+        "kept": np.abs(measured).max() <= SPECIFIED_DEG,
+        "pairs": pairs,
+    }
 
 
 def _pair_figure(separation: float = 1.0, accuracy: float = 0.12) -> Figure:
@@ -141,11 +130,13 @@ def _pair_figure(separation: float = 1.0, accuracy: float = 0.12) -> Figure:
     axes.annotate("2 δy", (-accuracy, 0.0), xytext=(-16, -3), textcoords="offset points", ha="center")
     axes.set_aspect("equal")
     axes.margins(0.16)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.set_xlabel("x (not to scale)")
-    axes.set_ylabel("y (not to scale)")
-    axes.set_title("Fig. 5.10  Pitch angle accuracy")
+    axes.set(
+        xticks=[],
+        yticks=[],
+        xlabel="x (not to scale)",
+        ylabel="y (not to scale)",
+        title="Fig. 5.10  Pitch angle accuracy",
+    )
     axes.legend(loc="upper left")
     return figure
 
@@ -157,9 +148,7 @@ def _pitch_figure(pairs: int) -> Figure:
         left.plot(separation, pitch_error_deg(separation, separation, accuracy), color=colour, linestyle=line,
                   label=f"δx = δy = {accuracy:g}°")  # fmt: skip
     left.plot([10.0, 0.06], [0.0458, 7.62], "k*", markersize=10, label="printed")
-    left.set_xlabel("x = y [°]")
-    left.set_ylabel("θ_err, eq. 5.13 [°]")
-    left.set_title("eq. 5.13 for x = y")
+    left.set(xlabel="x = y [°]", ylabel="θ_err, eq. 5.13 [°]", title="eq. 5.13 for x = y")
     angle = np.linspace(0.0, 0.5 * np.pi, 31)
     errors = pitch_error_deg(separation[:, None] * np.cos(angle), separation[:, None] * np.sin(angle), ACCURACY_DEG)
     right.fill_between(separation, errors.min(axis=1), errors.max(axis=1), color=BLUE, alpha=0.3, linewidth=0,
@@ -170,15 +159,15 @@ def _pitch_figure(pairs: int) -> Figure:
                label=f"star_pair, largest of {pairs}")  # fmt: skip
     right.plot(some, [np.sqrt(np.mean(t**2)) for t in tried], color=GREEN, linestyle="-.", marker="o", markersize=4,
                label="star_pair, rms")  # fmt: skip
-    right.set_xlabel("angular separation [°]")
-    right.set_ylabel("error about the boresight [°]")
-    right.set_title(f"by separation, δ = {ACCURACY_DEG:g}°")
+    right.set(
+        xlabel="angular separation [°]",
+        ylabel="error about the boresight [°]",
+        title=f"by separation, δ = {ACCURACY_DEG:g}°",
+    )
     for axes in (left, right):
         axes.axhline(SPECIFIED_DEG, color=INK, linewidth=0.9, linestyle="--")
         axes.axvline(least_separation_deg(), color=INK, linewidth=0.9, linestyle=":", label="0.286° and 1.6°")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_ylim(0.003, 20.0)
+        axes.set(xscale="log", yscale="log", ylim=(0.003, 20.0))
         axes.legend(loc="lower left", frameon=True, facecolor="white", edgecolor="none", framealpha=1.0)
     figure.suptitle("Fig. 5.11  Pitch angle accuracy", fontsize=10)
     return figure

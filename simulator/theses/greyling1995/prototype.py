@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from simulator.detector.comparators import compare_levels, even_levels
-from simulator.detector.sequencer import (
+from simulator.build import build_focal_plane
+from simulator.optics.psf import build_psf
+from simulator.optics.psf_model import PsfModel
+from simulator.optics.shutter import frame_transfer_smear
+from simulator.optics.splat import render_stars
+from simulator.scenario.schema import DetectorSection
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.greyling1995 import signals
+from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.converter import BITS, converter_trials
+from simulator.theses.greyling1995.holes import SLOW_CLOCK_HZ, camera, memory_image, scene, smear_share
+from simulator.theses.greyling1995.sequencer import (
     COLUMNS,
     COUNTS_PER_LINE,
     DUMMY_CELLS,
@@ -23,18 +35,14 @@ from simulator.detector.sequencer import (
     next_state,
     run,
 )
-from simulator.focal_plane import FocalPlane
-from simulator.optics.psf import build_psf
-from simulator.optics.shutter import frame_transfer_smear
-from simulator.optics.splat import render_stars
-from simulator.scenario.schema import DetectorSection, PsfSection
-from simulator.theses.greyling1995 import signals
-from simulator.theses.greyling1995.converter import converter_trials
-from simulator.theses.greyling1995.holes import SLOW_CLOCK_HZ, camera, scene, smear_share
-from simulator.theses.greyling1995.prototype_figures import FIGURES, POSITION_PX
-from simulator.theses.printed import NOTHING, Row, Section, compare
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 
-__all__ = ["defocus_radii_um", "limits_of_brightness", "section"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["FIGURES", "POSITION_PX", "defocus_radii_um", "limits_of_brightness", "section"]
 
 FloatArray = NDArray[np.float64]
 
@@ -47,87 +55,42 @@ DEFOCUS_UM = 40.0
 
 def section() -> Section:
     """Chapter 6 against the models of the product."""
-    return Section(
-        "Chapter 6: the prototype camera with the TC211",
-        [
-            *_device_rows(),
-            *_state_rows(),
-            *_clock_rows(),
-            *_smear_rows(),
-            _focus_row(),
-            *_converter_rows(),
-            *signals.rows(),
-        ],
-        signals.FIGURES | FIGURES,
-    )
+    values = _device_values() | _state_values() | _clock_values() | _smear_values() | _converter_values()
+    rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", signals.values())
+    return Section("Chapter 6: the prototype camera with the TC211", rows, signals.FIGURES | FIGURES)
 
 
 # ---------------------------------------------------------------------- sections 6.1 and 6.2
-def _device_rows() -> list[Row]:
+def _device_values() -> Values:
     pitch_x, pitch_y = camera().detector.pitch_um
     width, height = COLUMNS * pitch_x, LINES * pitch_y
     cells = DUMMY_CELLS + COLUMNS + DARK_ELEMENTS
-    return [
-        Row(
-            "6.1",
-            "image area",
-            "square",
-            f"{width:g} µm × {height:g} µm",
-            "exact" if width == height else "differs",
-            "192 × 13.75 µm and 165 × 16 µm",
-        ),
-        Row(
-            "6.1, 6.2.2",
-            "counts a line against cells of the serial register",
-            f"{COUNTS_PER_LINE}",
-            f"{cells}",
-            "close",
-            f"{DUMMY_CELLS} dummy cells, {COLUMNS} elements, {DARK_ELEMENTS} dark ones: the last "
-            f"{cells - COUNTS_PER_LINE} are cleared unread",
-        ),
-    ]
+    counts = {"counts_per_line": COUNTS_PER_LINE, "cells": cells, "unread": cells - COUNTS_PER_LINE}
+    diffraction, disc = defocus_radii_um()
+    return counts | {
+        "width": width,
+        "height": height,
+        "square": width == height,
+        "dummy": DUMMY_CELLS,
+        "columns": COLUMNS,
+        "diffraction": diffraction,
+        "disc": disc,
+    }
 
 
-def _state_rows() -> list[Row]:
+def _state_values() -> Values:
     printed, mended = equation_faults(as_printed=True), equation_faults()
     names = {name for _, name in printed}
-    rows = [
-        Row(
-            "Table 6.2",
-            f"rows that the equation of {name} gives, over all inputs",
-            f"{len(STATE_TABLE)}",
-            f"{len(STATE_TABLE) - sum(fault == name for _, fault in printed)}",
-            "exact",
-            "as printed",
-        )
-        for name in ("Q1", "Q3", "A_set", "B_set")
-        if name not in names
-    ]
     wrong = [row for row, name in printed if name == "Q2"]
-    lines_left = next(c2z for c2z in (0, 1) if next_state(5, 0, 0, c2z, 0, 0)[0] == 3)
-    rows.append(
-        Row(
-            "Table 6.2",
-            "rows that the equation of Q2 gives, over all inputs",
-            f"{len(STATE_TABLE)}",
-            f"{len(STATE_TABLE) - len(wrong)} as printed, {len(STATE_TABLE) - len(mended)} mended",
-            "differs" if wrong else "exact",
-            f"its plain T5 leads from T5 with C2Z = B = 1 to {_led_to(as_printed=True)} where the table has "
-            f"T{wrong[0].following}: the camera never comes to rest. T1 + T2 + T5·(C2Z·B)' + T6 is right",
-        )
-    )
-    rows.append(
-        Row(
-            "6.2.2",
-            "lines left: from T5 to T3",
-            "if C2 has reached 0",
-            f"with C2Z = {lines_left}, where C2 has not reached 0",
-            "differs",
-            "the text has it the wrong way round; Table 6.2 goes to T3 with C2Z = 0, lines left. C2Z is active high, "
-            "C1Z and C3Z active low",
-        )
-    )
-    return rows
+    return {
+        "table_rows": len(STATE_TABLE),
+        "right_outputs": [{"name": name} for name in ("Q1", "Q3", "A_set", "B_set") if name not in names],
+        "right_printed": len(STATE_TABLE) - len(wrong),
+        "right_mended": len(STATE_TABLE) - len(mended),
+        "wrong": wrong,
+        "led_to": _led_to(as_printed=True),
+        "lines_left": next(c2z for c2z in (0, 1) if next_state(5, 0, 0, c2z, 0, 0)[0] == 3),
+    }
 
 
 def _led_to(*, as_printed: bool) -> str:
@@ -149,91 +112,39 @@ def _full_run() -> Sequencer:
     return sequencer
 
 
-def _clock_rows() -> list[Row]:
+def _clock_values() -> Values:
     dark = np.zeros((LINES, COLUMNS))
     one, three = (expose(dark, frames) for frames in (1, 3))
     frame_s = (three.integration_s - one.integration_s) / 2.0
     written = _full_run().cm
-    return [
-        compare(
-            "6.2.2",
-            "largest clock of SRG: 15.7 kHz × 208",
-            "3.26",
-            IAG_HZ * COUNTS_PER_LINE / 1e6,
-            unit="MHz",
-            why="3.2656: cut, not rounded",
-        ),
-        compare(
-            "6.2.2",
-            "line clock: 1 / (208 × 0.5 µs)",
-            "9.6",
-            SERIAL_CLOCK_HZ / COUNTS_PER_LINE / 1e3,
-            unit="kHz",
-        ),
-        compare(
-            "6.2.2",
-            "line clock of the state machine",
-            "9.6",
-            1e-3 / one.line_s,
-            unit="kHz",
-            why=f"each line takes T3 and T5 besides 208 times T4: {one.line_s * SERIAL_CLOCK_HZ:.0f} clocks",
-        ),
-        Row(
-            "6.2.1",
-            "integration time",
-            "in multiples of the frame time",
-            f"N × {frame_s * 1e3:.3f} ms + {(one.integration_s - frame_s) * 1e3:.3f} ms",
-            "close",
-            "run clock by clock; the rest is T6, T2 and the line from the last shift of the clearing to the first of "
-            "the clock-out",
-        ),
-        compare("6.2.3", "memory of an image", "31680", float(written), unit="bytes", why="addresses written in a run"),
-        compare(
-            "6.2.3",
-            "memory against 2 bits a pixel, packed",
-            "4",
-            written * 8.0 / (written * 2.0),
-            unit="times",
-        ),
-    ]
+    return {
+        "largest_mhz": IAG_HZ * COUNTS_PER_LINE / 1e6,
+        "line_khz": SERIAL_CLOCK_HZ / COUNTS_PER_LINE / 1e3,
+        "machine_khz": 1e-3 / one.line_s,
+        "line_clocks": one.line_s * SERIAL_CLOCK_HZ,
+        "frame_ms": frame_s * 1e3,
+        "rest_ms": (one.integration_s - frame_s) * 1e3,
+        "written": written,
+        "packed": written * 8.0 / (written * 2.0),
+    }
 
 
 # ---------------------------------------------------------------------- smear
-def _smear_rows() -> list[Row]:
+def _smear_values() -> Values:
     rate = scene()
     clocked = expose(rate, 1)
     still = rate * clocked.integration_s
     smear = frame_transfer_smear(still, clocked.integration_s, clocked.line_s, "up")
-    off = float(np.abs(clocked.charge_e - still - smear).max() / still.max())
-    fast, slow = (smear_share(clock, frames=1) for clock in (SERIAL_CLOCK_HZ, SLOW_CLOCK_HZ))
-    fast_s, slow_s = (smear_share(clock, integration_s=0.2) for clock in (SERIAL_CLOCK_HZ, SLOW_CLOCK_HZ))
-    return [
-        Row(
-            "6.2, Fig. 6.10",
-            "smear by line_time · Σ F against charge moved line by line",
-            NOTHING,
-            f"{off:.0e} of the brightest pixel",
-            "not printed",
-            "simulator.optics.shutter against the sequencer, which moves the charge at every shift",
-        ),
-        Row(
-            "6.2.3, 6.3",
-            f"smear over signal, {SLOW_CLOCK_HZ / 1e6:g} MHz against 2 MHz, integration 0.2 s",
-            "greater at a slower clock",
-            f"{100 * slow_s:.2f} % against {100 * fast_s:.2f} %",
-            "exact" if slow_s > fast_s else "differs",
-            "the same integration: a line stands longer in each row, smear ∝ 1 / clock",
-        ),
-        Row(
-            "6.2.3, 6.3",
-            f"smear over signal, {SLOW_CLOCK_HZ / 1e6:g} MHz against 2 MHz, integration one frame",
-            "greater at a slower clock",
-            f"{100 * slow:.1f} % against {100 * fast:.1f} %",
-            "close" if slow > fast else "differs",
-            "integration is counted in frames and slows with the clock, which leaves smear over signal as it is; but "
-            "the holes' images fill their wells while their smear still grows",
-        ),
-    ]
+    fast, slow = (100 * smear_share(clock, frames=1) for clock in (SERIAL_CLOCK_HZ, SLOW_CLOCK_HZ))
+    fast_s, slow_s = (100 * smear_share(clock, integration_s=0.2) for clock in (SERIAL_CLOCK_HZ, SLOW_CLOCK_HZ))
+    return {
+        "off": np.abs(clocked.charge_e - still - smear).max() / still.max(),
+        "slow_mhz": SLOW_CLOCK_HZ / 1e6,
+        "percents": (slow, fast),
+        "slow_greater": slow > fast,
+        "percents_s": (slow_s, fast_s),
+        "slow_s_greater": slow_s > fast_s,
+    }
 
 
 # ---------------------------------------------------------------------- focus
@@ -245,7 +156,7 @@ def defocus_radii_um(defocus_um: float = DEFOCUS_UM) -> tuple[float, float]:
     """
     optics, pitch = camera().optics, camera().detector.pitch_um
     f_number = optics.focal_length_mm / optics.aperture_mm
-    psf = build_psf(PsfSection(model="diffraction", defocus_um=defocus_um), f_number, pitch)
+    psf = build_psf(PsfModel(model="diffraction", defocus_um=defocus_um), f_number, pitch)
     image = render_stars((81, 81), np.array([[40.0, 40.0]]), np.ones(1), np.array([1e6]), psf)
     y, x = np.indices(image.shape)
     square = ((x - 40) * pitch[0]) ** 2 + ((y - 40) * pitch[1]) ** 2
@@ -253,18 +164,6 @@ def defocus_radii_um(defocus_um: float = DEFOCUS_UM) -> tuple[float, float]:
     near = np.where(np.sqrt(square) < disc_um + 2.0 * max(pitch), image, 0.0)
     pixel = (pitch[0] ** 2 + pitch[1] ** 2) / 12.0
     return float(np.sqrt((near * square).sum() / near.sum())), math.sqrt(disc_um**2 / 2.0 + pixel)
-
-
-def _focus_row() -> Row:
-    diffraction, disc = defocus_radii_um()
-    return Row(
-        "Fig. 6.9",
-        f"rms radius of a point {DEFOCUS_UM:g} µm out of focus at f/1",
-        NOTHING,
-        f"{diffraction:.1f} µm",
-        "not printed",
-        f"the figure has no scale; a geometric disc of diameter δ/N, spread over a pixel, has {disc:.1f} µm",
-    )
 
 
 # ---------------------------------------------------------------------- converter
@@ -277,17 +176,14 @@ def limits_of_brightness() -> tuple[float, float]:
     detector, sigma_px = scenario.detector, scenario.optics.psf.sigma_px
     assert sigma_px is not None
     share = float(erf(0.5 / (sigma_px * math.sqrt(2.0))) ** 2)
-    rate = float(FocalPlane(scenario).photometer.electrons_per_s(0.0, 0.65)) * share
+    rate = float(build_focal_plane(scenario).photometer.electrons_per_s(0.0, 0.65)) * share
     frame_s = expose(np.zeros((LINES, COLUMNS)), 1).integration_s
     lowest_e = float(even_levels(2, detector.full_well_e)[0])
     dark_e = detector.dark_current_e_s * 2.0 ** (
         (detector.temperature_c - detector.dark_reference_c) / detector.dark_doubling_c
     )
     noise_e = math.sqrt(detector.read_noise_e**2 + dark_e * detector.exposure_s + gain_noise_e(detector) ** 2)
-    return (
-        2.5 * math.log10(rate * frame_s / lowest_e),
-        2.5 * math.log10(rate * detector.exposure_s / (5.0 * noise_e)),
-    )
+    return (2.5 * math.log10(rate * frame_s / lowest_e), 2.5 * math.log10(rate * detector.exposure_s / (5.0 * noise_e)))
 
 
 def gain_noise_e(detector: DetectorSection, bits: int = 12) -> float:
@@ -295,44 +191,119 @@ def gain_noise_e(detector: DetectorSection, bits: int = 12) -> float:
     return float(detector.full_well_e / (2**bits - 1) / math.sqrt(12.0))
 
 
-def _converter_rows() -> list[Row]:
+def _converter_values() -> Values:
+    def words(name: str) -> dict[str, str]:
+        return {"bright": trials[name, 0.8].words(), "faint": trials[name, 0.04].words()}
+
     trials = converter_trials()
-    counts = len(np.unique(compare_levels(np.linspace(0.0, 1.0, 1000), even_levels(2, 1.0))))
-    two, many = limits_of_brightness()
-    rows = [
-        compare("6.2.3", "brightness values of three levels", "4", float(counts)),
-        Row(
-            "6.3",
-            "faintest star, V, with the lens of 1.5 cm",
-            "lens much too small to observe real stars",
-            f"V = {two:.1f} with 2 bits and one frame; V = {many:.1f} with 12 bits and 0.5 s",
-            "differs",
-            "it was the 2-bit converter and the integration of some 20 ms: with 12 bits and 0.5 s scenarios/tc211.yaml "
-            "solves its frames through this lens",
-        ),
-    ]
-    for bits in (2, 8, 12):
-        bright, faint = trials[f"{bits} bits", 0.8], trials[f"{bits} bits", 0.04]
-        rows.append(
-            Row(
-                "6.2.3",
-                f"centroid error with {bits} bits, rms of an axis",
-                NOTHING,
-                f"{bright.words()} at 0.8 of the full well; {faint.words()} at 0.04",
-                "not printed",
-                ("2 bits are for experimental purposes, the thesis says" if bits == 2 else "recommended by the thesis")
-                + f"; by the product's detection and centroiding; section 7.2 asks for {POSITION_PX:g} pixels",
-            )
+    notes = {2: "2 bits are for experimental purposes, the thesis says"}
+    return {
+        "counts": len(np.unique(compare_levels(np.linspace(0.0, 1.0, 1000), even_levels(2, 1.0)))),
+        "faintest_v": limits_of_brightness(),
+        "position_px": POSITION_PX,
+        "converters": [
+            {"bits": bits, "note": notes.get(bits, "recommended by the thesis")} | words(f"{bits} bits")
+            for bits in (2, 8, 12)
+        ],
+        "geometric": words("2 bits, geometric levels"),
+    }
+
+
+POSITION_PX = 0.1
+"""Accuracy that section 7.2 asks of the positions: L/10."""
+_CLOCKS_HZ = np.geomspace(5e4, 3.26e6, 25)
+_FIG_DEFOCUS_UM = 120.0
+
+
+def _fig_modes() -> Figure:
+    """Fig. 6.4: clear, integration, clock-out, with the gates."""
+    figure, ax = new_figure(size=(6.4, 2.8))
+    sequencer = Sequencer(2)
+    modes: list[tuple[str, int]] = []
+    while sequencer.clock == 0 or sequencer.state != 0:
+        sequencer.step()
+        if sequencer.state in (2, 3, 4, 5) and (not modes or modes[-1][0] != sequencer.mode):
+            modes.append((sequencer.mode, sequencer.clock))
+    ends = [*(start for _, start in modes[1:]), sequencer.clock]
+    to_ms = 1e3 / SERIAL_CLOCK_HZ
+    colours = {"clear": SOFT, "integration": BLUE, "clockout": VERMILION}
+    words = {"clear": "clear", "integration": "integration, N = 2", "clockout": "clock-out"}
+    for (mode, start), end in zip(modes, ends, strict=True):
+        width = (end - start) * to_ms
+        ax.broken_barh([(start * to_ms, width)], (2.1, 0.8), color=colours[mode])
+        ax.text((start + end) / 2 * to_ms, 2.5, words[mode], color="white", ha="center", va="center")
+        if mode != "integration":
+            ax.broken_barh([(start * to_ms, width)], (1.1, 0.8), color=GREEN)
+        ax.broken_barh([(start * to_ms, width)], (0.1, 0.8), color=ORANGE)
+    ax.set_yticks([2.5, 1.5, 0.5], ["mode", "IAG, 165 lines", "SRG, 2 MHz"])
+    ax.set_xlabel("time after GO [ms]")
+    ax.grid(visible=False, axis="y")
+    return figure
+
+
+def _show_levels(ax: Axes, codes: NDArray[np.uint16], title: str) -> None:
+    pitch_x, pitch_y = camera().detector.pitch_um
+    ax.imshow(codes, cmap="gray", vmin=0, vmax=3, aspect=pitch_y / pitch_x, interpolation="nearest")
+    ax.set(title=title, xlabel="column [pixels]", ylabel="line [pixels]")
+    ax.grid(visible=False)
+
+
+def _fig_focus() -> Figure:
+    """Fig. 6.9: holes out of focus, and in focus."""
+    figure, axes = new_figure(1, 2, size=(7.6, 3.6))
+    for ax, defocus_um in zip(axes, (_FIG_DEFOCUS_UM, 0.0), strict=True):
+        _show_levels(ax, memory_image(SERIAL_CLOCK_HZ, defocus_um=defocus_um), f"{defocus_um:g} µm out of focus")
+    return figure
+
+
+def _fig_holes(clock_hz: float) -> Figure:
+    """Figs. 6.10 and 6.11: holes in a box, one frame time, at one clock."""
+    figure, ax = new_figure(size=(4.8, 4.2))
+    _show_levels(ax, memory_image(clock_hz), f"{clock_hz / 1e6:g} MHz, integration of one frame")
+    return figure
+
+
+def _fig_smear() -> Figure:
+    """Smear beside a hole over its peak, against the clock."""
+    figure, ax = new_figure()
+    frames = [100 * smear_share(clock, frames=1) for clock in _CLOCKS_HZ]
+    seconds = [100 * smear_share(clock, integration_s=0.2) for clock in _CLOCKS_HZ]
+    ax.loglog(_CLOCKS_HZ / 1e6, frames, "-o", color=BLUE, markersize=3, label="integration of one frame")
+    ax.loglog(_CLOCKS_HZ / 1e6, seconds, "--s", color=ORANGE, markersize=3, label="integration of 0.2 s")
+    lowest = 100 * float(even_levels(2, 1.0)[0])
+    ax.axhline(lowest, color=INK, linewidth=0.8, linestyle=":", label="lowest of three even levels")
+    ax.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
+    ax.minorticks_off()
+    ax.set(xlabel="serial clock [MHz]", ylabel="smear over the hole's peak [%]")
+    ax.legend()
+    return figure
+
+
+def _fig_converter() -> Figure:
+    """Error of the centroid against the bits of the converter."""
+    figure, ax = new_figure()
+    trials = converter_trials()
+    for peak, colour, style in ((0.8, BLUE, "-o"), (0.04, ORANGE, "--s")):
+        found = [(bits, trials[f"{bits} bits", peak].error_px) for bits in BITS]
+        shown = [(bits, error) for bits, error in found if math.isfinite(error)]
+        ax.semilogy(
+            *zip(*shown, strict=True), style, color=colour, markersize=4, label=f"peak at {peak:g} of full well"
         )
-    wide, faint = trials["2 bits, geometric levels", 0.8], trials["2 bits, geometric levels", 0.04]
-    rows.append(
-        Row(
-            "6.2.3",
-            "2 bits, levels of equal ratio in place of even ones",
-            "further tests could be done",
-            f"{wide.words()} at 0.8 of the full well; {faint.words()} at 0.04",
-            "open",
-            "levels at 0.02, 0.1 and 0.5 of the full well",
-        )
-    )
-    return rows
+        geometric = trials["2 bits, geometric levels", peak].error_px
+        if math.isfinite(geometric):
+            ax.semilogy(2, geometric, "^", color=colour, markersize=7, label=f"{peak:g}, levels of equal ratio")
+    ax.axhline(POSITION_PX, color=INK, linewidth=0.8, linestyle=":", label="a tenth of a pixel (section 7.2)")
+    ax.set(xticks=BITS, xlabel="converter [bits]", ylabel="centroid error, rms of an axis [pixels]")
+    ax.legend()
+    return figure
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "fig_6_4_modes": _fig_modes,
+    "fig_6_9_focus": _fig_focus,
+    "fig_6_10_slow_clock": partial(_fig_holes, SLOW_CLOCK_HZ),
+    "fig_6_11_2_mhz": partial(_fig_holes, SERIAL_CLOCK_HZ),
+    "fig_6_smear_against_clock": _fig_smear,
+    "fig_6_converter": _fig_converter,
+}
+"""File name to the function that draws it, in the order of the thesis."""

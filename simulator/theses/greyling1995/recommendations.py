@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,19 @@ from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
-from simulator.theses.printed import NOTHING, Row, Section, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import table_rows
 from startracker.attitude import Attitude
+from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid import METHODS as CENTROIDERS
-from startracker.detection import Spots, estimate, find_round_regions
+from startracker.centroid import Centroids
+from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.identification import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.settings import CentroidSettings
 from startracker.solution import Status
 
 if TYPE_CHECKING:
@@ -45,6 +49,9 @@ PRNU = 0.03
 _RAW_SIGMA_PX = 1.0 / math.sqrt(6.0)
 """Of a brightest pixel on one axis: within half a pixel, and the peak of a noisy star one pixel off now and then."""
 _STEP_PX = 1e-4
+
+_Matched: TypeAlias = tuple[FloatArray, NDArray[np.int64], int, float]
+"""Centroids and guide stars of the matched candidates, centroids computed, their time in ms."""
 
 
 # ---------------------------------------------------------------------- a planet or a star
@@ -151,6 +158,53 @@ class Order:
     errors_arcsec: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Star candidates of a frame, and what measures and identifies them."""
+
+    spots: Spots
+    camera: Camera
+    measure: Callable[[Spots], Centroids]
+    identify: Callable[[Observed], Identification]
+
+    def observed(self, xy: FloatArray, flux: FloatArray, sigma_px: FloatArray) -> Observed:
+        """Directions, fluxes and errors of positions in the image."""
+        return Observed(self.camera.unproject(xy), flux, sigma_px * self.camera.pixel_rad)
+
+    def measured_ms(self, spots: Spots) -> tuple[Centroids, float]:
+        """Centroids of some of them, and the time that they take."""
+        start = time.perf_counter()
+        return self.measure(spots), 1e3 * (time.perf_counter() - start)
+
+
+def _measure(image: NDArray[np.float32], background: Background, settings: CentroidSettings, spots: Spots) -> Centroids:
+    return CENTROIDERS["moment"](image, background, spots, settings, None)
+
+
+def _centroids_first(frame: _Candidates) -> _Matched:
+    """Every candidate measured, then identified."""
+    found, spent_ms = frame.measured_ms(frame.spots)
+    sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
+    answer = frame.identify(frame.observed(found.xy, found.flux, sigma))
+    seen, stars = answer.pairs.T if answer.status is Status.SOLVED else np.empty((2, 0), np.int64)
+    return found.xy[seen], stars, len(frame.spots), spent_ms
+
+
+def _raw_pixels_first(frame: _Candidates) -> _Matched:
+    """Brightest pixels identified, then the matched candidates measured."""
+    spots = frame.spots
+    peaks = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
+    answer = frame.identify(frame.observed(peaks, spots.flux, np.full(len(spots), _RAW_SIGMA_PX)))
+    if answer.status is not Status.SOLVED:
+        return np.empty((0, 2)), np.empty(0, np.int64), len(spots), 0.0
+    seen, stars = answer.pairs.T
+    found, spent_ms = frame.measured_ms(_of(spots, seen))
+    return found.xy, stars, len(seen), spent_ms
+
+
+_ORDERS = {"centroids first": _centroids_first, "raw pixels first": _raw_pixels_first}
+
+
 @cache
 def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
     """The scenario of the thesis' rules solved in both orders: centroids first, or brightest pixels first.
@@ -158,51 +212,32 @@ def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
     With raw pixels the stars are identified by their brightest pixels, and centroids computed of the matched ones only.
     """
     scenario = Scenario.load("greyling1995")
-    renderer = Renderer(scenario)
-    settings = scenario.tracker
-    stars_of = load_catalog("bsc5")
-    guide = GuideDatabase.build(stars_of, renderer.camera, settings.magnitude_limit, settings.identification)
-    measure, estimate_attitude = CENTROIDERS["moment"], ESTIMATORS["svd"]
-    rows: dict[str, list[tuple[Any, ...]]] = {"centroids first": [], "raw pixels first": []}
+    renderer, settings = Renderer(scenario), scenario.tracker
+    camera = renderer.camera
+    guide = GuideDatabase.build(load_catalog("bsc5"), camera, settings.magnitude_limit, settings.identification)
+    results: dict[str, list[tuple[float, int, float]]] = {name: [] for name in _ORDERS}
     for index in range(frames):
         frame, truth = renderer.frame(index)
         image = np.asarray(frame.image, dtype=np.float32)
         background = estimate(image, settings.detection.background_tile_px)
-        spots = find_round_regions(image, background, settings.detection)
         prior = None
         if frame.prior is not None:
             prior = Prior(frame.prior, math.radians(math.sqrt(3.0) * frame.prior_deg))
         sky = guide.seen_by(frame.observer)
-        for name, raw in (("centroids first", False), ("raw pixels first", True)):
-            start = time.perf_counter()
-            if raw:
-                xy = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
-                sigma = np.full(len(spots), _RAW_SIGMA_PX)
-                flux = spots.flux
-            else:
-                found = measure(image, background, spots, settings.centroid, None)
-                xy, flux = found.xy, found.flux
-                sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
-            spent = 1e3 * (time.perf_counter() - start)
-            answer = match_groups(
-                Observed(renderer.camera.unproject(xy), flux, sigma * renderer.camera.pixel_rad),
-                sky, settings.identification, prior,
-            )  # fmt: skip
-            error, count = math.nan, len(spots)
-            if answer.status is Status.SOLVED:
-                seen, stars = answer.pairs.T
-                if raw:
-                    start, count = time.perf_counter(), len(seen)
-                    found = measure(image, background, _of(spots, seen), settings.centroid, None)
-                    spent = 1e3 * (time.perf_counter() - start)
-                    xy = xy.copy()
-                    xy[seen] = found.xy
-                turned = estimate_attitude(
-                    renderer.camera.unproject(xy[seen]), sky.directions[stars], np.full(len(seen), 1e-5)
-                )
+        candidates = _Candidates(
+            find_round_regions(image, background, settings.detection),
+            camera,
+            partial(_measure, image, background, settings.centroid),
+            partial(match_groups, guide=sky, settings=settings.identification, prior=prior),
+        )
+        for name, solve in _ORDERS.items():
+            xy, stars, count, spent_ms = solve(candidates)
+            error = math.nan
+            if len(stars):
+                turned = ESTIMATORS["svd"](camera.unproject(xy), sky.directions[stars], np.full(len(stars), 1e-5))
                 error = 3600.0 * _apart_deg(Attitude.from_matrix(turned.matrix), truth.attitude)
-            rows[name].append((answer, error, count, spent))
-    return {name: _order(results) for name, results in rows.items()}
+            results[name].append((error, count, spent_ms))
+    return {name: _order(solved) for name, solved in results.items()}
 
 
 def _of(spots: Spots, index: NDArray[np.int64]) -> Spots:
@@ -219,15 +254,15 @@ def _apart_deg(one: Attitude, other: Attitude) -> float:
     return math.degrees(math.acos(min(1.0, float(one.boresight @ other.boresight))))
 
 
-def _order(results: list[tuple[Identification, float, int, float]]) -> Order:
-    errors = np.array([error for _, error, _, _ in results])
+def _order(results: list[tuple[float, int, float]]) -> Order:
+    errors, counts, spent_ms = (np.array(column) for column in zip(*results, strict=True))
     solved = np.isfinite(errors)
     return Order(
         frames=len(results),
         solved=int(solved.sum()),
         wrong=int(np.count_nonzero(errors[solved] > 60.0)),
-        centroids=float(np.mean([count for _, _, count, _ in results])),
-        centroid_ms=float(np.median([spent for *_, spent in results])),
+        centroids=float(counts.mean()),
+        centroid_ms=float(np.median(spent_ms)),
         errors_arcsec=errors[solved],
     )
 
@@ -245,39 +280,27 @@ def prnu_error_px(prnu: float = PRNU, sigma_px: float = THESIS_SIGMA, offset_px:
 def section(frames: int = 12) -> Section:
     """Rows of the three recommendations, and the planet test's figure."""
     mars = mars_diameters_arcsec()[1] / PIXEL_ARCSEC
-    orders = raw_pixels_first(frames)
-    first, raw = orders["centroids first"], orders["raw pixels first"]
     planets = {"Mars, 25″": mars, "Jupiter, 50″": 50.0 / PIXEL_ARCSEC, "Venus, 64″": 64.0 / PIXEL_ARCSEC}
-    rows = [
-        Row(
-            "§ 7.2", f"planet or star by correlation over 5 × 5: {name} ({size:.2f} px)", "left open",
-            f"{100 * planet_detectability(size, 40.0):.0f} % found at 40 dB, 99 % from {least_snr_db(size):.0f} dB on",
-            "open",
-            "1 % of the stars called planets; brightness, position and background unknown, the lens' σ known. Where "
-            f"σ is unknown, 99 % need {least_snr_db(size, sigma_known=False):.0f} dB: a disk is like a wide star",
-        )
-        for name, size in planets.items()
-    ]  # fmt: skip
-    rows.append(
-        Row(
-            "§ 7.2", "identification from raw pixels, centroids of the matched stars only", "left open",
-            f"{raw.solved} of {raw.frames} frames, {raw.wrong} wrong, {raw.centroids:.1f} centroids a frame; with "
-            f"centroids first {first.solved}, {first.wrong} wrong, {first.centroids:.1f}",
-            "open",
-            f"scenarios/greyling1995.yaml; boresights off by {np.median(raw.errors_arcsec):.2f}″ and "
-            f"{np.median(first.errors_arcsec):.2f}″ on the median. With eight stars a frame there is little to "
-            "save, with a hundred objects there is",
-        )
-    )  # fmt: skip
-    rows.append(
-        Row(
-            "§ 4.3.2", "error of the centroid by unequal pixels of 3 %, left and corrected", NOTHING,
-            f"{prnu_error_px():.4f} px; corrected by a map from 16 frames of 40,000 electrons "
-            f"{prnu_error_px(1.0 / math.sqrt(16 * 40_000)):.5f} px", "not printed",
-            "\"several percent of the peak response\" in the thesis; p √(Σ (i − m)² f²) / Σ f, and the map is good "
-            "to 1/√(N S) (startracker.detection.sensitivity)",
-        )
-    )  # fmt: skip
+    first, raw = raw_pixels_first(frames).values()
+    values = {
+        "planets": [
+            {
+                "name": name,
+                "size": size,
+                "percent": 100 * planet_detectability(size, 40.0),
+                "known_db": least_snr_db(size),
+                "unknown_db": least_snr_db(size, sigma_known=False),
+            }
+            for name, size in planets.items()
+        ],
+        "first": first,
+        "first_arcsec": np.median(first.errors_arcsec),
+        "raw": raw,
+        "raw_arcsec": np.median(raw.errors_arcsec),
+        "prnu_px": prnu_error_px(),
+        "mapped_px": prnu_error_px(1.0 / math.sqrt(16 * 40_000)),
+    }
+    rows = table_rows("greyling1995/recommendations", values)
     figures: dict[str, Callable[[], Figure]] = {"sec_7_2_planets": partial(_planet_figure, planets)}
     return Section("Chapter 7.2: what the thesis recommends", rows, figures)
 
@@ -290,17 +313,17 @@ def _planet_figure(planets: dict[str, float]) -> Figure:
         unknown = [100 * planet_detectability(size, s, sigma_known=False) for s in snr]
         left.plot(snr, unknown, color=colour, linestyle=":", linewidth=1.0)
     left.plot([], [], color=INK, linestyle=":", label="σ of the lens unknown")
-    left.set_xlabel("brightest pixel over noise [dB]")
-    left.set_ylabel("planets found, 1 % of the stars lost [%]")
-    left.set_ylim(-3, 135)
-    left.set_yticks(range(0, 101, 20))
+    left.set(
+        xlabel="brightest pixel over noise [dB]",
+        ylabel="planets found, 1 % of the stars lost [%]",
+        ylim=(-3, 135),
+        yticks=range(0, 101, 20),
+    )
     left.legend(loc="upper left", ncols=2, fontsize=7)
     sizes = np.geomspace(0.1, 4.0, 30)
     for known, colour, line, name in ((True, GREEN, "-", "σ known"), (False, INK, ":", "σ unknown")):
         right.plot(sizes, [least_snr_db(s, sigma_known=known) for s in sizes], color=colour, linestyle=line, label=name)
-    right.set_xscale("log")
-    right.set_xlabel("diameter of the disk [pixels]")
-    right.set_ylabel("brightest pixel over noise for 99 % [dB]")
+    right.set(xscale="log", xlabel="diameter of the disk [pixels]", ylabel="brightest pixel over noise for 99 % [dB]")
     right.legend(loc="upper right")
     figure.suptitle("Section 7.2  Planet or star by correlation over 5 × 5 pixels", fontsize=10)
     return figure

@@ -25,7 +25,8 @@ from simulator.theses.greyling1995.identification import (
     judge,
     thesis_identification,
 )
-from simulator.theses.printed import NOTHING, Row, Section, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import table_rows
 from startracker.identification import METHODS
 from startracker.settings import IdentificationSettings
 
@@ -73,6 +74,10 @@ class Result:
     fields: int
     time_ms: float
 
+    def words(self) -> str:
+        """For a table."""
+        return f"{100 * self.right / self.fields:.0f} %, {self.wrong} wrong, {self.time_ms:.2g} ms"
+
 
 def _settings(name: str) -> IdentificationSettings:
     return thesis_identification() if name == "match_groups" else IdentificationSettings()
@@ -105,22 +110,15 @@ def review(fields: int = 2, names: Sequence[str] = tuple(METHODS)) -> dict[tuple
 def section(fields: int = 2) -> Section:
     """A row for each identifier, and the figure of all cases."""
     found = review(fields)
-    rows = []
-    for name in METHODS:
-        cells = [
-            f"{case}: {100 * result.right / result.fields:.0f} %, {result.wrong} wrong, {result.time_ms:.2g} ms"
-            for case, result in ((case, found[name, case]) for case in CASES)
-        ]
-        why = TECHNIQUES.get(name, "an identifier of another package")
-        rows.append(Row("§ 5.1.2", f"identifier {name}", NOTHING, "; ".join(cells), "not printed", why))
-    rows.append(
-        Row(
-            "§ 5.1.2", "direct match: mean distance of a position from the nearest guide star", NOTHING,
-            f"{_mean_distance_deg():.2f}°, the other sensors' error being 1° about each axis", "not printed",
-            f"1/(2√n), stars to V = {LIMIT}: the nearest star is often another one; the thesis leaves the "
-            "technique out for the other sensors' errors",
-        )
-    )  # fmt: skip
+    identifiers = [
+        {
+            "name": name,
+            "cells": "; ".join(f"{case}: {found[name, case].words()}" for case in CASES),
+            "technique": TECHNIQUES.get(name, "an identifier of another package"),
+        }
+        for name in METHODS
+    ]
+    rows = table_rows("greyling1995/review", {"identifiers": identifiers, "nearest_deg": _mean_distance_deg()})
     return Section("Chapter 5.1.2: recognition algorithms", rows, {"sec_5_1_2_review": lambda: _figure(found)})
 
 
@@ -146,10 +144,8 @@ def _figure(found: dict[tuple[str, str], Result]) -> Figure:
     for axes in (left, right):
         axes.set_xticks(place, list(CASES), rotation=20)
         axes.set_xlabel("case")
-    left.set_ylabel("fields correctly identified [%]")
-    left.set_ylim(-4, 105)
-    right.set_yscale("log")
-    right.set_ylabel("median time [ms]")
+    left.set(ylabel="fields correctly identified [%]", ylim=(-4, 105))
+    right.set(yscale="log", ylabel="median time [ms]")
     fields = next(iter(found.values())).fields
     figure.suptitle(f"Section 5.1.2  Every identifier on the same {fields} fields of 10°, V ≤ {LIMIT}", fontsize=10)
     left.legend(loc="lower left", fontsize=7)

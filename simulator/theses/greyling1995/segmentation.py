@@ -15,10 +15,11 @@ from simulator.mission.clock import Clock
 from simulator.optics.psf import Psf
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from simulator.sky.ephemeris import EARTH, TARGETS, position_au, tdb_jd
+from simulator.sky.ephemeris import barycentric_position_au
 from simulator.study.style import BLUE, GREEN, INK, SOFT, VERMILION
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
-from simulator.theses.printed import NOTHING, Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from startracker.constants import AU_KM
 from startracker.detection import Background, estimate, grow_regions
 from startracker.detection.region_growing import grow_objects
@@ -177,14 +178,10 @@ def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[floa
     from datetime import UTC, datetime
 
     clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
-    distance = []
-    for day in np.arange(0.0, 365.25 * years, step_days):
-        jd = tdb_jd(*clock.tt_jd(day * 86_400.0))
-        distance.append(float(np.linalg.norm(position_au(TARGETS["Mars"], jd) - position_au(EARTH, jd))))
-    angle = [
-        math.degrees(2.0 * math.asin(MARS_RADIUS_KM / (AU_KM * au))) * 3600.0 for au in (max(distance), min(distance))
-    ]
-    return angle[0], angle[1]
+    t_s = np.arange(0.0, 365.25 * years, step_days) * 86_400.0
+    away_au = barycentric_position_au("Mars", clock, t_s) - barycentric_position_au("Earth", clock, t_s)
+    diameter = 2.0 * np.degrees(np.arcsin(MARS_RADIUS_KM / AU_KM / np.linalg.norm(away_au, axis=1))) * 3600.0
+    return float(diameter.min()), float(diameter.max())
 
 
 def section(frames: int = 10) -> Section:
@@ -201,51 +198,33 @@ def section(frames: int = 10) -> Section:
         "sec_4_2_3_region_growing": partial(_success_figure, rates, ours),
         "fig_4_6_search_pattern": _pattern_figure,
     }
-    rows = [*_pattern_rows(), *_success_rows(rates, ours, frames), *_alien_rows()]
+    values = _pattern_values() | _success_values(rates, ours, frames) | _alien_values()
+    rows = table_rows("greyling1995/segmentation", values)
     return Section("Chapter 4.2: stars found by region growing", rows, figures)
 
 
 def _visited() -> int:
     """Pixels that the detector looks at in an empty image of 512 × 512."""
     empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
-    return int(grow_objects(empty, empty, empty + 1.0, np.float32(1.0), 3, np.inf)[1])
+    return int(grow_objects(empty, empty, empty + 1.0, 3, np.inf)[1])
 
 
-def _pattern_rows() -> list[Row]:
+def _pattern_values() -> Values:
     formula = ((SIDE_PX - 2) / 3) ** 2
-    return [
-        compare(
-            "§ 4.2.1", "pixels searched, 512 × 512", "28900", formula,
-            why=f"((N − 2)/3)²; our pattern looks at {_visited()}, its shifted rows hold one pixel less",
-        ),
-        compare("§ 4.2.1", "share of all pixels", "11", 100.0 * formula / SIDE_PX**2, unit="%", form=".2f"),
-    ]  # fmt: skip
+    return {"formula": formula, "visited": _visited(), "percent": 100.0 * formula / SIDE_PX**2}
 
 
-def _success_rows(rates: list[Success], ours: list[Success], frames: int) -> list[Row]:
-    quiet = min(rate.clean for rate in rates if rate.snr_db >= 40.0)
-    knee, own = _half(rates), _half(ours)
+def _success_values(rates: list[Success], ours: list[Success], frames: int) -> Values:
     odd = success_rate(60.0, frames, aliens=True)
-    return [
-        Row(
-            "§ 4.2.3", "success at low noise", "100 %", f"{100 * quiet:.0f} % of {frames} frames at each SNR ≥ 40 dB",
-            "input missing", "eight objects found, all of them stars; at an assumed threshold: none is printed",
-        ),
-        Row(
-            "§ 4.2.3", "SNR below which the performance deteriorates rapidly", "30 dB", f"half at {knee:.1f} dB",
-            "input missing",
-            "the threshold and the noise are not printed (grow.m grows over every pixel above 0 and multiplies its "
-            "noise by 0): full scale over the amplitude of uniform noise, threshold "
-            f"{THRESHOLD_DN:.1f} of {FULL_SCALE_DN:g} DN, the first eight objects in reading order; with our tracker's "
-            f"settings half at {own:.1f} dB",
-        ),
-        Row(
-            "§ 4.2.3", "success with alien objects below 7 and above 36 pixels", "100 %",
-            f"{100 * odd.clean:.0f} %, {odd.false_objects:g} false objects a frame",
-            "input missing",
-            "hot pixels, tracks of 2 to 6 pixels and the Moon in every frame; at the assumed threshold",
-        ),
-    ]  # fmt: skip
+    return {
+        "frames": frames,
+        "quiet_percent": 100 * min(rate.clean for rate in rates if rate.snr_db >= 40.0),
+        "knee": _half(rates),
+        "own": _half(ours),
+        "threshold_dn": THRESHOLD_DN,
+        "alien_percent": 100 * odd.clean,
+        "odd": odd,
+    }
 
 
 def _half(rates: list[Success]) -> float:
@@ -253,26 +232,16 @@ def _half(rates: list[Success]) -> float:
     return float(np.interp(0.5, [rate.clean for rate in rates], [rate.snr_db for rate in rates]))
 
 
-def _alien_rows() -> list[Row]:
+def _alien_values() -> Values:
     least, most = mars_diameters_arcsec()
-    pixel_arcsec = 10.0 / SIDE_PX * 3600.0
-    radius_px = 0.5 * most / pixel_arcsec
-    wider = math.sqrt(THESIS_SIGMA**2 + 0.25 * radius_px**2)
-    return [
-        Row(
-            "§ 4.2.2", "angle that Mars subtends", "2.6 to 8.96 arc minutes", f"{least:.1f} to {most:.1f} arc seconds",
-            "differs", "DE421, 1990 to 2006; the thesis itself has 14 arc seconds further on",
-        ),
-        Row(
-            "§ 4.2.3", "a defocused planet is like a star", NOTHING,
-            f"σ {THESIS_SIGMA:.2f} becomes {wider:.3f} px", "not printed",
-            f"the thesis: not to be distinguished. Mars at its largest is {2 * radius_px:.2f} pixels across; a disk of "
-            "radius r adds r²/4 to σ²",
-        ),
-        compare(
-            "§ 4.2.3", "signal of a cosmic ray of 2000 electrons at 1.4 µV", "3", 2000 * 1.4e-3, unit="mV", form=".1f"
-        ),
-    ]  # fmt: skip
+    radius_px = 0.5 * most / (10.0 / SIDE_PX * 3600.0)
+    return {
+        "mars_arcsec": (least, most),
+        "mars_px": 2 * radius_px,
+        "sigma": THESIS_SIGMA,
+        "wider": math.sqrt(THESIS_SIGMA**2 + 0.25 * radius_px**2),
+        "cosmic_mv": 2000 * 1.4e-3,
+    }
 
 
 def _success_figure(rates: list[Success], ours: list[Success]) -> Figure:
@@ -293,10 +262,12 @@ def _success_figure(rates: list[Success], ours: list[Success]) -> Figure:
         label="our tracker's settings, brightest eight",
     )
     axes.axvline(30.0, color=SOFT, linestyle=":", label="printed: 30 dB")
-    axes.set_xlabel("signal-to-noise ratio, full scale to noise amplitude [dB]")
-    axes.set_ylabel("success [%]")
-    axes.set_ylim(-3, 105)
-    axes.set_title(f"Section 4.2.3  Region growing against noise, {rates[0].frames} frames a point")
+    axes.set(
+        xlabel="signal-to-noise ratio, full scale to noise amplitude [dB]",
+        ylabel="success [%]",
+        ylim=(-3, 105),
+        title=f"Section 4.2.3  Region growing against noise, {rates[0].frames} frames a point",
+    )
     axes.legend(loc="lower right")
     return figure
 
@@ -305,23 +276,25 @@ def _pattern_figure(side: int = 21) -> Figure:
     """The pixels of a small image that the detector looks at: those where a single bright pixel is found."""
     figure, axes = new_figure(1, 1, (3.9, 4.1))
     looked = np.zeros((side, side))
-    level, noise = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
+    level, limit = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
     for row in range(side):
         for column in range(side):
             image = np.zeros((side, side), np.float32)
             image[row, column] = 10.0
-            looked[row, column] = len(grow_objects(image, level, noise, np.float32(1.0), 3, np.inf)[0])
+            looked[row, column] = len(grow_objects(image, level, limit, 3, np.inf)[0])
     rows, columns = np.nonzero(looked)
     axes.plot(columns + 1, rows + 1, "s", color=BLUE, markersize=6)
     star = np.array([[10, 10], [10, 11], [11, 10], [11, 11], [10, 12], [12, 11], [11, 12], [12, 10], [12, 12]])
     axes.plot(*star.T, "o", color=GREEN, markerfacecolor="none", markersize=10, label="a star's 3 × 3")
-    axes.set_xlim(0.5, side + 0.5)
-    axes.set_ylim(side + 0.5, 0.5)
-    axes.set_aspect("equal")
-    axes.set_xticks(range(3, side + 1, 3))
-    axes.set_yticks(range(3, side + 1, 3))
-    axes.set_xlabel("x [pixels]")
-    axes.set_ylabel("y [pixels]")
+    axes.set(
+        xlim=(0.5, side + 0.5),
+        ylim=(side + 0.5, 0.5),
+        aspect="equal",
+        xticks=range(3, side + 1, 3),
+        yticks=range(3, side + 1, 3),
+        xlabel="x [pixels]",
+        ylabel="y [pixels]",
+    )
     axes.set_title("Fig. 4.6  Search pattern", color=INK)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14))
     return figure

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.comparators import compare_levels, even_levels
-from simulator.detector.sequencer import (
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
     DUMMY_CELLS,
     SERIAL_CLOCK_HZ,
@@ -18,14 +19,14 @@ from simulator.detector.sequencer import (
     expose,
     next_state,
 )
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.printed import NOTHING, Row, compare, new_figure
+from simulator.theses.printed import new_figure
+from simulator.theses.tables import Values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["CONTROL", "FIGURES", "TERMS", "control_name", "line_signals", "output_signals", "rows", "terms_next"]
+__all__ = ["CONTROL", "FIGURES", "TERMS", "control_name", "line_signals", "output_signals", "terms_next", "values"]
 
 FloatArray = NDArray[np.float64]
 
@@ -125,37 +126,29 @@ def output_signals(light: FloatArray, samples: int = 40) -> dict[str, FloatArray
     return {"time_us": time_us, "output": output, "S/H": hold.astype(float), "latch": latch, "/MW": 1.0 - write}
 
 
-def rows() -> list[Row]:
+def values() -> Values:
     """Table 6.1 and the figures' numbers."""
-    found = [control_name(address) for address in CONTROL]
+    names, found = list(CONTROL.values()), [control_name(address) for address in CONTROL]
     signals = line_signals()
-    starts = np.flatnonzero(signals["IAG"])
+    start, end = np.flatnonzero(signals["IAG"])[:2]
     agree = all(
         terms_next(row.state, go, c1z, c2z, c3z, b) == next_state(row.state, go, c1z, c2z, c3z, b)
         for row in STATE_TABLE
         for go, c1z, c2z, c3z, b in np.ndindex(2, 2, 2, 2, 2)
     )
-    frames = expose(np.zeros((165, 192)), 3).integration_s - expose(np.zeros((165, 192)), 2).integration_s
-    return [
-        Row(
-            "Table 6.1", "control addresses 300H, 302H, 304H, 306H, by lines A1 and A2", ", ".join(CONTROL.values()),
-            ", ".join(found), "exact" if found == list(CONTROL.values()) else "differs",
-            f"306H loads C3: one more in it makes the integration {1e3 * frames:.2f} ms longer, a frame time",
-        ),
-        compare(
-            "Fig. 6.5", "pulses of SRG for one of IAG", "208", float(signals["SRG"][starts[0] : starts[1]].sum()),
-            why=f"run clock by clock; {starts[1] - starts[0]} clocks from one IAG to the next, with T3 and T5",
-        ),
-        compare(
-            "Fig. 6.8", "pixels written to memory in a line", "192", float(signals["MW"][starts[0] : starts[1]].sum()),
-            why=f"the first {DUMMY_CELLS} counts are the dummy cells'",
-        ),
-        Row(
-            "Fig. 6.7", "products of the circuit against the equations, all states and inputs", NOTHING,
-            f"{len(TERMS)} products, {'the same' if agree else 'other'} next states", "not printed",
-            "Q2 mended; as printed its plain T5 is one product less",
-        ),
-    ]  # fmt: skip
+    dark = np.zeros((165, 192))
+    return {
+        "names": ", ".join(names),
+        "found": ", ".join(found),
+        "right": found == names,
+        "frame_ms": 1e3 * (expose(dark, 3).integration_s - expose(dark, 2).integration_s),
+        "srg_pulses": signals["SRG"][start:end].sum(),
+        "written": signals["MW"][start:end].sum(),
+        "line_clocks": end - start,
+        "dummy": DUMMY_CELLS,
+        "terms": len(TERMS),
+        "same": "the same" if agree else "other",
+    }
 
 
 def _steps(axes: Axes, x: NDArray[Any], signals: Iterable[tuple[str, NDArray[Any], str]]) -> None:
@@ -176,15 +169,13 @@ def _clock_figure() -> Figure:
     t_us = np.arange(len(signals["SRG"])) * 1e6 / SERIAL_CLOCK_HZ
     busy = [("IAG", signals["IAG"], VERMILION), ("SRG runs", signals["SRG"], BLUE), ("to memory", signals["MW"], GREEN)]
     _steps(left, t_us, busy)
-    left.set_xlabel("time from a line's start [µs]")
-    left.set_title("two lines of 105 µs")
+    left.set(xlabel="time from a line's start [µs]", title="two lines of 105 µs")
     few, fine = 14, 20
     clock = np.tile(np.arange(fine) < fine // 2, few).astype(float)
     gate = [np.repeat(signals[name][:few], fine) for name in ("IAG", "SRG", "MW")]
     detail = [("clock, 2 MHz", clock, INK), ("IAG", gate[0], VERMILION), ("SRG", gate[1] * clock, BLUE)]
     _steps(right, np.arange(few * fine) / fine * 1e6 / SERIAL_CLOCK_HZ, [*detail, ("to memory", gate[2], GREEN)])
-    right.set_xlabel("time from a line's start [µs]")
-    right.set_title("its first 14 clocks")
+    right.set(xlabel="time from a line's start [µs]", title="its first 14 clocks")
     figure.suptitle("Fig. 6.5  Clock signals IAG and SRG", fontsize=10)
     return figure
 
@@ -217,13 +208,15 @@ def _state_figure() -> Figure:
             shift = bend * np.array([-0.45, 0.8])  # to where the curve bends to
             axes.text(*(0.5 * (start + end) + shift), label, fontsize=7, color=VERMILION, ha="center", va="center",
                       bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6})  # fmt: skip
-    axes.set_xlim(-1.9, 4.8)
-    axes.set_ylim(0.4, 3.6)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.set_xlabel("counters C1 (pixels), C2 (lines), C3 (frames of integration), Cm (memory); latches A and B")
-    axes.set_ylabel("states T0 to T6")
-    axes.set_title("Fig. 6.6  Camera state machine")
+    axes.set(
+        xlim=(-1.9, 4.8),
+        ylim=(0.4, 3.6),
+        xticks=[],
+        yticks=[],
+        xlabel="counters C1 (pixels), C2 (lines), C3 (frames of integration), Cm (memory); latches A and B",
+        ylabel="states T0 to T6",
+        title="Fig. 6.6  Camera state machine",
+    )
     return figure
 
 
@@ -246,9 +239,11 @@ def _circuit_figure() -> Figure:
     axes.set_xticks(list(columns.values()), [name.strip() for name in columns])
     axes.set_yticks(range(len(TERMS)), [name for name, _, _ in TERMS])
     axes.invert_yaxis()
-    axes.set_xlabel("decoded states and inputs | inputs of the D flip-flops and latches")
-    axes.set_ylabel("product (AND)")
-    axes.set_title("Fig. 6.7  Circuit of the state machine: products and sums")
+    axes.set(
+        xlabel="decoded states and inputs | inputs of the D flip-flops and latches",
+        ylabel="product (AND)",
+        title="Fig. 6.7  Circuit of the state machine: products and sums",
+    )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
     return figure
 
@@ -266,13 +261,10 @@ def _output_figure() -> Figure:
     for level in even_levels(2, 1.0):
         top.axhline(DARK_V - (DARK_V - SATURATED_V) * float(level), color=SOFT, linewidth=0.7, linestyle=":")
     top.plot([], [], color=SOFT, linestyle=":", label="three comparators, two bits")
-    top.set_ylim(3.2, 9.0)
-    top.set_xlabel("time [µs]")
-    top.set_ylabel("level [V]")
+    top.set(ylim=(3.2, 9.0), xlabel="time [µs]", ylabel="level [V]")
     top.legend(loc="lower left", ncols=3)
     _steps(bottom, signals["time_us"], [("S/H", signals["S/H"], ORANGE), ("/MW", signals["/MW"], GREEN)])
-    bottom.set_xlabel("time [µs]")
-    bottom.set_ylabel("logic")
+    bottom.set(xlabel="time [µs]", ylabel="logic")
     figure.suptitle("Fig. 6.8  Output and associated signals", fontsize=10)
     return figure
 

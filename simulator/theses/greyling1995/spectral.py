@@ -12,12 +12,13 @@ from simulator.optics.curves import load_curve
 from simulator.sky.library import HC_J_NM
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
 from simulator.theses.greyling1995.starlight import BANDS_UM, EFFICIENCY, SECOND_EFFICIENCY
-from simulator.theses.printed import Row, compare, new_figure
+from simulator.theses.printed import new_figure
+from simulator.theses.tables import Values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "ccd_efficiency", "ccd_response_a_w", "eye_response", "rows"]
+__all__ = ["FIGURES", "ccd_efficiency", "ccd_response_a_w", "eye_response", "values"]
 
 FloatArray = NDArray[np.float64]
 
@@ -47,25 +48,15 @@ def _peak_nm(values: FloatArray) -> float:
     return float(WAVELENGTH_NM[int(np.argmax(values))])
 
 
-def rows() -> list[Row]:
+def values() -> Values:
     """Where the curves have their peaks."""
-    five = "five values of ccdmag.m with straight lines between them"
-    return [
-        compare("Fig. 2.2", "peak of the eye's response", "555", _peak_nm(eye_response()), unit="nm", why="CIE 1924"),
-        Row(
-            "Fig. 2.2", "peak of a CCD's response, amperes a watt", "in the near infrared",
-            f"{_peak_nm(ccd_response_a_w()):.0f} nm (TC211), {_peak_nm(ccd_response_a_w(name='ccd44_82')):.0f} nm "
-            "(CCD44-82): red", "differs", f"TC211: {five}; half of its peak is still reached at {_half_nm():.0f} nm",
-        ),
-        Row(
-            "Fig. 3.10", "peak of a CCD's quantum efficiency", "0.75 µm", f"{1e-3 * _peak_nm(ccd_efficiency()):.2f} µm",
-            "input missing", f"the figure is EEV's device, whose curve is not to be had; here the TC211's: {five}",
-        ),
-        compare(
-            "Fig. 3.11", "peak of the TC211's response", "700", _peak_nm(ccd_response_a_w()), unit="nm", close=0.1,
-            form=".0f", why=f"η q λ/(hc) from the {five}, of which none lies between 640 and 790 nm",
-        ),
-    ]  # fmt: skip
+    return {
+        "eye_peak_nm": _peak_nm(eye_response()),
+        "response_peak_nm": _peak_nm(ccd_response_a_w()),
+        "ccd44_peak_nm": _peak_nm(ccd_response_a_w(name="ccd44_82")),
+        "half_nm": _half_nm(),
+        "efficiency_peak_um": 1e-3 * _peak_nm(ccd_efficiency()),
+    }
 
 
 def _half_nm() -> float:
@@ -83,10 +74,12 @@ def _both_figure() -> Figure:
     ):
         response = ccd_response_a_w(name=name)
         axes.plot(WAVELENGTH_NM / 1e3, response / response.max(), color=colour, linestyle=line, label=label)
-    axes.set_xlabel("wavelength [µm]")
-    axes.set_ylabel("response to a watt, relative to the peak")
-    axes.set_ylim(0.0, 1.3)
-    axes.set_title("Fig. 2.2  Spectral responses of a CCD and the human eye")
+    axes.set(
+        xlabel="wavelength [µm]",
+        ylabel="response to a watt, relative to the peak",
+        ylim=(0.0, 1.3),
+        title="Fig. 2.2  Spectral responses of a CCD and the human eye",
+    )
     axes.legend(loc="upper right", ncols=3)
     return figure
 
@@ -100,10 +93,12 @@ def _efficiency_figure() -> Figure:
         label="ccdmag.m, second script",
     )  # fmt: skip
     axes.axvline(0.75, color=VERMILION, linestyle=":", label="peak as printed, 0.75 µm")
-    axes.set_xlabel("wavelength [µm]")
-    axes.set_ylabel("quantum efficiency [%]")
-    axes.set_ylim(0.0, 60.0)
-    axes.set_title("Fig. 3.10  Quantum efficiency of a CCD")
+    axes.set(
+        xlabel="wavelength [µm]",
+        ylabel="quantum efficiency [%]",
+        ylim=(0.0, 60.0),
+        title="Fig. 3.10  Quantum efficiency of a CCD",
+    )
     axes.legend(loc="upper right")
     return figure
 
@@ -114,10 +109,12 @@ def _response_figure() -> Figure:
     ideal = CHARGE_C * WAVELENGTH_NM / HC_J_NM
     axes.plot(WAVELENGTH_NM / 1e3, 0.5 * ideal, color=ORANGE, linestyle="--", label="every second photon")
     axes.axvline(0.70, color=VERMILION, linestyle=":", label="peak as printed, 700 nm")
-    axes.set_xlabel("wavelength [µm]")
-    axes.set_ylabel("response [A/W]")
-    axes.set_ylim(0.0, 0.62)
-    axes.set_title("Fig. 3.11  Frequency response of the TC211")
+    axes.set(
+        xlabel="wavelength [µm]",
+        ylabel="response [A/W]",
+        ylim=(0.0, 0.62),
+        title="Fig. 3.11  Frequency response of the TC211",
+    )
     axes.legend(loc="upper left")
     return figure
 

@@ -21,14 +21,7 @@ from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
 from startracker.settings import CentroidSettings, DetectionSettings
 
-__all__ = [
-    "distortion_errors",
-    "moments",
-    "smear_errors",
-    "smear_path",
-    "star_stamps",
-    "tracker_errors",
-]
+__all__ = ["distortion_errors", "moments", "smear_errors", "smear_path", "star_stamps", "tracker_errors"]
 
 FloatArray = NDArray[np.float64]
 

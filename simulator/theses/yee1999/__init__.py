@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from simulator.theses.printed import PrintedStudy, Section, run_sections
-from simulator.theses.yee1999.cassiopeia import cassiopeia
 from simulator.theses.yee1999.deneb_sadr import deneb_tables, recommendations, sadr_tables
+from simulator.theses.yee1999.examples import cassiopeia, rotation_example
 from simulator.theses.yee1999.integer_build import integer_build
 from simulator.theses.yee1999.integers import integers
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
 from simulator.theses.yee1999.rendered_flight import section as rendered_flight_section
 from simulator.theses.yee1999.rendered_vega import section as rendered_vega_section
-from simulator.theses.yee1999.rotations import rotation_example
 from simulator.theses.yee1999.run_times import run_times
 from simulator.theses.yee1999.subsets import three_star_subsets
 from simulator.theses.yee1999.threshold_sweep import section as threshold_sweep_section

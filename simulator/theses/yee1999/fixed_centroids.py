@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.theses.printed import Row, Verdict
-from simulator.theses.yee1999.catalogue import printed_rows
+from simulator.theses.printed import Row
+from simulator.theses.tables import Values, table_rows
+from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from startracker.fixed_point.centroid import running_centroid
 from startracker.fixed_point.formats import CENTROID
 
@@ -59,39 +60,36 @@ def star_pixels(x_px: float, y_px: float) -> tuple[IntArray, IntArray, IntArray]
 
 def fixed_centroids() -> list[Row]:
     """A row for each coordinate of the three images."""
-    rows = []
-    for table, image in (("4_14", "Vega"), ("4_15", "Deneb"), ("4_16", "Sadr")):
-        stars = printed_rows(f"table_{table}")
-        coded, exact, count = [], [], []
-        for star in stars:
-            x, y, dn = star_pixels(float(star["x"]), float(star["y"]))
-            exact.append([(x * dn).sum() / dn.sum(), (y * dn).sum() / dn.sum()])
-            coded.append(CENTROID.decode(running_centroid(x, y, dn)))
-            count.append(len(dn))
-        for axis, name in enumerate("xy"):
-            ours = np.array(coded)[:, axis]
-            printed = np.array([float(star[f"{name}_fixed"]) for star in stars])
-            lost = (np.abs(np.array(exact)[:, axis]) - np.abs(ours)).round(7)
-            verdict: Verdict = (
-                "close" if np.abs(ours - printed).max() <= _WITHIN_PX and (lost >= 0.0).all() else "differs"
-            )
-            why = (
-                f"pixels of ours ({min(count)} to {max(count)} a star) with her floating-point centroids, from "
-                f"which hers differ by up to {_difference(stars, name):.5f} px; ours lie up to {lost.max():.6f} px "
-                "towards the centre of the image, with products of 64 bits where she had pieces of 32"
-            )
-            rows.append(
-                Row(
-                    f"Table {table.replace('_', '.')}",
-                    f"{image}, fixed-point {name} centroids",
-                    ", ".join(star[f"{name}_fixed"] for star in stars) + " px",
-                    ", ".join(f"{value:.5f}" for value in ours) + " px",
-                    verdict,
-                    why,
-                )
-            )
-    return rows
+    images = (("4.14", "Vega"), ("4.15", "Deneb"), ("4.16", "Sadr"))
+    return table_rows("yee1999/fixed_centroids", {"columns": [c for table in images for c in _columns(*table)]})
 
 
-def _difference(stars: list[dict[str, str]], name: str) -> float:
-    return max(abs(float(star[name]) - float(star[f"{name}_fixed"])) for star in stars)
+def _columns(table: str, image: str) -> list[Values]:
+    stars = printed_rows(file_of(f"Table {table}"))
+    coded, exact, count = [], [], []
+    for star in stars:
+        x, y, dn = star_pixels(float(star["x"]), float(star["y"]))
+        exact.append([(x * dn).sum() / dn.sum(), (y * dn).sum() / dn.sum()])
+        coded.append(CENTROID.decode(running_centroid(x, y, dn)))
+        count.append(len(dn))
+    columns = []
+    for axis, name in enumerate("xy"):
+        ours = np.array(coded)[:, axis]
+        texts = [star[f"{name}_fixed"] for star in stars]
+        hers, floating = np.array(texts, float), np.array([float(star[name]) for star in stars])
+        lost = (np.abs(np.array(exact)[:, axis]) - np.abs(ours)).round(7)
+        columns.append(
+            {
+                "table": table,
+                "image": image,
+                "axis": name,
+                "hers": ", ".join(texts),
+                "ours": ", ".join(f"{value:.5f}" for value in ours),
+                "near": np.abs(ours - hers).max() <= _WITHIN_PX and (lost >= 0.0).all(),
+                "fewest": min(count),
+                "most": max(count),
+                "off_px": np.abs(floating - hers).max(),
+                "lost_px": lost.max(),
+            }
+        )
+    return columns

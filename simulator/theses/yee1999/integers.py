@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.style import BLUE, ORANGE, SOFT
-from simulator.theses.printed import Row, Section, Verdict, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
-from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, sadr, vega
-from simulator.theses.yee1999.rows import joined
+from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import SEPARATION
 from startracker.fixed_point.square_root import by_pythagoras, by_tables
@@ -76,48 +76,39 @@ def crossover() -> Crossover:
 def integers() -> Section:
     """Rows and Fig. 3.1."""
     curve = crossover()
-    why = "cosines and their product truncated, arccosines rounded to the nearest; other roundings give 9.2° to 11.65°"
-    widest = float(curve.separation_deg[-1])
-    rows = [
-        compare("Fig. 3.1", "crossover", "11.65", curve.at_deg, unit="°", why=why),
-        compare("Fig. 3.1", "greatest error of the two methods", "0.02", curve.largest_error_deg, unit="°", why=why),
-        Row("3.4", "separation of χ = ψ = 22.5°", "about 30°", f"{widest:.2f}°", "differs", "by its own eq. 2.4"),
-        *integer_separations(vega(), "Table 4.17"),
-        *integer_separations(deneb(), "Table 4.18"),
-        *integer_separations(sadr(), "Table 4.19"),
-        *_matches(),
-    ]
+    images = ((vega(), "Table 4.17"), (deneb(), "Table 4.18"), (sadr(), "Table 4.19"))
+    separations = [row for image in images for row in integer_separations(*image)]
+    values = {"curve": curve, "widest": curve.separation_deg[-1], "separations": separations} | _matches()
+    rows = table_rows("yee1999/integers", values)
     return Section("Integer arithmetic", rows, {"fig_3_1_crossover": lambda: crossover_figure(curve)})
 
 
-def integer_separations(picture: Picture, where: str) -> list[Row]:
+def integer_separations(picture: Picture, where: str) -> list[Values]:
     """Separations in integers of 6.10 (Tables 4.17, 4.18, 4.19)."""
     arithmetic = FixedArithmetic()
     image = arithmetic.image(picture.xy_px, picture.scale_deg)
     coded = arithmetic.image_separations(image, *image_pairs(len(picture.xy_px)))
     rows = []
     for row, value in zip(printed_rows(file_of(where)), coded, strict=True):
-        degrees = float(arithmetic.separation_degrees(value))
-        off = round(float(row["fixed_deg"]) * SEPARATION.one) - int(value)
-        name = f"separation of stars {row['star']} and {row['other']}"
-        why = "" if off == 0 else f"{abs(off)} in the last of 10 bits; her format of the scale is not printed"
-        made = joined(where, name, [row["fixed_deg"]], [degrees], unit="°", why=why)
-        rows.append(made)
+        off = abs(round(float(row["fixed_deg"]) * SEPARATION.one) - int(value))
+        why = f"{off} in the last of 10 bits; her format of the scale is not printed" if off else ""
+        names = {"table": where, "star": row["star"], "other": row["other"], "texts": [row["fixed_deg"]]}
+        rows.append(names | {"degrees": [float(arithmetic.separation_degrees(value))], "off": why})
     return rows
 
 
-def _matches() -> list[Row]:
+def _matches() -> Values:
     """The matches in integers against those that section 4.2.1 prints; 4.2.4.3 says that they are the same."""
-    ours = analyse(vega(), replace(Options(), arithmetic=FixedArithmetic()))
+    ours = analyse(vega(), Options(arithmetic=FixedArithmetic()))
     real = analyse(vega())
-    printed = ", ".join(map(str, PRINTED_MATCHES))
-    computed = ", ".join("–" if hr is None else str(hr) for hr in ours.matches)
-    same: Verdict = "exact" if tuple(ours.matches) == PRINTED_MATCHES else "differs"
-    why = (
-        f"{len(ours.triads)} triads in integers, {len(real.triads)} in floating point, whose matches are "
-        f"{'the same' if real.matches == ours.matches else 'others'}"
-    )
-    return [Row("4.2.4.3", "matches of the Vega image in integers", printed, computed, same, why)]
+    return {
+        "hers": ", ".join(map(str, PRINTED_MATCHES)),
+        "ours": ", ".join(map(merged_name, ours.matches)),
+        "same": tuple(ours.matches) == PRINTED_MATCHES,
+        "triads": len(ours.triads),
+        "real_triads": len(real.triads),
+        "matches": "the same" if real.matches == ours.matches else "others",
+    }
 
 
 def crossover_figure(curve: Crossover) -> Figure:
@@ -127,8 +118,6 @@ def crossover_figure(curve: Crossover) -> Figure:
     axes.plot(curve.separation_deg, curve.tables_deg, color=ORANGE, ls="--", marker="s", ms=3, label="look-up tables")
     axes.axvline(curve.at_deg, color=SOFT, lw=0.8, ls=":")
     axes.annotate(f"{curve.at_deg:.2f}°", (curve.at_deg, -0.3), xytext=(4, 0), textcoords="offset points", color=SOFT)
-    axes.set_xlabel("angular separation [°]")
-    axes.set_ylabel("error: floating point minus integers [°]")
-    axes.set_xlim(0.0, 32.0)
+    axes.set(xlabel="angular separation [°]", ylabel="error: floating point minus integers [°]", xlim=(0.0, 32.0))
     axes.legend(loc="lower left")
     return figure

@@ -15,7 +15,7 @@ from startracker.errors import InputError
 from startracker.estimation.plate import Plate, solve_plate
 from startracker.identification.arithmetic import Arithmetic
 from startracker.identification.triad_search import TriadLimits, image_pairs
-from startracker.identification.triad_votes import COMBINED_ID, GroupMatch, TriadMatch, match_triads
+from startracker.identification.triad_votes import GroupMatch, TriadMatch, match_triads
 
 __all__ = [
     "PRINTED_MATCHES",
@@ -299,11 +299,6 @@ def _tally(match: TriadMatch) -> str:
 def merged_name(number: int | None) -> str:
     """An HR number as printed; "–" where there is none."""
     return "–" if number is None else str(number)
-
-
-def plain_number(number: int) -> int:
-    """HR number of the star that gives a combined one its coordinates: 17139 is HR 7139."""
-    return number - COMBINED_ID if number > COMBINED_ID else number
 
 
 def step_tables(analysis: Analysis) -> Sequence[tuple[str, Sequence[str], list[Sequence[str]]]]:

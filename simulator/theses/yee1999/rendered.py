@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
-from simulator.theses.yee1999.picture import Analysis, Picture, centred, plain_number
+from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.detection import estimate, find_clusters
 from startracker.settings import DetectionSettings
+from startracker.solution import Solution
+from startracker.tracker import StarTracker
 
-__all__ = ["Shown", "misplaced", "off_deg", "show"]
+__all__ = ["Shown", "SolvedFrame", "off_deg", "show", "solve_shown", "tracker_off_deg"]
 
 FloatArray = NDArray[np.float64]
 
@@ -81,13 +83,41 @@ def off_deg(truth: Attitude, center_deg: FloatArray) -> float:
     return math.degrees(math.atan2(across, float(direction @ truth.boresight)))
 
 
-def misplaced(analysis: Analysis, shown: Shown, radius_px: float) -> int:
-    """Image stars that were given a catalogue star which the camera truly saw elsewhere, beyond a radius."""
-    found = [(star, number) for star, number in enumerate(analysis.matches) if number is not None]
-    if not found:
-        return 0
-    places = analysis.catalog.places([plain_number(number) for _, number in found])
-    directions = radec_to_direction(*np.radians(analysis.catalog.sky_deg[places]).T)
-    true_xy = shown.frame.camera.project(shown.truth.attitude.apply(directions))
-    far = np.hypot(*(true_xy - shown.xy[[star for star, _ in found]]).T)
-    return int(np.count_nonzero(~(far <= radius_px)))
+@dataclass(frozen=True, eq=False)
+class SolvedFrame:
+    """A rendered frame, by its number from 1, solved by the thesis' method and by the star tracker alone."""
+
+    image: int
+    shown: Shown
+    analysis: Analysis
+    solution: Solution
+
+    @property
+    def hers_off_deg(self) -> float:
+        """Distance of her method's centre from the true boresight; NaN where it finds none."""
+        plate = self.analysis.plate
+        return math.nan if plate is None else off_deg(self.shown.truth.attitude, plate.center_deg)
+
+    @property
+    def ours_off_deg(self) -> float:
+        """The same of the tracker."""
+        return tracker_off_deg(self.shown.truth.attitude, self.solution)
+
+    @property
+    def off_deg(self) -> tuple[float, float]:
+        """Both."""
+        return self.hers_off_deg, self.ours_off_deg
+
+
+def solve_shown(image: int, shown: Shown, options: Options, tracker: StarTracker) -> SolvedFrame:
+    """Solve a frame by both methods, the tracker from its pixels."""
+    frame = shown.frame
+    solution = tracker.solve(
+        frame.image, observer=frame.observer, saturation_dn=frame.saturation_dn, gain_e_per_dn=frame.gain_e_per_dn
+    )
+    return SolvedFrame(image, shown, analyse(shown.picture, options), solution)
+
+
+def tracker_off_deg(truth: Attitude, solution: Solution) -> float:
+    """Angle between the true boresight and a solution's, degrees; NaN where it is not solved."""
+    return off_deg(truth, np.array([solution.ra_deg, solution.dec_deg])) if solution.solved else math.nan

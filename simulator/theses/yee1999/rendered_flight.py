@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +13,18 @@ from numpy.typing import NDArray
 from simulator.scenario import Scenario
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
-from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows
-from simulator.theses.yee1999.picture import Analysis, Options, analyse
-from simulator.theses.yee1999.rendered import Shown, misplaced, off_deg, show
+from simulator.theses.yee1999.picture import Options
+from simulator.theses.yee1999.rendered import SolvedFrame, off_deg, show, solve_shown
 from simulator.theses.yee1999.rendered_vega import limits_of
 from simulator.theses.yee1999.video_field import cropped_field_deg, field_deg
-from startracker.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FlightFrame", "flight_frames", "section"]
+__all__ = ["flight_frames", "section"]
 
 FloatArray = NDArray[np.float64]
 
@@ -41,31 +40,7 @@ _RIGHT_DEG = 0.5
 """A boresight that is off by more is that of other stars: five times the error she gives."""
 
 
-@dataclass(frozen=True, eq=False)
-class FlightFrame:
-    """One rendered image, by its number from 1: the thesis' method, and the tracker, which solves it alone."""
-
-    image: int
-    shown: Shown
-    analysis: Analysis
-    solution: Solution
-    misplaced: int
-
-    @property
-    def hers_off_deg(self) -> float:
-        """Distance of her method's centre from the true boresight; NaN where it finds none."""
-        plate = self.analysis.plate
-        return math.nan if plate is None else off_deg(self.shown.truth.attitude, plate.center_deg)
-
-    @property
-    def ours_off_deg(self) -> float:
-        """The same of the tracker."""
-        if not self.solution.solved:
-            return math.nan
-        return off_deg(self.shown.truth.attitude, np.array([self.solution.ra_deg, self.solution.dec_deg]))
-
-
-def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None = None) -> list[FlightFrame]:
+def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None = None) -> list[SolvedFrame]:
     """Images of the turn, each solved without what the others told.
 
     Parameters
@@ -92,86 +67,75 @@ def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None
             image - 1, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s
         )
         shown = show(frame, truth, scenario.tracker.detection, fov_deg, _MOST_STARS)
-        analysis = analyse(shown.picture, options)
-        known: dict[str, Any] = {"saturation_dn": frame.saturation_dn, "gain_e_per_dn": frame.gain_e_per_dn}
-        solution = runner.tracker.solve(frame.image, observer=frame.observer, **known)
-        wrong = misplaced(analysis, shown, options.limits.combine_px)
-        out.append(FlightFrame(image, shown, analysis, solution, wrong))
+        out.append(solve_shown(image, shown, options, runner.tracker))
     return out
 
 
 def section(images: Sequence[int] | None = None) -> Section:
     """The track of the boresight over one turn (section 4.3, appendix D.3, Fig. 4.11)."""
     frames = flight_frames(images)
-    total = len(frames)
-    printed = {int(row["image"]): row for row in printed_rows("table_d_2")}
-    numbers = [frame.image for frame in frames]
-    printed_wrong = sum(n in WRONG for n in numbers)
-    printed_right = sum(bool(printed[n]["hr"]) for n in numbers) - printed_wrong
-    hers, ours = (np.array([getattr(f, name) for f in frames]) for name in ("hers_off_deg", "ours_off_deg"))
-    right, found = ours <= _RIGHT_DEG, hers <= _RIGHT_DEG
-    failed = [f for f in frames if f.image in FAILED]
-    track = [
-        (f.shown.truth.attitude, float(printed[f.image]["ra_deg"]), float(printed[f.image]["dec_deg"]))
-        for f in frames
-        if printed[f.image]["ra_deg"]
-    ]
-    apart = [off_deg(attitude, np.array([ra, dec])) for attitude, ra, dec in track]
-    coordinate = math.sqrt(float(np.mean(np.square(apart))) / 2.0) if apart else math.nan
-    rows = [
-        Row(
-            "Table D.2",
-            "images whose stars are named right, and wrong, by her method",
-            f"{printed_right} and {printed_wrong} of {total}",
-            f"{np.count_nonzero(found)} and {np.count_nonzero(hers > _RIGHT_DEG)} of {total}",
-            "input missing",
-            "hers are the real pictures, the tether painted over; here it stays, and the noise is assumed",
-        ),
-        Row(
-            "Table D.2",
-            "the same by the tracker (`identifier: triads`)",
-            f"{printed_right} and {printed_wrong} of {total}",
-            f"{np.count_nonzero(right)} and {np.count_nonzero(ours > _RIGHT_DEG)} of {total}",
-            "input missing",
-            "another video; up to 12 stars, exact geometry, acceptance by probability",
-        ),
-        *(
-            Row(
-                "D.3",
-                f"image {f.image}",
-                "wrong matches" if f.image in WRONG else "right matches, the centre diverged",
-                f"{len(f.solution.stars)} stars, off by {f.ours_off_deg:.3f}°" if f.solution.solved else "not solved",
-                "input missing",
-                "another video; her program failed here; ours does not" if f.solution.solved else f.solution.reason,
-            )
-            for f in failed
-        ),
-        Row(
-            "Fig. 4.11",
-            "largest error of the boresight",
-            f"± {PRINTED_ERROR_DEG}°",
-            f"{np.nanmax(ours):.3f}°",
-            "input missing",
-            "another video: the truth is known here; hers is reckoned from residuals",
-        ),
-        Row(
-            "Table D.2",
-            "printed boresights against a body that spins freely",
-            f"± {PRINTED_ERROR_DEG}°",
-            f"{coordinate:.3f}° rms in each coordinate",
-            "close" if coordinate <= PRINTED_ERROR_DEG else "differs",
-            "spin axis, cone, moments of inertia and tilt of the camera are fitted to them (oedipus.yaml)",
-        ),
-    ]
+    rows = table_rows("yee1999/rendered_flight", _values(frames))
+    names = {6: "fig_4_8_rendered", 7: "fig_4_9_rendered"}
     figures = {"fig_4_11_rendered": partial(track_figure, frames)}
-    for f in frames:
-        if f.image in (6, 7):
-            name = {6: "fig_4_8_rendered", 7: "fig_4_9_rendered"}[f.image]
-            figures[name] = partial(image_figure, f)
+    figures |= {names[f.image]: partial(image_figure, f) for f in frames if f.image in names}
     return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, figures)
 
 
-def track_figure(frames: Sequence[FlightFrame]) -> Figure:
+def _values(frames: Sequence[SolvedFrame]) -> Values:
+    printed = {int(row["image"]): row for row in printed_rows("table_d_2")}
+    wrong = sum(f.image in WRONG for f in frames)
+    right = sum(bool(printed[f.image]["hr"]) for f in frames) - wrong
+    hers, ours = (np.array([getattr(f, name) for f in frames]) for name in ("hers_off_deg", "ours_off_deg"))
+    apart = [
+        off_deg(f.shown.truth.attitude, np.array([float(row["ra_deg"]), float(row["dec_deg"])]))
+        for f in frames
+        if (row := printed[f.image])["ra_deg"]
+    ]
+    coordinate = math.sqrt(float(np.mean(np.square(apart))) / 2.0) if apart else math.nan
+    methods = (
+        (
+            hers, "images whose stars are named right, and wrong, by her method",
+            "hers are the real pictures, the tether painted over; here it stays, and the noise is assumed",
+        ),
+        (
+            ours, "the same by the tracker (`identifier: triads`)",
+            "another video; up to 12 stars, exact geometry, acceptance by probability",
+        ),
+    )  # fmt: skip
+    return {
+        "methods": [
+            {
+                "method": method,
+                "video": video,
+                "right": np.count_nonzero(off <= _RIGHT_DEG),
+                "wrong": np.count_nonzero(off > _RIGHT_DEG),
+            }
+            for off, method, video in methods
+        ],
+        "hers": (right, wrong),
+        "total": len(frames),
+        "failed": [_failed(f) for f in frames if f.image in FAILED],
+        "largest": np.nanmax(ours),
+        "coordinate": coordinate,
+        "fitted": coordinate <= PRINTED_ERROR_DEG,
+    }
+
+
+def _failed(f: SolvedFrame) -> Values:
+    """An image in which her program failed."""
+    hers = "wrong matches" if f.image in WRONG else "right matches, the centre diverged"
+    if not f.solution.solved:
+        return {"image": f.image, "hers": hers, "ours": "not solved", "note": f.solution.reason}
+    ours = f"{len(f.solution.stars)} stars, off by {f.ours_off_deg:.3f}°"
+    return {
+        "image": f.image,
+        "hers": hers,
+        "ours": ours,
+        "note": "another video; her program failed here; ours does not",
+    }
+
+
+def track_figure(frames: Sequence[SolvedFrame]) -> Figure:
     """Declination against right ascension, as Fig. 4.11: printed, by her method and by the tracker."""
     figure, axes = new_figure(size=(6.4, 4.8))
     truth = np.array([(f.shown.truth.attitude.ra_deg, f.shown.truth.attitude.dec_deg) for f in frames])
@@ -209,7 +173,7 @@ def track_figure(frames: Sequence[FlightFrame]) -> Figure:
     return figure
 
 
-def image_figure(flight: FlightFrame) -> Figure:
+def image_figure(flight: SolvedFrame) -> Figure:
     """A rendered image as Figs. 4.8 and 4.9, the tracker's stars named."""
     figure, axes = new_figure(size=(6.4, 5.7))
     axes.grid(False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +12,16 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.style import BLUE, INK, VERMILION
 from simulator.study.trials.trial import build_tracker
-from simulator.theses.printed import Row, Section, new_figure
-from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Analysis, Options, analyse
-from simulator.theses.yee1999.rendered import Shown, off_deg, show
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
+from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Options
+from simulator.theses.yee1999.rendered import SolvedFrame, show, solve_shown
 from startracker.identification.triad_search import TriadLimits
-from startracker.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["VegaFrame", "section", "vega_frames"]
+__all__ = ["section", "vega_frames"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,24 +30,7 @@ PRINTED_ERROR_DEG = 0.02
 _FRAMES = 12
 
 
-@dataclass(frozen=True, eq=False)
-class VegaFrame:
-    """One rendered frame, solved by the thesis' method and by the star tracker."""
-
-    shown: Shown
-    analysis: Analysis
-    solution: Solution
-
-    @property
-    def off_deg(self) -> tuple[float, float]:
-        """Distance of the centre from the true one: the thesis' method, the tracker; NaN where there is none."""
-        plate, solution, truth = self.analysis.plate, self.solution, self.shown.truth.attitude
-        hers = np.nan if plate is None else off_deg(truth, plate.center_deg)
-        ours = off_deg(truth, np.array([solution.ra_deg, solution.dec_deg])) if solution.solved else np.nan
-        return hers, ours
-
-
-def vega_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[VegaFrame]:
+def vega_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[SolvedFrame]:
     """Frames of ``xybion.yaml``, each with noise of its own, found, identified and measured.
 
     Parameters
@@ -61,15 +43,9 @@ def vega_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list
     scenario = scenario or Scenario.load("xybion")
     renderer, settings = Renderer(scenario), scenario.tracker
     tracker = build_tracker(scenario, renderer.camera)
-    limits = limits_of(scenario)
-    out = []
-    for index in range(frames):
-        frame, truth = renderer.frame(index)
-        shown = show(frame, truth, settings.detection, VEGA_FOV_DEG)
-        analysis = analyse(shown.picture, Options(magnitude_limit=settings.magnitude_limit, edition=5, limits=limits))
-        known: dict[str, Any] = {"saturation_dn": frame.saturation_dn, "gain_e_per_dn": frame.gain_e_per_dn}
-        out.append(VegaFrame(shown, analysis, tracker.solve(frame.image, observer=frame.observer, **known)))
-    return out
+    options = Options(magnitude_limit=settings.magnitude_limit, edition=5, limits=limits_of(scenario))
+    shown = (show(*renderer.frame(index), settings.detection, VEGA_FOV_DEG) for index in range(frames))
+    return [solve_shown(image, one, options, tracker) for image, one in enumerate(shown, 1)]
 
 
 def limits_of(scenario: Scenario) -> TriadLimits:
@@ -90,53 +66,31 @@ def section(frames: int = _FRAMES) -> Section:
     """From the pixels of a rendered Vega image to its centre (section 4.2.1)."""
     seen = vega_frames(frames)
     first = seen[0]
-    found = len(first.shown.pixels)
     identified = [number for number in first.analysis.matches if number is not None]
-    shared = [number for number in PRINTED_MATCHES if number in identified]
-    off = np.array([frame.off_deg for frame in seen])
-    where = "4.2.1"
-    rows = [
-        Row(
-            where,
-            "image stars of a rendered frame (τ = 8, threshold 51, ≥ 10 pixels)",
-            "5",
-            f"{found}",
-            "input missing",
-            "her picture is not to be had, nor her camera's sensitivity; ours shows μ Lyrae and HR 6997 too",
-        ),
-        Row(
-            where,
-            "matched HR numbers of hers that are found again",
-            ", ".join(map(str, PRINTED_MATCHES)),
-            ", ".join(map(str, identified)),
-            "input missing",
-            f"{len(shared)} of the {len(PRINTED_MATCHES)} in a picture made anew; a multiple star has 10,000 added "
-            "where its components are named apart",
-        ),
-        _error_row(where, "centre, her method", off[:, 0]),
-        _error_row(where, "centre, the tracker (`identifier: triads`)", off[:, 1]),
-    ]
+    methods = ("her method", "the tracker (`identifier: triads`)")
+    off = np.array([frame.off_deg for frame in seen]).T
+    values = {
+        "found": len(first.shown.pixels),
+        "hers": ", ".join(map(str, PRINTED_MATCHES)),
+        "identified": ", ".join(map(str, identified)),
+        "shared": len(set(PRINTED_MATCHES) & set(identified)),
+        "printed": len(PRINTED_MATCHES),
+        "errors": [{"method": method} | _errors(off_deg) for method, off_deg in zip(methods, off, strict=True)],
+    }
     return Section(
         "The Vega image made anew: from the pixels of the rendered camera to the centre",
-        rows,
+        table_rows("yee1999/rendered_vega", values),
         {"rendered_vega": lambda: picture_figure(first), "rendered_vega_errors": lambda: error_figure(seen)},
     )
 
 
-def _error_row(where: str, quantity: str, off_deg: FloatArray) -> Row:
+def _errors(off_deg: FloatArray) -> Values:
     found = off_deg[np.isfinite(off_deg)]
     rms = float(np.sqrt(np.mean(found**2))) if len(found) else np.nan
-    return Row(
-        where,
-        quantity,
-        f"± {PRINTED_ERROR_DEG}°",
-        f"off by {rms:.4f}° rms, {np.max(found, initial=0.0):.4f}° at most, in {len(found)} of {len(off_deg)} frames",
-        "input missing",
-        "another picture: here the truth is known, the printed error was reckoned from residuals",
-    )
+    return {"rms": rms, "most": np.max(found, initial=0.0), "solved": len(found), "frames": len(off_deg)}
 
 
-def picture_figure(vega: VegaFrame) -> Figure:
+def picture_figure(vega: SolvedFrame) -> Figure:
     """The frame with its clusters numbered by their pixels, and the HR number of those that were matched."""
     figure, axes = new_figure(size=(6.4, 4.9))
     axes.grid(False)
@@ -160,7 +114,7 @@ def _circle(x: float, y: float, radius: float, colour: str) -> Any:
     return Circle((x, y), radius, fill=False, color=colour, linewidth=1.2)
 
 
-def error_figure(frames: Sequence[VegaFrame]) -> Figure:
+def error_figure(frames: Sequence[SolvedFrame]) -> Figure:
     """Where the centres lie about the true one, by her method and by the tracker."""
     figure, axes = new_figure(size=(5.2, 4.6))
     for label, colour, marker, centres in (

@@ -9,18 +9,18 @@ the search for stars in the image out.
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from simulator.study.exported_c.build import M68K, Build, compile_export, native_compiler
 from simulator.study.exported_c.centroid_lists import list_text
-from simulator.theses.printed import Row, Section
+from simulator.theses.printed import Section
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.integer_build import best_s
 from simulator.theses.yee1999.picture import Picture, deneb, vega
-from simulator.theses.yee1999.rows import joined
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.export_c import CExport, export_c
@@ -62,116 +62,81 @@ def version_b(picture: Picture) -> CExport:
 
 def run_times() -> Section:
     """Rows of all tables."""
-    return Section("Run times", [*_trials(), *_here(), *_emulated()])
+    values = {"trials": _trials()} | _here() | _emulated()
+    return Section("Run times", table_rows("yee1999/run_times", values))
 
 
-def _trials() -> list[Row]:
+def _trials() -> list[Values]:
     """Her averages and run times out of her ten trials."""
     rows = []
     for row in printed_rows("tables_c"):
-        trials = [float(row[f"trial_{n}"]) for n in range(1, 11)]
-        mean = float(np.mean(trials))
-        rows.append(
-            joined(
-                f"Table {row['table']}",
-                f"{_WHERE[row['table']]}: {_NAMES[row['version']]}, average and run-time",
-                [row["average"], row["run_time"]],
-                [mean, mean / _REPETITIONS],
-                unit="s",
-                why="from the ten trials printed, of 100 runs each",
-            )
-        )
+        mean = float(np.mean([float(row[f"trial_{n}"]) for n in range(1, 11)]))
+        names = {"table": row["table"], "program": _WHERE[row["table"]], "version": _NAMES[row["version"]]}
+        rows.append(names | {"texts": [row["average"], row["run_time"]], "means": [mean, mean / _REPETITIONS]})
     return rows
 
 
-def _here() -> list[Row]:
+def _here() -> Values:
     """Table 4.21 on this machine: the Pentium II and its compilers are not to be had."""
     picture, stars = deneb(), sub_catalog(4)
     real = stars.tables(_MAX_SEPARATION_DEG)
     coded = stars.tables(_MAX_SEPARATION_DEG, FixedArithmetic())
 
-    def match(tables: TriadTables, centre: bool) -> Callable[[], None]:
-        def solve() -> None:
-            best = match_triads(tables, picture.xy_px, picture.scale_deg, _A).best()
-            if centre and best is not None:
-                solve_plate(picture.xy_px[best.pairs[:, 0]], stars.sky_deg[best.pairs[:, 1]])
+    def match(tables: TriadTables, centre: bool) -> None:
+        best = match_triads(tables, picture.xy_px, picture.scale_deg, _A).best()
+        if centre and best is not None:
+            solve_plate(picture.xy_px[best.pairs[:, 0]], stars.sky_deg[best.pairs[:, 1]])
 
-        return solve
-
-    export = version_b(picture)
-    rows = [
-        _timed("floating, centre", "2.317 s, 0.644 s", _best_s(match(real, True)), "Python"),
-        _timed("floating", "2.286 s, 0.596 s", _best_s(match(real, False)), "Python"),
-        _timed("A", "1.430 s, 0.622 s", _best_s(match(coded, False)), "Python"),
-    ]
+    programs = (("floating, centre", "2.317 s, 0.644 s", real), ("floating", "2.286 s, 0.596 s", real),
+                ("A", "1.430 s, 0.622 s", coded))  # fmt: skip
+    timed = []
+    for version, hers, tables in programs:
+        spent_s = best_s(partial(match, tables, version == "floating, centre"), 3)
+        timed.append({"version": _NAMES[version], "hers": hers, "ms": 1e3 * spent_s, "how": "Python"})
     host = native_compiler()
     if host is None:
-        return [*rows, _not_measured("Table 4.21", "B", "n/a, 0.464 s", "no C compiler is installed")]
+        return {"timed": timed, "no_compiler": [{}]}
     with tempfile.TemporaryDirectory() as folder:
-        build = compile_export(export, Path(folder), host)
-        spent = build.time_s(list_text(picture.xy_px), 20)
-    return [*rows, _timed("B", "n/a, 0.464 s", spent, "C, with a verified attitude")]
+        spent_s = compile_export(version_b(picture), Path(folder), host).time_s(list_text(picture.xy_px), 20)
+    how = "C, with a verified attitude"
+    timed.append({"version": _NAMES["B"], "hers": "n/a, 0.464 s", "ms": 1e3 * spent_s, "how": how})
+    return {"timed": timed, "no_compiler": []}
 
 
-def _timed(version: str, printed: str, spent_s: float, how: str) -> Row:
-    why = f"{how}, on this machine, without reading the image; hers on a Pentium II of 266 MHz, with it"
-    return Row("Table 4.21", f"Deneb: {_NAMES[version]}", printed, f"{spent_s * 1e3:.3g} ms", "input missing", why)
-
-
-def _not_measured(where: str, version: str, printed: str, why: str) -> Row:
-    return Row(where, f"Deneb: {_NAMES[version]}", printed, "not measured", "input missing", why)
-
-
-def _emulated() -> list[Row]:
+def _emulated() -> Values:
     """Tables C.3 and C.6 in instructions of the emulated 68k."""
-    names, printed = ("Vega", "Deneb"), (9.41, 23.66)
-    quantity = [f"{name} on the 68k: {_NAMES['B']}" for name in names]
-    clocks = [f"{seconds} s: {seconds * _CLOCKS / 1e6:.0f} million clocks" for seconds in printed]
-    between = f"{(printed[1] - printed[0]) * _CLOCKS / 1e6:.0f} million clocks"
+    seconds = {"Vega": 9.41, "Deneb": 23.66}
+    rows: list[Values] = [
+        {"where": where, "what": f"{name} on the 68k: {_NAMES['B']}", "clocks": f"{spent} s: {_million(spent)}"}
+        for where, (name, spent) in zip(("Table C.3", "Table C.6"), seconds.items(), strict=True)
+    ]
+    between = _million(seconds["Deneb"] - seconds["Vega"])
+    rows.append({"where": "Tables C.3, C.6", "what": "Deneb less Vega", "clocks": between})
     missing = M68K.missing()
     if missing is not None:
-        why = f"{missing} is not installed (Debian: gcc-m68k-linux-gnu, qemu-user)"
-        return [
-            Row(where, what, text, "not measured", "input missing", why)
-            for where, what, text in (
-                ("Table C.3", quantity[0], clocks[0]),
-                ("Table C.6", quantity[1], clocks[1]),
-                ("Tables C.3, C.6", "Deneb less Vega", between),
-            )
-        ]
+        return {"not_emulated": [row | {"missing": missing} for row in rows], "emulated": [], "builds": []}
     counts, builds = [], []
-    for picture in (vega(), deneb()):
+    for name, picture, hers in (("Vega", vega(), "4 MB"), ("Deneb", deneb(), "4 MB, its stars renumbered")):
         with tempfile.TemporaryDirectory() as folder:
             build = compile_export(version_b(picture), Path(folder), M68K)
-            builds.append(build)
             counts.append(build.instructions(list_text(picture.xy_px)))
-    why = (
+        builds.append({"name": name, "hers": hers, "build": build} | _sizes_kb(build))
+    counts.append(counts[1] - counts[0])
+    how = (
         "instructions of a CPU32, emulated, from the centroids to a verified attitude; hers from the image to the names"
     )
-    rows = [
-        Row(where, what, text, f"{count / 1e6:.2f} million instructions", "differs", why)
-        for where, what, text, count in zip(("Table C.3", "Table C.6"), quantity, clocks, counts, strict=True)
+    less = "84 triangles in place of 10; neither counts the search for stars in the image, which is the same in both"
+    emulated = [
+        row | {"millions": count / 1e6, "how": text}
+        for row, count, text in zip(rows, counts, (how, how, less), strict=True)
     ]
-    step = f"{(counts[1] - counts[0]) / 1e6:.2f} million instructions"
-    why = "84 triangles in place of 10; neither counts the search for stars in the image, which is the same in both"
-    rows.append(Row("Tables C.3, C.6", "Deneb less Vega", between, step, "differs", why))
-    return [*rows, *(_sizes(name, build) for name, build in zip(names, builds, strict=True))]
+    return {"not_emulated": [], "emulated": emulated, "builds": builds}
 
 
-def _sizes(name: str, build: Build) -> Row:
-    computed = (
-        f"code {build.code_bytes / 1e3:.1f} kB, tables {build.table_bytes / 1e3:.0f} kB, "
-        f"context {build.context_bytes / 1e3:.0f} kB, stack ≤ {build.stack_bytes} B, heap 0"
-    )
-    why = "her lists of pairs are as long as the catalogue for each pair of stars; ours are ranges of one table"
-    printed = "4 MB, its stars renumbered" if name == "Deneb" else "4 MB"
-    return Row("4.2.5", f"{name}, memory of version B on the 68k", printed, computed, "differs", why)
+def _million(seconds: float) -> str:
+    return f"{seconds * _CLOCKS / 1e6:.0f} million clocks"
 
 
-def _best_s(function: Callable[[], None]) -> float:
-    spent = []
-    for _ in range(3):
-        start = time.perf_counter()
-        function()
-        spent.append(time.perf_counter() - start)
-    return min(spent)
+def _sizes_kb(build: Build) -> Values:
+    sizes = {"code_kb": build.code_bytes, "tables_kb": build.table_bytes, "context_kb": build.context_bytes}
+    return {name: size / 1e3 for name, size in sizes.items()}

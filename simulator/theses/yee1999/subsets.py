@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
-from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Analysis, analyse, vega
 from startracker.errors import InputError
 from startracker.estimation.plate import solve_plate
@@ -107,52 +108,32 @@ def subset_centers(xy: ArrayLike, sky_deg: ArrayLike) -> Subsets:
 
 def three_star_subsets(analysis: Analysis | None = None) -> Section:
     """The Vega image's ten subsets, and random fields of known centre."""
-    found = analysis or analyse(vega())
     errors = mean_errors()
-    rows = [*_vega_rows(found), *_field_rows(errors)]
+    fields = [
+        {"stars": stars, "rms": rms, "worse": rms[1] / rms[0], "rigid_worse": rms[4] / rms[3]}
+        for stars, rms in errors.items()
+    ]
+    rows = table_rows("yee1999/subsets", {"vega": _vega_values(analysis or analyse(vega())), "fields": fields})
     return Section("Three stars at a time, or all at once", rows, {"subsets": lambda: subset_figure(errors)})
 
 
-def _vega_rows(found: Analysis) -> list[Row]:
+def _vega_values(found: Analysis) -> list[Values]:
     if found.found is None:
         return []
     pairs = found.found.pairs
     subsets = subset_centers(found.picture.xy_px[pairs[:, 0]], found.catalog.sky_deg[pairs[:, 1]])
     off = [subsets.off_arcsec(center) for center in subsets.center_deg]
-    plain, jacobi = subsets.mean_deg(), subsets.mean_deg(2.0)
     return [
-        _answer("Vega: centres of the three-star subsets, from the one fit",
-                f"{min(off):.1f}″ to {max(off):.0f}″", f"{len(off)} subsets of {len(pairs)} stars"),
-        _answer("Vega: plain mean of the subsets, from the one fit", f"{subsets.off_arcsec(plain):.1f}″",
-                f"RA {plain[0]:.5f}°, Dec {plain[1]:.5f}°"),
-        _answer("Vega: mean weighted by squared area, from the one fit", f"{subsets.off_arcsec(jacobi):.2f}″",
-                "Jacobi's theorem: it is the one fit, but for what the tangent points differ by"),
-    ]  # fmt: skip
-
-
-def _field_rows(errors: dict[int, FloatArray]) -> list[Row]:
-    where = f"{_FIELDS} random fields of {VEGA_FOV_DEG[0]:g}° × {VEGA_FOV_DEG[1]:g}°, {_NOISE_PX} px"
-    rows = []
-    for stars, (fit, mean, weighted, rigid, rigid_mean) in errors.items():
-        rows.append(
-            _answer(
-                f"{stars} stars, plate constants: rms error of one fit, mean, mean by squared area",
-                f"{fit:.1f}″, {mean:.1f}″, {weighted:.1f}″",
-                f"{where}; the mean errs {mean / fit:.1f} times as much as the fit",
-            )
-        )
-        rows.append(
-            _answer(
-                f"{stars} stars, scale known: rms error of one fit, mean",
-                f"{rigid:.2f}″, {rigid_mean:.2f}″",
-                f"shift and rotation alone; the mean errs {rigid_mean / rigid:.2f} times as much",
-            )
-        )
-    return rows
-
-
-def _answer(quantity: str, computed: str, why: str) -> Row:
-    return Row("5.2", quantity, "left open", computed, "open", why)
+        {
+            "least": min(off),
+            "most": max(off),
+            "subsets": len(off),
+            "stars": len(pairs),
+            "plain_deg": subsets.mean_deg(),
+            "plain_arcsec": subsets.off_arcsec(subsets.mean_deg()),
+            "jacobi_arcsec": subsets.off_arcsec(subsets.mean_deg(2.0)),
+        }
+    ]
 
 
 def mean_errors(
@@ -230,8 +211,6 @@ def subset_figure(errors: dict[int, FloatArray]) -> Figure:
         axes.plot(
             n, table[:, column], line, color=colour, marker=marker, ms=9 if column == 2 else 5, label=label, mfc=fill
         )
-    axes.set_yscale("log")
-    axes.set_xlabel("stars")
-    axes.set_ylabel("error of the centre, rms [arcsec]")
+    axes.set(yscale="log", xlabel="stars", ylabel="error of the centre, rms [arcsec]")
     axes.legend()
     return figure

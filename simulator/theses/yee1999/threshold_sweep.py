@@ -21,9 +21,10 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.intervals import wilson_interval
 from simulator.study.style import BLUE, VERMILION
-from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import table_rows
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, Options, analyse
-from simulator.theses.yee1999.rendered import Shown, off_deg, show
+from simulator.theses.yee1999.rendered import Shown, off_deg, show, tracker_off_deg
 from simulator.theses.yee1999.rendered_vega import limits_of
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -148,7 +149,7 @@ def _solvers(
     section = scenario.tracker
     options = Options(edition=5, magnitude_limit=section.magnitude_limit, limits=replace(limits_of(scenario), **change))
     changed = copy(tracker)  # with the guide stars and their tables, which no threshold changes
-    changed.identification = replace(section.identification, **change)
+    changed.identification = replace(tracker.identification, **change)
 
     def hers(one: Shown) -> float:
         plate = analyse(one.picture, options).plate
@@ -156,9 +157,7 @@ def _solvers(
 
     def ours(one: Shown) -> float:
         solution = changed.solve_centroids(one.xy, one.pixels.astype(float), observer=one.frame.observer)
-        if not solution.solved:
-            return np.nan
-        return off_deg(one.truth.attitude, np.array([solution.ra_deg, solution.dec_deg]))
+        return tracker_off_deg(one.truth.attitude, solution)
 
     return hers, ours
 
@@ -166,26 +165,18 @@ def _solvers(
 def section(frames: int = _FRAMES) -> Section:
     """Thresholds against success and wrong matches (section 4.2.1 sets them by trial for one image)."""
     outcomes = sweep(sky_frames(frames))
-    rows = []
+    values = []
     for threshold in THRESHOLDS:
         for method in _METHODS:
             mine = [o for o in outcomes if o.method == method and o.threshold == threshold.name]
             at = next(o for o in mine if o.value == threshold.printed)
             best = max(mine, key=lambda o: (o.right, -o.wrong))
-            rows.append(
-                Row(
-                    "4.2.1",
-                    f"{threshold.label}, {method}",
-                    f"{threshold.printed:g}, by trial on one image",
-                    f"{best.value:g}: {best.right} of {frames} right, {best.wrong} wrong",
-                    "input missing",
-                    f"her image is not to be had: rendered frames at random attitudes; at the printed value {at.right} "
-                    f"right, {at.wrong} wrong",
-                )
+            values.append(
+                {"label": threshold.label, "method": method, "hers": threshold.printed, "best": best, "at": at}
             )
-    return Section(
-        "Thresholds of the triads on rendered frames", rows, {"threshold_sweep": lambda: sweep_figure(outcomes)}
-    )
+    rows = table_rows("yee1999/threshold_sweep", {"thresholds": values, "frames": frames})
+    figures = {"threshold_sweep": lambda: sweep_figure(outcomes)}
+    return Section("Thresholds of the triads on rendered frames", rows, figures)
 
 
 def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:

@@ -4,57 +4,55 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simulator.theses.printed import Row, Section, Verdict, compare
+from simulator.study.style import BLUE, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import Analysis, analyse, vega
-from simulator.theses.yee1999.rows import joined
 from startracker.identification.triad_votes import COMBINED_ID, combine_separation, match_triads
 
-__all__ = ["attitude_rows", "separation_rows", "vega_tables", "vote_rows"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from simulator.theses.yee1999.picture import Analysis
+    from startracker.estimation.plate import Plate
+
+__all__ = ["attitude_rows", "separation_rows", "triad_figure", "vega_figure", "vega_tables", "vote_rows"]
 
 VEGA_CENTRE = ("278.45703", "37.24007")
-_EDITION = "the 4th edition is not to be had; the 5th with its corrections stands in"
 
 
 def vega_tables(analysis: Analysis | None = None) -> Section:
     """Databases, separations, triads, votes, centre and residuals of the Vega image."""
     found = analysis or analyse(vega())
     rows = [
-        *_databases(found),
+        *table_rows("yee1999/vega_databases", _database_values(found)),
         *separation_rows(found, "Table 4.1", "Table 4.14"),
-        *_triads(found),
+        *table_rows("yee1999/vega_triads", _triad_values(found)),
         *vote_rows(found, "Table 4.4"),
         *attitude_rows(found, "Table 4.5", "4.2.1", VEGA_CENTRE),
+        *table_rows("yee1999/vega_enclosed", _enclosed_values(found)),
     ]
-    rows.append(_enclosed_test(found))
-    from simulator.theses.yee1999.figures import triad_figure, vega_figure
-
     figures = {"fig_4_4_vega": lambda: vega_figure(found), "table_4_2_rotations": lambda: triad_figure(found)}
     return Section("The Vega image", rows, figures)
 
 
-def _databases(found: Analysis) -> list[Row]:
+def _database_values(found: Analysis) -> Values:
     tables = found.match.tables
     triangles = _closed_triangles(tables.first, tables.second, len(tables))
-    degrees = tables.arithmetic.separation_degrees(
-        np.array([combine_separation(tables.arithmetic, found.picture.scale_deg, 8.0)])
-    )
-    why = "V ≤ 6.00, Dec 30° to 90°; " + _EDITION
-    return [
-        compare("4.2", "stars of the sub-catalogue", "1,266", len(found.catalog), why=why),
-        compare("4.2", "pairs up to 12°", "33,851", len(tables.separation), why=_EDITION),
-        compare(
-            "4.2.5",
-            "enclosed angles",
-            "1,175,901",
-            3 * triangles,
-            why=f"three angles of each of {triangles:,} triangles with sides up to 12°",
-        ),
-        compare("4.2.1", "separation of stars that are one, τ = 8", "0.1732", float(degrees[0]), unit="°"),
-    ]
+    combined = combine_separation(tables.arithmetic, found.picture.scale_deg, 8.0)
+    return {
+        "stars": len(found.catalog),
+        "pairs": len(tables.separation),
+        "angles": 3 * triangles,
+        "triangles": triangles,
+        "combined_deg": tables.arithmetic.separation_degrees(np.array([combined]))[0],
+    }
 
 
 def _closed_triangles(first: np.ndarray, second: np.ndarray, stars: int) -> int:
@@ -68,66 +66,56 @@ def _closed_triangles(first: np.ndarray, second: np.ndarray, stars: int) -> int:
 
 def separation_rows(found: Analysis, where: str, centroids: str) -> list[Row]:
     """Separations of the image stars and how many catalogue pairs have each (Tables 4.1, 4.6, 4.11)."""
-    rows = []
-    for row, degrees, count in zip(
-        printed_rows(file_of(where)), found.separations_deg, found.match.pair_counts, strict=True
-    ):
-        name = f"stars {row['star']} and {row['other']}"
-        why = f"cos θ = cos χ cos ψ of the centroids of {centroids}"
-        rows.append(joined(where, f"separation of {name}", [row["separation_deg"]], [degrees], unit="°", why=why))
-        rows.append(compare(where, f"catalogue pairs of {name}", row["pairs"], float(count), why=_EDITION))
-    return rows
+    pairs = [
+        {"star": row["star"], "other": row["other"], "texts": [row["separation_deg"]], "degrees": [degrees],
+         "printed": row["pairs"], "count": count}
+        for row, degrees, count in zip(
+            printed_rows(file_of(where)), found.separations_deg, found.match.pair_counts, strict=True
+        )
+    ]  # fmt: skip
+    return table_rows("yee1999/picture", {"pairs": pairs, "table": where, "centroids": centroids})
 
 
-def _triads(found: Analysis) -> list[Row]:
+def _triad_values(found: Analysis) -> Values:
     printed = printed_rows("table_4_2")
-    groups = {key: list(members) for key, members in groupby(printed, key=lambda row: row["group"])}
-    rows = [
-        compare("Table 4.2", "triads", str(len(printed)), len(found.triads)),
-        compare("Table 4.2", "groups", str(len(groups)), len(found.groups)),
-    ]
-    for key, members in groups.items():
-        ours = [row for row in found.triads if str(row["group"]) == key]
+    groups = {int(key): list(members) for key, members in groupby(printed, key=lambda row: row["group"])}
+    rows = []
+    for group, members in groups.items():
+        ours = {tuple(row["hr"]): row["rotations_deg"] for row in found.triads if row["group"] == group}
         theirs = {tuple(int(row[f"hr_{s}"]) for s in range(1, 6)): row for row in members}
-        same = len(theirs.keys() & {tuple(row["hr"]) for row in ours})
-        off = max(
-            (
-                abs(rotation - float(theirs[tuple(row["hr"])][f"rotation_{n}_deg"]))
-                for row in ours
-                if tuple(row["hr"]) in theirs
-                for n, rotation in enumerate(row["rotations_deg"], 1)
-            ),
-            default=np.inf,
-        )
-        mean = found.groups[int(key) - 1][1] if int(key) <= len(found.groups) else np.nan
-        verdict: Verdict = "exact" if same == len(theirs) == len(ours) and off <= 0.1 else "differs"
+        shared = theirs.keys() & ours.keys()
+        off = [abs(ours[hr][n] - float(theirs[hr][f"rotation_{n + 1}_deg"])) for hr in shared for n in (0, 1)]
+        off_deg = max(off, default=np.inf)
         rows.append(
-            Row(
-                "Table 4.2",
-                f"group {key}: triads, mean rotation",
-                f"{len(theirs)}, {members[0]['group_mean_deg']}°",
-                f"{len(ours)}, {mean:.1f}°",
-                verdict,
-                f"{same} lists of HR numbers the same, rotations within {off:.2f}°",
-            )
+            {
+                "group": group,
+                "size": len(theirs),
+                "hers_deg": members[0]["group_mean_deg"],
+                "found": len(ours),
+                "mean_deg": found.groups[group - 1][1] if group <= len(found.groups) else np.nan,
+                "shared": len(shared),
+                "off_deg": off_deg,
+                "same": len(shared) == len(theirs) == len(ours) and off_deg <= 0.1,
+            }
         )
-    return rows
+    counts = {"hers": len(printed), "ours": len(found.triads)}
+    return counts | {"her_groups": len(groups), "our_groups": len(found.groups), "groups": rows}
 
 
 def vote_rows(found: Analysis, where: str) -> list[Row]:
     """HR numbers that each image star may be, and how often they are named (Tables 4.4, 4.9)."""
+    combined = f"{COMBINED_ID:,} more than the brightest's number: stars that are one"
     rows = []
     for star, members in groupby(printed_rows(file_of(where)), key=lambda row: row["star"]):
         theirs = [(int(row["hr"]), int(row["frequency"]), row["v_mag"]) for row in members]
         ours = [(vote["hr"], vote["frequency"], f"{vote['v_mag']:.2f}") for vote in found.votes[int(star) - 1]]
         printed, computed = (", ".join(f"{hr}: {n}" for hr, n, _v in votes) for votes in (theirs, ours))
-        verdict: Verdict = "exact" if sorted(theirs) == sorted(ours) else "differs"
-        why = f"{COMBINED_ID:,} more than the brightest's number: stars that are one" if len(theirs) > 1 else ""
-        rows.append(Row(where, f"votes of star {star}", printed, computed, verdict, why))
-    return rows
+        same, multiple = sorted(theirs) == sorted(ours), combined if len(theirs) > 1 else ""
+        rows.append({"star": star, "hers": printed, "ours": computed, "same": same, "multiple": multiple})
+    return table_rows("yee1999/votes", {"votes": rows, "table": where})
 
 
-def _enclosed_test(found: Analysis) -> Row:
+def _enclosed_values(found: Analysis) -> Values:
     """What the enclosed-angle test is worth, which the thesis doubts."""
     match = found.match
     without = match_triads(
@@ -135,15 +123,12 @@ def _enclosed_test(found: Analysis) -> Row:
     )
     best = without.best()
     same = best is not None and found.found is not None and np.array_equal(best.pairs, found.found.pairs)
-    return Row(
-        "5.2",
-        "triads that the enclosed-angle test excludes",
-        "not that many",
-        f"{len(without.triads) - len(match.triads)} of {len(without.triads)}",
-        "differs",
-        f"within {match.limits.enclosed_tolerance_deg:g}°; without it the largest group names "
-        + ("the same stars" if same else "other stars"),
-    )
+    return {
+        "excluded": len(without.triads) - len(match.triads),
+        "all": len(without.triads),
+        "tolerance_deg": match.limits.enclosed_tolerance_deg,
+        "stars": "the same stars" if same else "other stars",
+    }
 
 
 def attitude_rows(found: Analysis, where: str, section: str, centre: tuple[str, str]) -> list[Row]:
@@ -151,33 +136,82 @@ def attitude_rows(found: Analysis, where: str, section: str, centre: tuple[str, 
     plate = found.plate
     if plate is None or found.found is None:
         return []
-    rows = []
     off = 3600.0 * np.abs(plate.center_deg - [float(text) for text in centre])
-    rows.append(
-        Row(
-            section,
-            "RA, Dec of the centre",
-            ", ".join(f"{text}°" for text in centre),
-            f"{plate.center_deg[0]:.5f}°, {plate.center_deg[1]:.5f}°",
-            "exact" if off.max() <= 0.05 else "close",
-            f"in {plate.iterations} iterations to 1″; {off[0]:.3f}″ and {off[1]:.3f}″ from the printed",
-        )
-    )
-    computed = plate.sky_deg(found.picture.xy_px[found.found.pairs[:, 0]])
+    seen, stars = found.found.pairs.T
+    computed, catalog = plate.sky_deg(found.picture.xy_px[seen]), found.catalog.sky_deg[stars]
+    rows = []
     for k, row in enumerate(printed_rows(file_of(where))):
-        at = found.catalog.sky_deg[found.found.pairs[k, 1]]
         for axis, name in enumerate(("ra", "dec")):
-            keys = (f"catalog_{name}_deg", f"{name}_deg", f"{name}_difference_deg")
-            values = [at[axis], computed[k, axis], abs(plate.residual_deg[k, axis])]
-            greatest = max(abs(value - float(row[key])) for key, value in zip(keys, values, strict=True))
-            rows.append(
-                Row(
-                    where,
-                    f"HR {row['hr']} {name.upper() if name == 'ra' else 'Dec'}: catalogue, computed, difference",
-                    ", ".join(row[key] for key in keys) + "°",
-                    ", ".join(f"{value:.5f}" for value in values) + "°",
-                    "exact" if greatest <= 2.1e-5 else "close",
-                    f"within {greatest:.1e}°; five decimals of catalogue and centroids leave 2e-5°",
-                )
-            )
-    return rows
+            texts = [row[key] for key in (f"catalog_{name}_deg", f"{name}_deg", f"{name}_difference_deg")]
+            values = [catalog[k, axis], computed[k, axis], abs(plate.residual_deg[k, axis])]
+            greatest = max(abs(value - float(text)) for text, value in zip(texts, values, strict=True))
+            shown = {"hers": ", ".join(texts), "ours": ", ".join(f"{value:.5f}" for value in values)}
+            star = {"hr": row["hr"], "axis": ("RA", "Dec")[axis], "greatest": greatest, "same": greatest <= 2.1e-5}
+            rows.append(star | shown)
+    image = {"section": section, "centre": centre, "center_deg": plate.center_deg, "iterations": plate.iterations}
+    near = {"off": off, "near": off.max() <= 0.05}
+    return table_rows("yee1999/attitude", image | near | {"table": where, "stars": rows})
+
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def vega_figure(found: Analysis) -> Figure:
+    """Fig. 4.4 from its centroids: the image stars, the catalogue around them, what was matched."""
+    figure, axes = new_figure(size=(6.4, 5.2))
+    width, height = found.picture.size_px
+    if found.plate is not None:
+        stars, xy = _in_image(found, found.plate)
+        size = 4.0 + 7.0 * np.clip(6.5 - found.catalog.v_mag[stars], 0.0, None)
+        axes.scatter(*xy.T, s=size, color=SOFT, alpha=0.6, lw=0, label="catalogue, V ≤ 6.00")
+    axes.plot(*found.picture.xy_px.T, "o", ms=13, mfc="none", mec=BLUE, label="image stars")
+    for star, (x, y) in enumerate(found.picture.xy_px):
+        number = found.matches[star]
+        text = f"{star + 1}" if number is None else f"{star + 1}: HR {number}"
+        axes.annotate(text, (x, y), xytext=(9, 6), textcoords="offset points", color=INK)
+    axes.plot(0, 0, "+", color=VERMILION, ms=10, label="centre")
+    axes.set(
+        xlim=(-width / 2, width / 2),
+        ylim=(-height / 2, height / 2),
+        aspect="equal",
+        xlabel="x from the centre [pixels]",
+        ylabel="y from the centre, up [pixels]",
+    )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
+    return figure
+
+
+def _in_image(found: Analysis, plate: Plate) -> tuple[IntArray, FloatArray]:
+    """Catalogue stars on the image, and their pixels."""
+    near = np.flatnonzero(_cosine(found.catalog.sky_deg, plate.center_deg) > 0.8)
+    xy = plate.image_xy(found.catalog.sky_deg[near])
+    inside = (np.abs(xy) <= np.array(found.picture.size_px) / 2.0).all(axis=1)
+    return near[inside], xy[inside]
+
+
+def _cosine(sky_deg: FloatArray, center_deg: FloatArray) -> FloatArray:
+    (ra, dec), (ra0, dec0) = np.radians(sky_deg).T, np.radians(center_deg)
+    return np.asarray(np.sin(dec) * np.sin(dec0) + np.cos(dec) * np.cos(dec0) * np.cos(ra - ra0))
+
+
+def triad_figure(found: Analysis) -> Figure:
+    """Table 4.2 as a picture: the two rotations of every triad, by group."""
+    figure, axes = new_figure(size=(6.4, 3.6))
+    largest = max(range(len(found.groups)), key=lambda g: found.groups[g][0], default=-1)
+    for row in found.triads:
+        best = row["group"] - 1 == largest
+        style = {"color": ORANGE if best else BLUE, "marker": "s" if best else "o", "ms": 6 if best else 4}
+        axes.plot(row["rotations_deg"], [row["group"]] * 2, lw=1.0, mfc="none", **style)
+    for group, (size, mean) in enumerate(found.groups):
+        text = f"{size} triad{'' if size == 1 else 's'}, mean {mean:.1f}°"
+        axes.annotate(text, (mean, group + 1), xytext=(0, 7), textcoords="offset points", ha="center", color=INK)
+    axes.set(
+        xlim=(-60.0, 380.0),
+        xticks=range(0, 361, 60),
+        ylim=(0.3, len(found.groups) + 0.9),
+        yticks=range(1, len(found.groups) + 1),
+        xlabel="rotation of image to catalogue, two of each triad [°]",
+        ylabel="group",
+    )
+    return figure

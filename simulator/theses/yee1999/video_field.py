@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulator.study.style import BLUE, ORANGE
-from simulator.theses.printed import Row, Section, compare, new_figure
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
-from simulator.theses.yee1999.rows import joined
 from startracker.identification.arithmetic import FloatArithmetic
 
 if TYPE_CHECKING:
@@ -43,25 +43,25 @@ def cropped_field_deg(field: tuple[float, float]) -> tuple[float, float]:
 def video_field() -> Section:
     """Fields, sub-catalogue and Table D.1, with Fig. 4.10."""
     stars = sub_catalog(4, 5.0, 50.0)
-    size = [p / s for p, s in zip(PIXELS, PIXELS_PER_MM, strict=True)]
-    field = field_deg(round(size[0] / 2.0, 4) * 2.0, round(size[1] / 2.0, 4) * 2.0)
+    half_mm = [pixels / per_mm / 2.0 for pixels, per_mm in zip(PIXELS, PIXELS_PER_MM, strict=True)]
+    field = field_deg(*(round(half, 4) * 2.0 for half in half_mm))
     cropped = cropped_field_deg(field)
-    combine = _TAU_PX * field[0] / DIGITIZED_PX[0]
-    rows = [
-        compare("4.3", "stars V ≤ 5.00, Dec ≥ 50°", "175", len(stars)),
-        compare("4.3", "pairs up to 40°", "8,823", len(stars.tables(40.0).separation)),
-        compare("D.1", "half the image's width", "6.6220", size[0] / 2.0, unit="mm",
-                why="from 588.02 pixels; the 558.02 that is printed gives 6.2841 mm and is a misprint"),
-        compare("D.1", "half the image's height", "5.2198", size[1] / 2.0, unit="mm"),
-        joined("D.1", "field", ["29.6716", "23.5869"], field, unit="°", why="eq. D.1, focal length 25 mm"),
-        compare("4.3", "cropped field, across", "25.8356", cropped[0], unit="°", why="× 512/588.02"),
-        compare("4.3", "cropped field, down", "20.3319", cropped[1], unit="°",
-                why="× 480/557.08; hers does not follow from the pixels printed"),
-        compare("4.3", "separation of stars that are one, τ = 15", "0.8693", combine, unit="°",
-                why="15 pixels of 29.6716°/512: the field before it was cropped"),
-        *_table_d_1(stars),
-        _agreement(cropped[0] / field[0]),
-    ]  # fmt: skip
+    largest = max(
+        abs(float(row["database_deg"]) - cropped[0] / field[0] * float(row["calculated_deg"]))
+        for row in printed_rows("table_d_1")
+    )
+    values = {
+        "stars": len(stars),
+        "pairs": len(stars.tables(40.0).separation),
+        "half_mm": half_mm,
+        "field": field,
+        "cropped": cropped,
+        "combine": _TAU_PX * field[0] / DIGITIZED_PX[0],
+        "table_d_1": _table_d_1(stars),
+        "largest": largest,
+        "within": largest < 0.34,
+    }
+    rows = table_rows("yee1999/video_field", values)
     return Section("The field of OEDIPUS-C", rows, {"fig_4_10_field": lambda: field_figure(stars)})
 
 
@@ -73,26 +73,14 @@ def database_separations(stars: SubCatalog) -> list[float]:
     return [float(value) for value in tables.arithmetic.separation_degrees(apart)]
 
 
-def _table_d_1(stars: SubCatalog) -> list[Row]:
+def _table_d_1(stars: SubCatalog) -> list[Values]:
     rows = []
     for row, apart in zip(printed_rows("table_d_1"), database_separations(stars), strict=True):
-        printed = [row["database_deg"], row["difference_deg"]]
-        values = [apart, apart - float(row["calculated_deg"])]
         off = abs(apart - float(row["database_deg"]))
-        name = f"HR {row['first']} and {row['second']}: separation, its difference from the image's"
+        found = [apart, apart - float(row["calculated_deg"])]
         why = "" if off <= 5e-5 else f"{off:.1e}° off: the edition"
-        made = joined("Table D.1", name, printed, values, unit="°", close=0.01, why=why)
-        rows.append(made)
+        rows.append(row | {"texts": [row["database_deg"], row["difference_deg"]], "found": found, "edition": why})
     return rows
-
-
-def _agreement(ratio: float) -> Row:
-    largest = max(
-        abs(float(row["database_deg"]) - ratio * float(row["calculated_deg"])) for row in printed_rows("table_d_1")
-    )
-    return Row("4.3", "greatest difference with the cropped field", "< 0.34°", f"{largest:.2f}°",
-               "exact" if largest < 0.34 else "close",
-               "image separations in proportion to the field across; their two components are not printed")  # fmt: skip
 
 
 def field_figure(stars: SubCatalog) -> Figure:
@@ -106,7 +94,6 @@ def field_figure(stars: SubCatalog) -> Figure:
     line = np.array([0.0, true.max()])
     axes.plot(line, slope * line, color=BLUE, lw=1.0, label=f"line through the origin, slope {slope:.3f}")
     axes.plot(true, true - ratio * seen, "^", color=ORANGE, label="scaled to the cropped field")
-    axes.set_xlabel("true angular separation [°]")
-    axes.set_ylabel("true minus calculated separation [°]")
+    axes.set(xlabel="true angular separation [°]", ylabel="true minus calculated separation [°]")
     axes.legend()
     return figure

@@ -7,6 +7,7 @@
 #define LEAST_ROUNDS 4
 #define SETTLED 8
 #define SLENDER_SHIFT 10
+#define LEAST_LENGTH (1 << 10)
 #define LARGEST_LEFT ((int64_t)1 << 31)
 #define LARGEST_MAP ((int64_t)1 << 32)
 
@@ -15,78 +16,17 @@ struct fit {
     int shift, full;
 };
 
-static int64_t magnitude(int64_t value)
-{
-    return value < 0 ? -value : value;
-}
-
-static int64_t largest_of(const int64_t *values, int count)
-{
-    int64_t largest = 0;
-    int k;
-
-    for (k = 0; k < count; k++)
-        if (magnitude(values[k]) > largest)
-            largest = magnitude(values[k]);
-    return largest;
-}
-
-/* A vector made one unit long, of 2.30; 0 where it has no length to speak of. */
-static int unit(const int64_t vector[3], int64_t out[3])
-{
-    int64_t v[3], largest = largest_of(vector, 3), length;
-    int k;
-
-    if (largest >= (int64_t)1 << 36 || largest < 1 << 10)
-        return 0;
-    for (k = 0; k < 3; k++)
-        v[k] = vector[k];
-    while (largest >= ONE) {
-        for (k = 0; k < 3; k++)
-            v[k] = tracker_shift_right(v[k], 1);
-        largest >>= 1;
-    }
-    length = tracker_square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    for (k = 0; k < 3; k++)
-        out[k] = v[k] * ONE / length;
-    return 1;
-}
-
-static void cross(const int64_t a[3], const int64_t b[3], int64_t out[3])
-{
-    int k;
-
-    for (k = 0; k < 3; k++)
-        out[k] = tracker_shift_right(a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3], 30);
-}
-
 static int axes(const int64_t center[3], int smallest, int64_t east[3], int64_t north[3])
 {
-    int64_t first[3];
     int k;
 
     for (k = 0; k < 3; k++)
-        first[k] = -tracker_shift_right(center[smallest] * center[k], 30);
-    first[smallest] += ONE;
-    if (!unit(first, east))
+        east[k] = -tracker_shift_right(center[smallest] * center[k], 30);
+    east[smallest] += ONE;
+    if (!tracker_unit(east, LEAST_LENGTH))
         return 0;
-    cross(center, east, north);
+    tracker_cross(center, east, north);
     return 1;
-}
-
-/* Sums shifted right alike until all are below 2^30; by how much. */
-static int thirty_bits(int64_t *sums, int count)
-{
-    int64_t largest = largest_of(sums, count);
-    int shift = 0, k;
-
-    while (largest >= ONE) {
-        largest >>= 1;
-        shift++;
-    }
-    for (k = 0; k < count; k++)
-        sums[k] = tracker_shift_right(sums[k], shift);
-    return shift;
 }
 
 static int make_fit(struct tracker_context *context, struct fit *fit, int count)
@@ -99,7 +39,7 @@ static int make_fit(struct tracker_context *context, struct fit *fit, int count)
         sums[1] += context->image[n][0] * context->image[n][1];
         sums[2] += context->image[n][1] * context->image[n][1];
     }
-    fit->shift = thirty_bits(sums, 3);
+    fit->shift = tracker_thirty_bits(sums, 3);
     fit->xx = sums[0];
     fit->xy = sums[1];
     fit->yy = sums[2];
@@ -116,7 +56,7 @@ static int add_shifted(int64_t value, int power, int64_t *to)
         *to += tracker_shift_right(value, -power);
         return 1;
     }
-    if (magnitude(value) >> (power < 33 ? 33 - power : 0))
+    if (tracker_magnitude(value) >> (power < 33 ? 33 - power : 0))
         return 0;
     *to += value * ((int64_t)1 << power);
     return 1;
@@ -131,7 +71,7 @@ static int add_fit(struct tracker_context *context, const struct fit *fit, int c
     for (n = 0; n < count; n++)
         for (k = 0; k < 4; k++)
             sums[k] += context->left[n][k / 2] * context->image[n][k % 2];
-    power = thirty_bits(sums, 4) - fit->shift;
+    power = tracker_thirty_bits(sums, 4) - fit->shift;
     if (fit->full) {
         power += MAP_BITS - 30;
         for (k = 0; k < 2; k++) {
@@ -182,19 +122,19 @@ void tracker_angles(const int64_t matrix[3][3], struct tracker_attitude *attitud
 static int finish(const int64_t center[3], const int64_t east[3], const int64_t north[3], int64_t plate[2][2],
                   int64_t matrix[3][3])
 {
-    int64_t vector[3], turn[3];
+    int64_t turn[3];
     int k;
 
     if (plate[0][0] * tracker_shift_right(plate[1][1], 4) - plate[0][1] * tracker_shift_right(plate[1][0], 4) <= 0)
         return 0;
-    vector[0] = plate[0][0] + plate[1][1];
-    vector[1] = plate[1][0] - plate[0][1];
-    vector[2] = 0;
-    while (largest_of(vector, 2) > 0 && largest_of(vector, 2) < ONE) {
-        vector[0] *= 2;
-        vector[1] *= 2;
+    turn[0] = plate[0][0] + plate[1][1];
+    turn[1] = plate[1][0] - plate[0][1];
+    turn[2] = 0;
+    while (tracker_largest(turn, 2) > 0 && tracker_largest(turn, 2) < ONE) {
+        turn[0] *= 2;
+        turn[1] *= 2;
     }
-    if (!unit(vector, turn))
+    if (!tracker_unit(turn, LEAST_LENGTH))
         return 0;
     for (k = 0; k < 3; k++) {
         matrix[0][k] = tracker_shift_right(turn[0] * east[k] + turn[1] * north[k], 30);
@@ -204,9 +144,25 @@ static int finish(const int64_t center[3], const int64_t east[3], const int64_t 
     return 1;
 }
 
+/* Takes the mean of the values, downwards, off them. */
+static void take_off_mean(int64_t values[][2], int count, int64_t mean[2])
+{
+    int64_t sum;
+    int n, k;
+
+    for (k = 0; k < 2; k++) {
+        sum = 0;
+        for (n = 0; n < count; n++)
+            sum += values[n][k];
+        mean[k] = tracker_floor_quotient(sum, count);
+        for (n = 0; n < count; n++)
+            values[n][k] -= mean[k];
+    }
+}
+
 int tracker_plate_attitude(struct tracker_context *context, int count, int64_t matrix[3][3])
 {
-    int64_t middle[2] = {0, 0}, sum[3] = {0, 0, 0}, center[3], east[3], north[3], plate[2][2] = {{0, 0}, {0, 0}};
+    int64_t middle[2], center[3] = {0, 0, 0}, east[3], north[3], plate[2][2] = {{0, 0}, {0, 0}};
     int64_t mean[2], offset[2], depth, along[2];
     struct fit fit;
     int smallest = 0, round, n, k;
@@ -214,25 +170,18 @@ int tracker_plate_attitude(struct tracker_context *context, int count, int64_t m
     for (n = 0; n < count; n++) {
         context->image[n][0] = tracker_shift_right(context->seen[n][0], 6);
         context->image[n][1] = -tracker_shift_right(context->seen[n][1], 6);
-        for (k = 0; k < 2; k++)
-            middle[k] += context->image[n][k];
         for (k = 0; k < 3; k++)
-            sum[k] += tracker_star_direction[context->catalog[n]][k];
+            center[k] += tracker_star_direction[context->catalog[n]][k];
     }
-    for (k = 0; k < 2; k++) {
-        middle[k] = tracker_floor_quotient(middle[k], count);
-        for (n = 0; n < count; n++)
-            context->image[n][k] -= middle[k];
-    }
-    if (!make_fit(context, &fit, count) || !unit(sum, center))
+    take_off_mean(context->image, count, middle);
+    if (!make_fit(context, &fit, count) || !tracker_unit(center, LEAST_LENGTH))
         return 0;
     for (k = 1; k < 3; k++)
-        if (magnitude(center[k]) < magnitude(center[smallest]))
+        if (tracker_magnitude(center[k]) < tracker_magnitude(center[smallest]))
             smallest = k;
     for (round = 1; round <= ROUNDS; round++) {
         if (!axes(center, smallest, east, north))
             return 0;
-        mean[0] = mean[1] = 0;
         for (n = 0; n < count; n++) {
             depth = along[0] = along[1] = 0;
             for (k = 0; k < 3; k++) {
@@ -247,27 +196,22 @@ int tracker_plate_attitude(struct tracker_context *context, int count, int64_t m
             for (k = 0; k < 2; k++) {
                 context->left[n][k] = along[k] / depth
                              - tracker_shift_right(plate[k][0] * context->image[n][0] + plate[k][1] * context->image[n][1], MAP_BITS);
-                if (magnitude(context->left[n][k]) >= LARGEST_LEFT)
+                if (tracker_magnitude(context->left[n][k]) >= LARGEST_LEFT)
                     return 0;
-                mean[k] += context->left[n][k];
             }
         }
-        for (k = 0; k < 2; k++) {
-            mean[k] = tracker_floor_quotient(mean[k], count);
-            for (n = 0; n < count; n++)
-                context->left[n][k] -= mean[k];
-        }
-        if (!add_fit(context, &fit, count, plate) || largest_of(&plate[0][0], 4) >= LARGEST_MAP)
+        take_off_mean(context->left, count, mean);
+        if (!add_fit(context, &fit, count, plate) || tracker_largest(&plate[0][0], 4) >= LARGEST_MAP)
             return 0;
         for (k = 0; k < 2; k++)
             offset[k] = mean[k] - tracker_shift_right(plate[k][0] * middle[0] + plate[k][1] * middle[1], MAP_BITS);
-        if (largest_of(offset, 2) >= ONE)
+        if (tracker_largest(offset, 2) >= ONE)
             return 0;
-        if (round >= LEAST_ROUNDS && largest_of(offset, 2) <= SETTLED)
+        if (round >= LEAST_ROUNDS && tracker_largest(offset, 2) <= SETTLED)
             return finish(center, east, north, plate, matrix);
         for (k = 0; k < 3; k++)
-            sum[k] = center[k] + tracker_shift_right(offset[0] * east[k] + offset[1] * north[k], 30);
-        if (!unit(sum, center))
+            center[k] += tracker_shift_right(offset[0] * east[k] + offset[1] * north[k], 30);
+        if (!tracker_unit(center, LEAST_LENGTH))
             return 0;
     }
     return 0;

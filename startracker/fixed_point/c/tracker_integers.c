@@ -30,13 +30,70 @@ int64_t tracker_square_root(int64_t n)
     }
 }
 
-int64_t tracker_fine_angle(int64_t y, int64_t x)
+int64_t tracker_magnitude(int64_t value)
 {
-    int64_t largest = y < 0 ? -y : y, other = x < 0 ? -x : x, angle = 0, turned;
+    return value < 0 ? -value : value;
+}
+
+int64_t tracker_largest(const int64_t *values, int count)
+{
+    int64_t largest = 0;
     int k;
 
-    if (other > largest)
-        largest = other;
+    for (k = 0; k < count; k++)
+        if (tracker_magnitude(values[k]) > largest)
+            largest = tracker_magnitude(values[k]);
+    return largest;
+}
+
+int tracker_thirty_bits(int64_t *values, int count)
+{
+    int64_t largest = tracker_largest(values, count);
+    int shift = 0, k;
+
+    while (largest >= (int64_t)1 << 30) {
+        largest >>= 1;
+        shift++;
+    }
+    for (k = 0; k < count; k++)
+        values[k] = tracker_shift_right(values[k], shift);
+    return shift;
+}
+
+int tracker_unit(int64_t v[3], int64_t least)
+{
+    int64_t length;
+    int k;
+
+    if (tracker_largest(v, 3) < least)
+        return 0;
+    tracker_thirty_bits(v, 3);
+    length = tracker_square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (k = 0; k < 3; k++)
+        v[k] = v[k] * ((int64_t)1 << 30) / length;
+    return 1;
+}
+
+int64_t tracker_dot(const int64_t a[3], const int64_t b[3])
+{
+    return tracker_shift_right(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], 30);
+}
+
+void tracker_cross(const int64_t a[3], const int64_t b[3], int64_t out[3])
+{
+    int k;
+
+    for (k = 0; k < 3; k++)
+        out[k] = tracker_shift_right(a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3], 30);
+}
+
+int64_t tracker_fine_angle(int64_t y, int64_t x)
+{
+    int64_t largest = tracker_magnitude(y), angle = 0, turned;
+    int k;
+
+    if (tracker_magnitude(x) > largest)
+        largest = tracker_magnitude(x);
     if (largest == 0)
         return 0;
     while (largest < (int64_t)1 << 58) {
@@ -66,7 +123,7 @@ int64_t tracker_fine_angle(int64_t y, int64_t x)
 
 int32_t tracker_direction(int64_t y, int64_t x)
 {
-    int64_t along = (x < 0 ? -x : x) >> 8, across = (y < 0 ? -y : y) >> 8;
+    int64_t along = tracker_magnitude(x) >> 8, across = tracker_magnitude(y) >> 8;
     int64_t length = tracker_square_root(along * along + across * across);
     int32_t angle;
 
@@ -121,14 +178,9 @@ int32_t tracker_catalog_separation(int a, int b)
     return (int32_t)tracker_shift_right(tracker_fine_angle(length(difference), length(sum)), 29);
 }
 
-static int64_t dot(const int64_t a[3], const int64_t b[3])
-{
-    return tracker_shift_right(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], 30);
-}
-
 int32_t tracker_catalog_angle(int vertex, int first, int second)
 {
-    int64_t v[3], u[3], w[3], cross[3], sine, cosine;
+    int64_t v[3], u[3], w[3], normal[3], sine, cosine;
     int k;
 
     for (k = 0; k < 3; k++) {
@@ -136,9 +188,8 @@ int32_t tracker_catalog_angle(int vertex, int first, int second)
         u[k] = tracker_star_direction[first][k] - v[k];
         w[k] = tracker_star_direction[second][k] - v[k];
     }
-    for (k = 0; k < 3; k++)
-        cross[k] = tracker_shift_right(u[(k + 1) % 3] * w[(k + 2) % 3] - u[(k + 2) % 3] * w[(k + 1) % 3], 30);
-    sine = dot(cross, v);
-    cosine = dot(u, w) - tracker_shift_right(dot(u, v) * dot(w, v), 30);
-    return (int32_t)tracker_shift_right(tracker_fine_angle(sine < 0 ? -sine : sine, cosine), 34);
+    tracker_cross(u, w, normal);
+    sine = tracker_dot(normal, v);
+    cosine = tracker_dot(u, w) - tracker_shift_right(tracker_dot(u, v) * tracker_dot(w, v), 30);
+    return (int32_t)tracker_shift_right(tracker_fine_angle(tracker_magnitude(sine), cosine), 34);
 }

@@ -1,5 +1,5 @@
 /* An attitude checked against all points and all guide stars of the field: the same operations in the same order as
- * startracker/fixed_point/verification.py, which explains them. */
+ * startracker/fixed_point/verification.py and evidence.py, which explain them. */
 #include "tracker_internal.h"
 
 #define ONE ((int64_t)1 << 30)
@@ -8,16 +8,12 @@
 #define LOG_UP 24
 #define NEVER (-((int64_t)1 << 28))
 #define SUM_STEP 8
+#define LEAST_LENGTH (1 << 20)
 #define ROUNDS 8
 #define SETTLED 8
 #define SETTLED_ANGLE 4096
 #define LARGEST_ANGLE ((int64_t)1 << 27)
 #define MOST_EXTRA 10
-
-static int64_t magnitude(int64_t value)
-{
-    return value < 0 ? -value : value;
-}
 
 static int64_t larger(int64_t a, int64_t b)
 {
@@ -46,11 +42,6 @@ static int64_t log_sum(int64_t a, int64_t b)
     return k < TRACKER_SUMS ? high + tracker_sum_table[k] : high;
 }
 
-static int64_t dot(const int64_t a[3], const int64_t b[3])
-{
-    return tracker_shift_right(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], 30);
-}
-
 int tracker_place_points(struct tracker_context *context, const int32_t xy[][2], int count)
 {
     int n;
@@ -58,7 +49,7 @@ int tracker_place_points(struct tracker_context *context, const int32_t xy[][2],
     for (n = 0; n < count; n++) {
         context->point[n][0] = tracker_shift_right(xy[n][0], 22 - PLANE_BITS);
         context->point[n][1] = -tracker_shift_right((int64_t)xy[n][1] * TRACKER_RATIO, 42 - PLANE_BITS);
-        if (magnitude(context->point[n][0]) > TRACKER_HALF_X || magnitude(context->point[n][1]) > TRACKER_HALF_Y)
+        if (tracker_magnitude(context->point[n][0]) > TRACKER_HALF_X || tracker_magnitude(context->point[n][1]) > TRACKER_HALF_Y)
             return 0;
     }
     return 1;
@@ -91,24 +82,6 @@ void tracker_local_areas(struct tracker_context *context, int count)
     }
 }
 
-static int normalize(int64_t v[3])
-{
-    int64_t largest = larger(magnitude(v[0]), larger(magnitude(v[1]), magnitude(v[2]))), length;
-    int k;
-
-    if (largest < 1 << 20)
-        return 0;
-    while (largest >= ONE) {
-        for (k = 0; k < 3; k++)
-            v[k] = tracker_shift_right(v[k], 1);
-        largest >>= 1;
-    }
-    length = tracker_square_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    for (k = 0; k < 3; k++)
-        v[k] = v[k] * ONE / length;
-    return 1;
-}
-
 /* Rotates an attitude by small angles of 2.30 about the camera's axes. */
 static int turn(int64_t matrix[3][3], int64_t x, int64_t y, int64_t z)
 {
@@ -119,17 +92,16 @@ static int turn(int64_t matrix[3][3], int64_t x, int64_t y, int64_t z)
         first[k] = matrix[0][k] + tracker_shift_right(y * matrix[2][k] - z * matrix[1][k], 30);
         third[k] = matrix[2][k] + tracker_shift_right(x * matrix[1][k] - y * matrix[0][k], 30);
     }
-    if (!normalize(third))
+    if (!tracker_unit(third, LEAST_LENGTH))
         return 0;
-    along = dot(first, third);
+    along = tracker_dot(first, third);
     for (k = 0; k < 3; k++)
         first[k] -= tracker_shift_right(along * third[k], 30);
-    if (!normalize(first))
+    if (!tracker_unit(first, LEAST_LENGTH))
         return 0;
+    tracker_cross(third, first, matrix[1]);
     for (k = 0; k < 3; k++) {
-        const int a = (k + 1) % 3, b = (k + 2) % 3;
         matrix[0][k] = first[k];
-        matrix[1][k] = tracker_shift_right(third[a] * first[b] - third[b] * first[a], 30);
         matrix[2][k] = third[k];
     }
     return 1;
@@ -142,12 +114,12 @@ static int predict(int64_t matrix[3][3], int guide, int64_t out[2])
 
     for (k = 0; k < 3; k++)
         direction[k] = tracker_guide_direction[guide][k];
-    w = dot(matrix[2], direction);
+    w = tracker_dot(matrix[2], direction);
     if (w <= 0)
         return 0;
-    u = dot(matrix[0], direction);
-    v = dot(matrix[1], direction);
-    if (magnitude(u) > w || magnitude(v) > w)
+    u = tracker_dot(matrix[0], direction);
+    v = tracker_dot(matrix[1], direction);
+    if (tracker_magnitude(u) > w || tracker_magnitude(v) > w)
         return 0;
     out[0] = u * TRACKER_FOCAL / w;
     out[1] = v * TRACKER_FOCAL / w;
@@ -160,8 +132,8 @@ static int find_field(struct tracker_context *context, int most)
     int guide, count = 0;
 
     for (guide = 0; guide < TRACKER_GUIDES && count < most; guide++)
-        if (predict(context->matrix, guide, at) && magnitude(at[0]) <= TRACKER_HALF_X
-            && magnitude(at[1]) <= TRACKER_HALF_Y)
+        if (predict(context->matrix, guide, at) && tracker_magnitude(at[0]) <= TRACKER_HALF_X
+            && tracker_magnitude(at[1]) <= TRACKER_HALF_Y)
             context->field[count++] = (uint16_t)guide;
     return count;
 }
@@ -233,10 +205,10 @@ static int refit(struct tracker_context *context, int points, int count)
     shift_y = off[1] - tracker_shift_right(angle * mean[0], 30);
     x = -shift_y * ONE / TRACKER_FOCAL;
     y = shift_x * ONE / TRACKER_FOCAL;
-    if (larger(magnitude(angle), larger(magnitude(x), magnitude(y))) > LARGEST_ANGLE
+    if (larger(tracker_magnitude(angle), larger(tracker_magnitude(x), tracker_magnitude(y))) > LARGEST_ANGLE
         || !turn(context->matrix, x, y, angle))
         return 0;
-    return larger(magnitude(shift_x), magnitude(shift_y)) <= SETTLED && magnitude(angle) <= SETTLED_ANGLE ? 2 : 1;
+    return larger(tracker_magnitude(shift_x), tracker_magnitude(shift_y)) <= SETTLED && tracker_magnitude(angle) <= SETTLED_ANGLE ? 2 : 1;
 }
 
 /* Whether the matched points span the field; the sum of their squared distances from their mean. */

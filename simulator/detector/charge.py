@@ -1,0 +1,54 @@
+"""From light to charge: what happens in a pixel while the shutter is open. Kernels work on runs of pixels; counting the
+electrons is in `poisson.py`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.detector.simd import outside
+from simulator.detector.steps import Collection
+from startracker.kernels import kernel
+
+FloatArray = NDArray[np.float64]
+
+_FINITE = np.finfo(np.float64).max
+
+
+@kernel
+def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s: float, first: int) -> bool:
+    """Mean electrons of the pixels first, first + 1, …: light × response + dark current × exposure.
+
+    Returns False where light is negative or not finite.
+
+    The non-uniformity of the response acts on the mean, before the shot noise: it changes how many photons are
+    detected, and the detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*). Photo-electrons and
+    dark electrons are independent Poisson numbers, so that one draw of their summed mean has exactly the distribution
+    of their sum.
+
+    Parameters
+    ----------
+    mean_e : (N,) float64
+        Takes them.
+    signal : (N,) float64
+        Light, finite and not negative, or any other signal where `how` does not say that it is light.
+    how : Collection
+        Response and dark current of the image's pixels.
+    exposure_s : float
+        Exposure time.
+    first : int
+        Number of the first pixel.
+    """
+    n = mean_e.size
+    at_response, at_dark = first * how.response_mapped, first * how.dark_mapped
+    response, dark_e_s = how.response_map[at_response : at_response + n], how.dark_map_e_s[at_dark : at_dark + n]
+    for i in range(n):
+        mean_e[i] = signal[i] * (how.response * response[i]) + exposure_s * (how.dark_e_s + dark_e_s[i])
+    return bool(not how.is_light or outside(signal, 0.0, _FINITE) == 0)
+
+
+@kernel
+def clip(electrons: FloatArray, full_well_e: float) -> None:
+    """Charge (N,) that pixels hold, electrons, where a drain takes all above the full well."""
+    for i in range(electrons.size):
+        electrons[i] = min(electrons[i], full_well_e)

@@ -1,0 +1,41 @@
+"""Helpers of kernels that the compiler vectorises: fused multiply-add, and the rare-case mask.
+
+`fma` rounds a b + c once: polynomials take half the time, and give the same number on every machine, which they would
+not if the compiler were free to contract products and sums.
+
+A loop that branches on each element is not vectorised. A kernel therefore computes the common case for all elements,
+marks those that it leaves open, and looks for them afterwards by blocks: `outside` counts those of a block at vector
+speed, and only blocks that hold one are searched.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from startracker.kernels import kernel
+
+BLOCK = 64
+
+
+@intrinsic
+def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c of float32 numbers, rounded once (IEEE 754 fusedMultiplyAdd)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float32(types.float32, types.float32, types.float32), generate
+
+
+@kernel
+def outside(values: NDArray[Any], low: float, high: float) -> int:
+    """How many of the values (N,) do not lie in low … high; NaN lies nowhere."""
+    count = np.int32(0)
+    for i in range(values.size):
+        count = np.int32(count + np.int32(not ((values[i] >= low) & (values[i] <= high))))
+    return int(count)

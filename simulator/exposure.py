@@ -1,0 +1,144 @@
+"""The exposure: when the shutter is open, for how long, and what it makes of rates.
+
+What reaches the focal plane are rates, electrons a second. They become electrons here and nowhere else: still light by
+the duration, a moving source by the time for which it is exposed at each position of its path, and charge that is moved
+under light by the time it stands in each row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.optics.jitter import JitterPath
+from simulator.optics.shutter import frame_transfer_smear, rolling_paths
+from simulator.optics.smear import star_paths
+from startracker.camera import Camera
+
+__all__ = ["Exposure", "Motion", "Paths", "Shutter"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """How the detector is exposed.
+
+    Parameters
+    ----------
+    kind : str
+        ``global``; ``rolling``: rows one after another; ``frame_transfer``: charge is moved through the image under
+        light.
+    line_time_s : float
+        From row to row: of a rolling shutter, or of the transfer.
+    transfer_direction : str
+        ``up``: charge leaves past row 0; ``down``: past the last row.
+    transfer_smear : str
+        Light falls on moving charge ``both`` before and after the exposure, or ``after`` it alone.
+    """
+
+    kind: Literal["global", "rolling", "frame_transfer"] = "global"
+    line_time_s: float = 0.0
+    transfer_direction: Literal["up", "down"] = "up"
+    transfer_smear: Literal["both", "after"] = "both"
+
+
+class Motion(NamedTuple):
+    """How the camera turns during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
+
+    rate_rad_s: FloatArray
+    jitter: JitterPath | None = None
+
+
+class Paths(NamedTuple):
+    """Positions of sources on the image during an exposure.
+
+    Parameters
+    ----------
+    xy : (N, K, 2) array
+        Pixels at K moments; NaN where a source is not followed.
+    weights : (K,) array
+        Share of the exposure of each moment.
+    electrons : (N,) array
+        Electrons that each source leaves over the exposure.
+    """
+
+    xy: FloatArray
+    weights: FloatArray
+    electrons: FloatArray
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One exposure.
+
+    Parameters
+    ----------
+    start_s : float
+        Seconds after the scenario's epoch; of the middle row, where the shutter is rolling.
+    duration_s : float
+        Exposure time.
+    shutter : Shutter
+        How the detector is exposed.
+    """
+
+    start_s: float
+    duration_s: float
+    shutter: Shutter = Shutter()
+
+    @classmethod
+    def about(cls, middle_s: float, duration_s: float, shutter: Shutter) -> Exposure:
+        """Exposure by the time of its middle."""
+        return cls(middle_s - 0.5 * duration_s, duration_s, shutter)
+
+    @property
+    def middle_s(self) -> float:
+        """Seconds after the scenario's epoch."""
+        return self.start_s + 0.5 * self.duration_s
+
+    def electrons(self, rate_e_s: FloatArray) -> FloatArray:
+        """Electrons of light that stands still, from electrons a second; any shape, a new array."""
+        return np.multiply(rate_e_s, self.duration_s)
+
+    def paths(
+        self,
+        camera: Camera,
+        directions: FloatArray,
+        electrons: FloatArray,
+        motion: Motion,
+        feature_px: float,
+        margin_px: float,
+    ) -> Paths:
+        """Where sources stand during the exposure, and the electrons that they leave.
+
+        Parameters
+        ----------
+        camera : Camera
+            Projection.
+        directions : (N, 3) array
+            Unit vectors in camera axes at mid-exposure.
+        electrons : (N,) array
+            Of sources that stand still.
+        motion : Motion
+            Turning of the camera.
+        feature_px, margin_px : float
+            Finest structure of the PSF, and how far outside the image paths are followed.
+        """
+        sampling = (feature_px, margin_px, motion.jitter)
+        if self.shutter.kind != "rolling":
+            xy, weights = star_paths(camera, directions, motion.rate_rad_s, self.duration_s, *sampling)
+            return Paths(xy, weights, electrons)
+        line_s = self.shutter.line_time_s
+        xy, weights, share = rolling_paths(camera, directions, motion.rate_rad_s, self.duration_s, line_s, *sampling)
+        return Paths(xy, weights, electrons * share)
+
+    def add_transfer_smear(self, mean_e: FloatArray) -> None:
+        """Add what charge gathers on its way through the lit image (H, W), in place; only a frame transfer does."""
+        shutter = self.shutter
+        if shutter.kind == "frame_transfer":
+            mean_e += frame_transfer_smear(
+                mean_e, self.duration_s, shutter.line_time_s, shutter.transfer_direction, shutter.transfer_smear
+            )

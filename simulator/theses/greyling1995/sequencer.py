@@ -1,0 +1,342 @@
+"""The TC211 sequencer of Greyling 1995, chapter 6, clock by clock: states, counters, gates, and the charge they move.
+
+Seven states T0 to T6 in three D flip-flops Q3 Q2 Q1, two latches A (the image area gate runs) and B (last frame), and
+the counters C1 (pixels of a line, up to 208), C2 (lines of a frame, down from 165), C3 (frames of integration, down)
+and Cm (memory address):
+
+    T0 wait for GO ─► T1 load C3, clear Cm ─► T2 load C2 ─► T3 clear C1 ─► T4 count C1, 208 times ─► T5 count C2
+    T5: lines left ─► T3; frame done, B low ─► T6; frame done, B high ─► T0
+    T6: C3 not 0 ─► T2, integrate one frame more; C3 = 0 ─► set A and B ─► T2, clock out
+
+so that GO gives a frame with A (clear), C3 frames without (integration), and one with A and B (clock-out). The signals
+C1Z and C3Z are active low, C2Z is active high: only so do the rows of Table 6.2 describe what the text does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.errors import InputError
+
+__all__ = [
+    "COUNTS_PER_LINE",
+    "DUMMY_CELLS",
+    "LINES",
+    "SERIAL_CLOCK_HZ",
+    "STATE_TABLE",
+    "ClockedFrame",
+    "Pulse",
+    "Sequencer",
+    "TableRow",
+    "equation_faults",
+    "expose",
+    "next_state",
+    "run",
+]
+
+FloatArray = NDArray[np.float64]
+
+LINES = 165
+"""Lines of the TC211 (section 6.1), and what C2 is loaded with."""
+COLUMNS = 192
+"""Elements of a line."""
+COUNTS_PER_LINE = 208
+"""Times that state T4 is repeated (section 6.2.2)."""
+DUMMY_CELLS = 6
+"""Cells of the serial register before the image's: the first counts of a line, not written to memory."""
+SERIAL_CLOCK_HZ = 2.0e6
+"""The 4 MHz of the bus, halved: clock of the state machine and of the serial register gate."""
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row of Table 6.2; None is its X, either value."""
+
+    state: int
+    go: int | None
+    c1z: int | None
+    c2z: int | None
+    c3z: int | None
+    b: int | None
+    following: int
+    a_set: int
+    b_set: int
+
+
+STATE_TABLE: tuple[TableRow, ...] = (
+    TableRow(0, 0, None, None, None, None, 0b000, 0, 0),
+    TableRow(0, 1, None, None, None, None, 0b001, 1, 0),
+    TableRow(1, None, None, None, None, None, 0b010, 0, 0),
+    TableRow(2, None, None, None, None, None, 0b011, 0, 0),
+    TableRow(3, None, None, None, None, None, 0b100, 0, 0),
+    TableRow(4, None, 1, None, None, None, 0b100, 0, 0),
+    TableRow(4, None, 0, None, None, None, 0b101, 0, 0),
+    TableRow(5, None, None, 0, None, None, 0b011, 0, 0),
+    TableRow(5, None, None, 1, None, 0, 0b110, 0, 0),
+    TableRow(5, None, None, 1, None, 1, 0b000, 0, 0),
+    TableRow(6, None, None, None, 1, None, 0b010, 0, 0),
+    TableRow(6, None, None, None, 0, None, 0b010, 1, 1),
+)
+"""Table 6.2 as printed."""
+
+
+def next_state(
+    state: int, go: int, c1z: int, c2z: int, c3z: int, b: int, *, as_printed: bool = False
+) -> tuple[int, int, int]:
+    """Next state, A_set and B_set by the equations of section 6.2.2.
+
+    With T0 … T6 the decoded states, · and, + or, ' not:
+
+        Q1 = T0·GO + T2 + T4·C1Z' + T5·C2Z'
+        Q2 = T1 + T2 + T5·(C2Z·B)' + T6          (printed: T1 + T2 + T5 + T6)
+        Q3 = T3 + T4 + T5·C2Z·B'
+        A_set = T0·GO + T6·C3Z',   B_set = T6·C3Z'
+
+    Parameters
+    ----------
+    state : int
+        Q3 Q2 Q1 as a number, 0 to 7; 7 is no state and leads to T0.
+    go, c1z, c2z, c3z, b : int
+        Inputs, 0 or 1.
+    as_printed : bool
+        Take Q2 as printed. Its plain T5 leads from the end of the last frame to T2 where Table 6.2 says T0: the
+        camera would go on without ever coming to rest.
+
+    Returns
+    -------
+    (int, int, int)
+        State after the clock, and the set signals of the latches.
+    """
+    t = [int(state == k) for k in range(7)]
+    stays = 1 if as_printed else 1 - (c2z & b)
+    q1 = (t[0] & go) | t[2] | (t[4] & (1 - c1z)) | (t[5] & (1 - c2z))
+    q2 = t[1] | t[2] | (t[5] & stays) | t[6]
+    q3 = t[3] | t[4] | (t[5] & c2z & (1 - b))
+    b_set = t[6] & (1 - c3z)
+    return q3 << 2 | q2 << 1 | q1, (t[0] & go) | b_set, b_set
+
+
+def equation_faults(*, as_printed: bool = False) -> list[tuple[TableRow, str]]:
+    """Rows of Table 6.2 that the equations contradict, with the output at fault, over all inputs a row leaves open.
+
+    Parameters
+    ----------
+    as_printed : bool
+        As in `next_state`.
+    """
+    faults = []
+    for row in STATE_TABLE:
+        given = (row.go, row.c1z, row.c2z, row.c3z, row.b)
+        for inputs in product(*((0, 1) if value is None else (value,) for value in given)):
+            found, a_set, b_set = next_state(row.state, *inputs, as_printed=as_printed)
+            wrong = [f"Q{k + 1}" for k in range(3) if (found ^ row.following) >> k & 1]
+            wrong += ["A_set"] * (a_set != row.a_set) + ["B_set"] * (b_set != row.b_set)
+            faults += [(row, name) for name in wrong if (row, name) not in faults]
+    return faults
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """What the gates do at a clock.
+
+    Parameters
+    ----------
+    clock : int
+        Number of the clock since GO.
+    kind : str
+        ``line``: the image area gate shifts all lines by one, into the emptied serial register; ``pixel``: a value is
+        written to memory.
+    address : int
+        Of a pixel: value of the memory counter Cm; else −1.
+    """
+
+    clock: int
+    kind: str
+    address: int = -1
+
+
+class Sequencer:
+    """The state machine with its latches and counters.
+
+    Parameters
+    ----------
+    integration_frames : int
+        What the PC writes to address 306H: integration in multiples of the frame time, 0 or more.
+    lines, counts_per_line, columns : int
+        Of the TC211; fewer in tests.
+    as_printed : bool
+        Take the equation of Q2 as printed.
+
+    Notes
+    -----
+    The text has no pulse widths (they are in Fig. 6.5): here the image area gate shifts at a line's first count, and
+    the counts 6 to 197 are written to memory. C2 counts when T5 is reached and C3 when T6 is left, so that 165 lines
+    and the integration asked for come out.
+    """
+
+    def __init__(
+        self,
+        integration_frames: int,
+        *,
+        lines: int = LINES,
+        counts_per_line: int = COUNTS_PER_LINE,
+        columns: int = COLUMNS,
+        as_printed: bool = False,
+    ) -> None:
+        if integration_frames < 0:
+            raise InputError(f"the integration time is {integration_frames} frames; it must be 0 or more")
+        if counts_per_line < columns + DUMMY_CELLS:
+            raise InputError(
+                f"{counts_per_line} counts do not move {columns} elements past {DUMMY_CELLS} dummy cells; "
+                f"give {columns + DUMMY_CELLS} or more"
+            )
+        self.integration_frames = integration_frames
+        self.lines, self.counts_per_line, self.columns = lines, counts_per_line, columns
+        self.as_printed = as_printed
+        self.go = 1
+        self.state = self.a = self.b = 0
+        self.c1 = self.c2 = self.c3 = self.cm = 0
+        self.clock = 0
+
+    @property
+    def mode(self) -> str:
+        """What the frame under way does: ``clear``, ``integration`` or ``clockout``."""
+        return "clockout" if self.a and self.b else "clear" if self.a else "integration"
+
+    def step(self) -> Pulse | None:
+        """One period of the clock; what the gates do in it."""
+        pulse = None
+        state = self.state
+        if state == 0:
+            self.b = 0
+        elif state == 1:
+            self.cm, self.c3, self.go = 0, self.integration_frames, 0
+        elif state == 2:
+            self.c2 = self.lines
+        elif state == 3:
+            self.c1 = 0
+        elif state == 4:
+            pulse = self._gates()
+            self.c1 += 1
+        c1z = int(self.c1 != self.counts_per_line)  # active low
+        c2z = int(self.c2 == 0)
+        c3z = int(self.c3 != 0)  # active low
+        following, a_set, b_set = next_state(state, self.go, c1z, c2z, c3z, self.b, as_printed=self.as_printed)
+        if state == 5 and c2z:
+            self.a = 0
+        if state == 6 and c3z:
+            self.c3 -= 1
+        self.a |= a_set
+        self.b |= b_set
+        if following == 5:
+            self.c2 -= 1
+        self.state = following
+        self.clock += 1
+        return pulse
+
+    def _gates(self) -> Pulse | None:
+        if not self.a:
+            return None
+        if self.c1 == 0:
+            return Pulse(self.clock, "line")
+        if self.b and DUMMY_CELLS <= self.c1 < DUMMY_CELLS + self.columns:
+            self.cm += 1
+            return Pulse(self.clock, "pixel", self.cm - 1)
+        return None
+
+
+def run(sequencer: Sequencer, most_clocks: int = 50_000_000) -> Iterator[Pulse]:
+    """Pulses from GO until the machine is back in T0.
+
+    Raises
+    ------
+    InputError
+        When it does not come to rest within `most_clocks`.
+    """
+    while True:
+        pulse = sequencer.step()
+        if pulse is not None:
+            yield pulse
+        if sequencer.state == 0:
+            return
+        if sequencer.clock >= most_clocks:
+            raise InputError(f"the sequencer is not at rest after {most_clocks} clocks")
+
+
+@dataclass(frozen=True, eq=False)
+class ClockedFrame:
+    """What the memory holds after a sequence.
+
+    Parameters
+    ----------
+    charge_e : array, shape (lines, columns)
+        Electrons of each element, row 0 the line next to the serial register.
+    clocks : int
+        Periods of the clock from GO to the end.
+    integration_s : float
+        From the last shift of the clearing to the first of the clock-out: the time for which charge stands still.
+    line_s : float
+        From shift to shift.
+    written : int
+        Values written to memory.
+    """
+
+    charge_e: FloatArray
+    clocks: int
+    integration_s: float
+    line_s: float
+    written: int
+
+
+def expose(rate_e_s: FloatArray, integration_frames: int, clock_hz: float = SERIAL_CLOCK_HZ) -> ClockedFrame:
+    """Run the sequencer before a scene that stands still: every clock adds light, every shift moves all lines.
+
+    This is the transfer under light without any formula: the smear comes from where the charge stands meanwhile.
+
+    Parameters
+    ----------
+    rate_e_s : array, shape (lines, columns)
+        Photo-electrons a second of each element, row 0 next to the serial register. Any size.
+    integration_frames : int
+        As in `Sequencer`.
+    clock_hz : float
+        Clock of the state machine and the serial register.
+
+    Raises
+    ------
+    InputError
+        For a scene that is no matrix, a clock that is not positive, or a negative integration.
+    """
+    rate = np.asarray(rate_e_s, dtype=float)
+    if rate.ndim != 2 or not clock_hz > 0.0:
+        raise InputError(f"a scene is a matrix and a clock is above 0 Hz; got the shape {rate.shape}, {clock_hz:g} Hz")
+    lines, columns = rate.shape
+    sequencer = Sequencer(
+        integration_frames, lines=lines, columns=columns, counts_per_line=columns + COUNTS_PER_LINE - COLUMNS
+    )
+    charge, memory = np.zeros_like(rate), np.zeros_like(rate)
+    register = np.zeros(columns)
+    last, shifts = 0, []
+    for pulse in run(sequencer):
+        if pulse.kind == "line":
+            charge += rate * ((pulse.clock - last) / clock_hz)
+            register = charge[0].copy()
+            charge[:-1] = charge[1:]
+            charge[-1] = 0.0
+            last = pulse.clock
+            shifts.append(pulse.clock)
+        else:
+            row, column = divmod(pulse.address, columns)
+            memory[row, column] = register[column]
+    return ClockedFrame(
+        memory,
+        sequencer.clock,
+        (shifts[lines] - shifts[lines - 1]) / clock_hz,
+        (shifts[1] - shifts[0]) / clock_hz,
+        sequencer.cm,
+    )

@@ -1,0 +1,113 @@
+"""What is said while kernels are compiled: which, of how many, and how long yet.
+
+Nothing here loads the compiler, so that a command can say what it is going to need before it does.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+__all__ = ["Progress", "expected_kernels", "progress"]
+
+_SILENT_S = 2.0
+"""Seconds of compiling that a program which is none of our commands is not told about."""
+_SILENT_IN_FILES_S = 10.0
+"""Seconds of compiling that a log is not told about."""
+_CLEAR_LINE = "\r\x1b[K"
+
+
+class Progress:
+    """Counts and times kernels, and tells the terminal.
+
+    Attributes
+    ----------
+    seconds, processor_s : float
+        Spent compiling so far, by the clock and of the processor.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = self.processor_s = 0.0
+        self._task, self._at_once = "solve", False
+        self._depth = self._done = 0
+        self._done_weight = 0.0
+        self._began = self._processor_began = 0.0
+        self._left: dict[str, float] | None = None
+        self._told_file = False
+
+    def announce(self, task: str) -> None:
+        """Have a command say at once that it compiles; `task` is one of those in the list of `expected_kernels`."""
+        self._task, self._at_once = task, True
+
+    def begin(self, is_on_disk: Callable[[str], bool]) -> None:
+        """A kernel begins; those that it calls begin within. `is_on_disk` tells what an earlier process compiled."""
+        if not self._depth:
+            self._began, self._processor_began = time.perf_counter(), time.process_time()
+        if self._left is None:
+            self._left = {name: s for name, s in expected_kernels(self._task).items() if not is_on_disk(name)}
+        self._depth += 1
+        self._tell()
+
+    def end(self, name: str | None) -> None:
+        """A kernel is compiled; no `name`: a function of NumPy within ours, which is not counted."""
+        self._depth -= 1
+        if name is not None and self._left is not None:
+            self._done += 1
+            self._done_weight += self._left.pop(name, 0.0)
+        if not self._depth:
+            self.seconds += time.perf_counter() - self._began
+            self.processor_s += time.process_time() - self._processor_began
+            if self._shows():
+                sys.stderr.write(_CLEAR_LINE)
+                sys.stderr.flush()
+
+    @property
+    def line(self) -> str:
+        """What is being compiled, out of how many, and for how long yet."""
+        left = self._left or {}
+        text = f"Compiling kernels, once for this installation: {self._done} of {self._done + max(len(left), 1)}"
+        if self._done_weight and left:
+            text += f", about {self._elapsed_s() * sum(left.values()) / self._done_weight:.0f} s left"
+        return text
+
+    def _elapsed_s(self) -> float:
+        return self.seconds + (time.perf_counter() - self._began if self._depth else 0.0)
+
+    def _shows(self) -> bool:
+        """Whether a line on the terminal is to be rewritten."""
+        try:
+            terminal = sys.stderr.isatty()
+        except (AttributeError, ValueError):  # no standard error, or a closed one
+            return False
+        return terminal and not _in_worker() and (self._at_once or self._elapsed_s() > _SILENT_S)
+
+    def _tell(self) -> None:
+        if self._shows():
+            sys.stderr.write(f"{_CLEAR_LINE}{self.line}")
+            sys.stderr.flush()
+        elif self._at_once and not self._told_file and self._elapsed_s() > _SILENT_IN_FILES_S and not _in_worker():
+            self._told_file = True
+            print(self.line, file=sys.stderr, flush=True)
+
+
+progress = Progress()
+"""Of this process."""
+
+
+@cache
+def expected_kernels(task: str) -> dict[str, float]:
+    """Kernels that a task compiles, and processor seconds that each took where they were measured.
+
+    ``python -m benchmarks.cold_start --write`` measures and writes the list.
+    """
+    lines = (Path(__file__).parent / "kernels.txt").read_text(encoding="utf-8").splitlines()
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    return {name: float(seconds) for seconds, tasks, name in rows if task in tasks.split(",")}
+
+
+def _in_worker() -> bool:
+    return multiprocessing.parent_process() is not None

@@ -1,0 +1,118 @@
+"""Thresholds of the decisions what a source is: star, halo, hot pixel, cosmic ray or trail.
+
+Each has its unit in its name or its text, and its reason; `tests/statistical/test_detection_curves.py` draws detection
+and false alarms of the principal ones over rendered stars. Kernels are compiled with these values: numba's cache does
+not see a change here, so delete it after one.
+"""
+
+__all__ = [
+    "AGREEING_SHARE",
+    "ALIGNED_SIGMA",
+    "COMMON_WIDTH_RATIO",
+    "FEWEST_ALIGNED",
+    "FEWEST_LONG",
+    "FEWEST_POINTS",
+    "HALO_MARGIN_PX",
+    "HALO_PEAK_RATIO",
+    "HALO_RADII",
+    "LONG_LEAST_PX2",
+    "LOOK_LONG_SHARE",
+    "MOTION_TOLERANCE_PX",
+    "MOTION_TOLERANCE_SHARE",
+    "ONE_PIXEL_SHARE",
+    "ON_TRAIL_PX",
+    "PARTED_SHARE",
+    "PEAK_ERRORS",
+    "POINT_SHARE",
+    "RING_MARGIN",
+    "RING_SHARE",
+    "SHAPE_PIXELS",
+    "SHARPEST_STARS_PX2",
+    "SHARP_ERRORS",
+    "SHARP_SHARE",
+    "SHORT_AGREEING_SHARE",
+    "VALLEY_SHARE",
+    "VALLEY_SIGMA",
+    "WIDEST_TRACK_PX2",
+    "WIDTH_RATIO",
+    "WIDTH_SNR",
+]
+
+# ---------------------------------------------------------------------- parting of blends
+VALLEY_SHARE = 0.8
+"""Share of the fainter of two peaks below which the signal between them must fall for two stars: equal Gaussians are
+at 0.8 at a distance of 2.7 σ."""
+VALLEY_SIGMA = 4.0
+"""Noise of a pixel by which it must fall, too: by chance once in 3e4 peaks."""
+RING_SHARE = 0.05
+"""Share of the brighter peak under which a fainter one is its own: the first ring of an Airy pattern has 0.0175."""
+
+# ---------------------------------------------------------------------- halo
+HALO_PEAK_RATIO = 20.0
+"""Peak of a star over that of a piece of its halo, at least: 1 / `RING_SHARE`."""
+HALO_RADII = 2.5
+"""Radii of a star, of its pixels above the threshold, within which it has a halo: beyond, even a Moffat profile of β
+= 2.5, which falls as r⁻⁵, is below 0.01 of the threshold."""
+HALO_MARGIN_PX = 3.0
+"""Pixels more: the matched filter of σ = 0.8 px reaches 2 px, and a piece has a radius."""
+RING_MARGIN = 3.0
+"""Times the envelope of an Airy pattern's rings: a central obstruction and aberrations make rings brighter."""
+SHAPE_PIXELS = 7
+"""Pixels from which second moments say anything: the smallest object of Greyling 1995."""
+LONG_LEAST_PX2 = 0.5
+"""Variance along the major axis, pixel included, below which nothing is long: a sharp star that falls on two pixels
+has 0.33 px²."""
+
+# ---------------------------------------------------------------------- cosmic rays and hot pixels
+WIDTH_SNR = 8.0
+"""Signal-to-noise ratio from which a star's variance counts: its relative standard error is then below 0.25."""
+COMMON_WIDTH_RATIO = 1.3
+"""Factor either way within which variances agree: one standard error at `WIDTH_SNR`."""
+SHARP_SHARE = 0.45
+"""Share of the stars' common variance that the sharpest star has: the variance of a poor lens varies more than twice
+over its field."""
+SHARPEST_STARS_PX2 = 0.3
+"""Variance, px², pixel included, under which star images (σ < 0.47 px) are as sharp as a particle's track, which has
+0.03 to 0.25: then sharpness tells nothing."""
+WIDEST_TRACK_PX2 = 0.4
+"""Variance across a particle's track, px², pixel included, at most: 0.25 and some diffusion of its charge."""
+SHARP_ERRORS = 2.0
+"""Standard errors by which a variance must be below the limit: 2 % of stars as sharp as the limit, which few are,
+are lost."""
+PEAK_ERRORS = 3.0
+"""Noise of a pixel by which a peak must exceed that of the sharpest star: one such star in 740 is lost."""
+ONE_PIXEL_SHARE = 0.6
+"""Share of the signal of 3 × 3 px in the brightest from which a sharp object is a hot pixel, below a cosmic ray:
+named so in reports, both are left out."""
+
+# ---------------------------------------------------------------------- trails
+LOOK_LONG_SHARE = 0.6
+"""Share of the limit on the axis ratio at which objects make one look for trails, so that no star is left out
+before."""
+FEWEST_LONG = 3
+"""Long objects among the thirty brightest that make one look: one or two are satellites, galaxies, blends."""
+PARTED_SHARE = 0.25
+"""Share of objects that were parted, which makes one look: soft trails fall apart in the noise of their own light."""
+ALIGNED_SIGMA = 5.0
+"""Poisson errors above the mean of the pairs in one direction: by chance in fewer than one frame in 1,000, which
+costs a search and no star."""
+FEWEST_ALIGNED = 8
+"""Pairs in that direction at least: where the mean is near zero its Poisson error says nothing."""
+FEWEST_POINTS = 5
+"""Round star images from which a frame is not trailed: a trailed one has one or two, of cosmic rays that touch."""
+POINT_SHARE = 0.25
+"""Their share of the number of trails from which it is not: satellites are fewer than stars."""
+WIDTH_RATIO = 2.0
+"""Factor in variance between images of one width at `WIDTH_SNR`: 4 standard errors, and the variation of a lens over
+its field. A trail of 4 px differs by more from a star of σ = 0.9 px."""
+ON_TRAIL_PX = 4.0
+"""Half width of a trail and the error of its line: a point nearer may be a piece of it."""
+MOTION_TOLERANCE_SHARE = 0.12
+"""Share of its length by which a trail may differ from the common motion: projection at 20° from the axis stretches
+by 0.13, noise of the ends adds."""
+MOTION_TOLERANCE_PX = 1.0
+"""Pixels by which it may differ besides: the error of the length of a faint trail from its second moments."""
+AGREEING_SHARE = 0.6
+"""Share of the brightest trails that must share the motion: satellites, blends and cosmic rays are fewer than stars."""
+SHORT_AGREEING_SHARE = 0.7
+"""The same where the motion is short, when leaves and twigs are as long."""

@@ -1,0 +1,206 @@
+"""Points or trails: whether the camera's turn has trailed the stars of a frame, one decision for all of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.detection.background import Background
+from startracker.detection.forms import are_long, measure_forms
+from startracker.detection.motion import agrees, frame_motion, motion_at
+from startracker.detection.selection import FAINTER, is_saturated
+from startracker.detection.shapes import MAJOR, MINOR, SHAPE_SNR, measure_shapes
+from startracker.detection.sources import Sources
+from startracker.detection.spots import Spots
+from startracker.detection.thresholds import (
+    ALIGNED_SIGMA,
+    FEWEST_ALIGNED,
+    FEWEST_LONG,
+    FEWEST_POINTS,
+    LOOK_LONG_SHARE,
+    ON_TRAIL_PX,
+    PARTED_SHARE,
+    POINT_SHARE,
+    WIDTH_RATIO,
+    WIDTH_SNR,
+)
+from startracker.detection.values import Image
+from startracker.kernels import kernel
+from startracker.settings import DetectionSettings
+
+__all__ = ["decide", "line_up", "looks_trailed", "select_trailed", "trails_win"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+_LOOKED_AT = 30
+_WHOLE_PIXELS = 12
+_TRAIL_PIXELS, _TRAIL_RATIO = 12, 1.5
+_BRIGHTEST, _NEIGHBOUR_PX, _DIRECTIONS = 150, 40.0, 18
+"""Objects, distance and bins of 10° in which pairs are counted that may be pieces of one trail."""
+_WEIGHTS_PX = (1.2, 2.4, 4.8)
+"""Gaussian weights under which widths are measured: the first that is wider than the star images."""
+
+
+def looks_trailed(table: Sources, parted: int, settings: DetectionSettings) -> bool:
+    """Whether it is worth looking for a motion: many objects were parted, or three of the brightest thirty are long."""
+    whole = np.count_nonzero(table["pixels"] >= _WHOLE_PIXELS) - parted
+    if parted >= max(FEWEST_LONG, PARTED_SHARE * whole):
+        return True
+    ratio = LOOK_LONG_SHARE * settings.max_axis_ratio
+    return bool(are_long(table, FEWEST_LONG, settings.min_pixels, _LOOKED_AT, ratio))
+
+
+def line_up(table: Sources) -> float | None:
+    """Direction, rad, in which far more neighbouring objects line up than by chance: pieces of long trails; or None.
+
+    Pairs within 40 px among the 150 brightest are counted by direction. Of stars all directions have as many.
+    """
+    flux = table["flux"]
+    faintest = np.partition(flux, -_BRIGHTEST)[-_BRIGHTEST] if len(table) > _BRIGHTEST else -math.inf
+    pairs = _pair_directions(table, faintest)
+    three = pairs + np.roll(pairs, 1) + np.roll(pairs, -1)
+    most, mean = int(np.argmax(three)), 3.0 * pairs.sum() / _DIRECTIONS
+    if three[most] < max(FEWEST_ALIGNED, mean + ALIGNED_SIGMA * math.sqrt(mean)):
+        return None
+    above = np.maximum(pairs[np.arange(most - 1, most + 2) % _DIRECTIONS] - mean / 3.0, 0.0)
+    return float((most + 0.5 + (above[2] - above[0]) / above.sum()) * math.pi / _DIRECTIONS)
+
+
+@kernel
+def _pair_directions(table: Sources, faintest: float) -> IntArray:
+    """Number of pairs of neighbours, not fainter than that, by direction."""
+    number, x, y, count = np.zeros(_DIRECTIONS, np.int64), np.empty(len(table)), np.empty(len(table)), 0
+    for n in range(len(table)):
+        if table["flux"][n] >= faintest:
+            x[count], y[count] = table["x_peak"][n], table["y_peak"][n]
+            count += 1
+    for first in range(count):
+        for second in range(first):
+            dx, dy = x[second] - x[first], y[second] - y[first]
+            if 0.0 < dx * dx + dy * dy < _NEIGHBOUR_PX * _NEIGHBOUR_PX:
+                number[int((math.atan2(dy, dx) / math.pi) % 1.0 * _DIRECTIONS) % _DIRECTIONS] += 1
+    return number
+
+
+def select_trailed(
+    table: Sources,
+    settings: DetectionSettings,
+    saturation_known: bool,
+    background: Background,
+    excess: float,
+) -> Spots | None:
+    """Stars of a trailed frame: objects that are long and fit the one motion; None where there is no such motion.
+
+    Parameters
+    ----------
+    table, settings, saturation_known, background, excess
+        As for `startracker.detection.selection.select_spots`; the objects found at half the threshold, which faint
+        trails fall apart above. In exchange an object needs 12 pixels and, as a whole, twice the threshold. To be a
+        trail it need only be longer than broad: the limit on the axis ratio, somewhere in which trails of one length
+        scatter, is for single ones.
+    """
+    at_peak = table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)
+    noise = excess * background.noise_plane[*at_peak]
+    strong = table["flux"] > 2.0 * settings.threshold_sigma * noise * np.sqrt(table["pixels"])
+    table = table[strong & (table["pixels"] >= _TRAIL_PIXELS)]
+    forms = measure_forms(table, _TRAIL_RATIO)
+    whole = np.flatnonzero(forms.long & ~table["edge"])
+    order = whole[np.lexsort((table["x_peak"][whole], table["y_peak"][whole], -table["flux"][whole]))]
+    middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)
+    motion = frame_motion(forms.centre[order] - middle, forms.lines[order])
+    if motion is None:
+        return None
+    expected = motion_at(forms.centre[order] - middle, motion)
+    fits = agrees(forms.lines[order], expected)
+    chosen, lengths = order[fits][: max(settings.max_stars, 0)], expected[fits][: max(settings.max_stars, 0)]
+    rejected = {
+        "streak": int(np.count_nonzero(forms.long)) - int(np.count_nonzero(fits)),
+        "not smeared as the frame": int(np.count_nonzero(~forms.long)),
+        FAINTER: int(np.count_nonzero(fits)) - len(chosen),
+    }
+    nearest = np.rint(forms.centre[chosen]).astype(np.int64)
+    return Spots(
+        nearest[:, 0],
+        nearest[:, 1],
+        table["flux"][chosen].copy(),
+        table["pixels"][chosen].astype(np.int64),
+        is_saturated(table, saturation_known)[chosen],
+        np.zeros(len(chosen), np.bool_),
+        forms.centre[chosen],
+        lengths,
+        {reason: count for reason, count in rejected.items() if count},
+    )
+
+
+def decide(trails: Spots, points: Spots, image: Image, background: Background, most: int) -> Spots:
+    """Candidates of the likelier hypothesis, all stars trailed or all stars points; the other's as `Spots.other`.
+
+    Where points are chosen, those that are trails of the common motion, as satellites draw them, are left out.
+
+    Parameters
+    ----------
+    trails, points : Spots
+        Candidates under either hypothesis.
+    image, background
+        What they were found in.
+    most : int
+        Points wanted.
+    """
+    assert trails.centre is not None
+    assert trails.streak is not None
+    star, on_trail, major = _round_stars(trails.centre, trails.streak, points, image, background)
+    if _are_too_few(star, len(trails)):
+        return replace(trails, other=points.take(np.arange(min(most, len(points)))))
+    # a satellite is longer than the stars of the frame, which aberrations may have elongated themselves
+    trailed = on_trail & (major > WIDTH_RATIO * np.median(major[star]))
+    return replace(points.take(np.flatnonzero(~trailed)[:most]), other=trails)
+
+
+def trails_win(centre: FloatArray, length: FloatArray, points: Spots, image: Image, background: Background) -> bool:
+    """Whether all stars of a frame are trailed, rather than points: see `decide`.
+
+    A trailed frame has no round images of stars: what is left beside its trails are hot pixels and cosmic rays, which
+    are sharper, and pieces of trails, which lie on these. So the number decides of points that have the width of the
+    frame's star images along both axes and lie on no trail. The trails tell that width across themselves.
+
+    Parameters
+    ----------
+    centre, length : array, shape (N, 2)
+        Of the trails, px.
+    """
+    return _are_too_few(_round_stars(centre, length, points, image, background)[0], len(centre))
+
+
+def _are_too_few(star: Flags, trails: int) -> bool:
+    return bool(np.count_nonzero(star) < max(FEWEST_POINTS, POINT_SHARE * trails))
+
+
+def _round_stars(
+    centre: FloatArray, lengths: FloatArray, points: Spots, image: Image, background: Background
+) -> tuple[Flags, Flags, FloatArray]:
+    """Which points are round star images beside the trails, which lie on a trail, and their variance along the major
+    axis, px²."""
+    assert points.centre is not None
+    level, noise, width = background.level_plane, background.noise_plane, math.nan
+    x, y = np.rint(centre).astype(np.int64).T
+    for weight in _WEIGHTS_PX:
+        across = measure_shapes(image, level, noise, x.copy(), y.copy(), weight)[:, MINOR]
+        width = float(np.median(across[np.isfinite(across)])) if np.isfinite(across).any() else math.nan
+        if width < weight**2:
+            break
+    shapes = measure_shapes(image, level, noise, points.x_peak, points.y_peak, weight)
+    compact = shapes[:, MAJOR] <= width * WIDTH_RATIO
+    star = (shapes[:, MINOR] > width / WIDTH_RATIO) & compact & (shapes[:, SHAPE_SNR] > WIDTH_SNR)
+    length = np.maximum(np.hypot(*lengths.T), 1e-12)
+    unit = lengths / length[:, None]
+    apart = points.centre[:, None] - centre[None]
+    along = np.abs((apart * unit).sum(axis=2))
+    beside = np.abs(apart[..., 0] * unit[:, 1] - apart[..., 1] * unit[:, 0])
+    on_trail = ((along < 0.5 * length + ON_TRAIL_PX) & (beside < ON_TRAIL_PX)).any(axis=1)
+    star &= ~on_trail & ~points.edge & ~points.saturated
+    return star, on_trail, shapes[:, MAJOR]

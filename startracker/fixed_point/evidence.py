@@ -1,0 +1,196 @@
+"""How improbable a match of observed stars and guide stars is by chance, in integers.
+
+The weight is log₂ of the Bayes factor of `startracker.identification.bayes_factor`, with 12 bits of fraction; every
+table entry and every logarithm is rounded so that the factor comes out smaller than it is. The null hypothesis differs:
+each point lies with the density that the points around it show, at least that of the image. For the k-th nearest of n
+points at the distance d that is k/((n − 1) π d²), and the largest of k = 1 … n − 1 counts, so that a clump of points
+explains itself. Matches must span the field besides (`Tables.spread`).
+
+The C export (`c/tracker_verification.c`) does the same operations in the same order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from startracker.fixed_point.formats import Integers
+from startracker.fixed_point.vectors import quotient
+from startracker.kernels import kernel
+
+__all__ = ["LOG_BITS", "NEVER", "PLANE_BITS", "Tables", "local_areas", "log2", "log_sum", "spans", "weigh"]
+
+PLANE_BITS = 12
+"""Of fraction in pixels of the plane."""
+LOG_BITS = 12
+"""Of fraction in logarithms to base 2."""
+NEVER = -(1 << 28)
+"""Logarithm of what does not happen."""
+_LOG_UP = 24  # what `log2` may be too small by: 4096 log₂(1 + 1/256), rounded up
+_SUM_STEP = 8  # of logarithms' differences to positions in the table of sums
+
+
+class Tables(NamedTuple):
+    """Guide stars and constants of one camera, made by `startracker.identification.integer_acceptance`.
+
+    Parameters
+    ----------
+    guide : (G, 3)
+        Directions of 2.30, brightest first.
+    focal, ratio : int
+        Focal length across, 2⁻¹² pixels; that across over that down, of 12.20.
+    half : (2,)
+        Half the image in the plane.
+    gates : (R,)
+        Squares of the radii within which a point is a guide star, one after the other.
+    same, same_roll : int
+        Largest differences of the elements of two matrices of 2.30 that are one attitude: of the boresight, of the axis
+        to the right. Either moves the image by the widest gate at most.
+    spread : int
+        Least determinant of the second moments of the matched points over the square of their number, of whole
+        pixels; a share of that of an evenly filled image.
+    log_area : int
+        log₂ of the image's area in units of the plane, downwards.
+    log_pi : int
+        log₂ π, downwards.
+    log_cell : (S,)
+        log₂ 2πσ² of each width σ averaged over, in units of the plane, upwards.
+    quadratic, farthest : (S,)
+        log₂ e / 2σ² × 2³² a unit of squared distance, upwards; squared distance beyond which nothing matches.
+    log_volume : (S,)
+        log₂ of the prior of the width and of the volume of attitudes of one match of one pixel's lever, downwards.
+    log_table, sum_table : (256,), (T,)
+        log₂(1 + k/256), and log₂(1 + 2⁻ˣ) of x = (k + 1)/16: both downwards.
+    distracting : (N + 1,)
+        log₂ of the weight of k stars that are no guide stars.
+    seeing : (N + 1, D + 1)
+        log₂ of the weight of M guide stars that are seen and k that are not.
+    total : (N + 1, D + 1)
+        log₂ of what all numbers of stars weigh together, for n observed and up to D guide stars, upwards.
+    threshold : int
+        log₂ of the least factor that is accepted, upwards.
+    """
+
+    guide: Integers
+    focal: int
+    ratio: int
+    half: Integers
+    gates: Integers
+    same: int
+    same_roll: int
+    spread: int
+    log_area: int
+    log_pi: int
+    log_cell: Integers
+    quadratic: Integers
+    farthest: Integers
+    log_volume: Integers
+    log_table: Integers
+    sum_table: Integers
+    distracting: Integers
+    seeing: Integers
+    total: Integers
+    threshold: int
+
+
+@kernel
+def log2(n: int, table: Integers) -> int:
+    """log₂ of n ≥ 1, downwards."""
+    bits, m = 0, n
+    while m > 1:
+        m >>= 1
+        bits += 1
+    top = (n >> (bits - 8)) if bits >= 8 else (n << (8 - bits))
+    value: int = (bits << LOG_BITS) + table[top - 256]
+    return value
+
+
+@kernel
+def log_sum(a: int, b: int, table: Integers) -> int:
+    """log₂(2ᵃ + 2ᵇ), downwards."""
+    high, low = max(a, b), min(a, b)
+    k = (high - low) >> _SUM_STEP
+    return high + table[k] if k < len(table) else high
+
+
+@kernel
+def local_areas(points: Integers, tables: Tables) -> Integers:
+    """log₂ of the area (N,) that one point has to itself where each lies, that of the image at most, downwards."""
+    n = len(points)
+    out = np.empty(n, np.int64)
+    square = np.empty(n, np.int64)
+    for i in range(n):
+        count = 0
+        for j in range(n):
+            if j == i:
+                continue
+            dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            value, at = dx * dx + dy * dy, count
+            while at > 0 and square[at - 1] > value:
+                square[at] = square[at - 1]
+                at -= 1
+            square[at] = value
+            count += 1
+        out[i] = tables.log_area
+        for k in range(count):
+            area = square[k] * count // (k + 1)
+            log_area = log2(area, tables.log_table) + tables.log_pi if area > 0 else NEVER
+            out[i] = min(out[i], log_area)
+    return out
+
+
+@kernel
+def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tuple[bool, int]:
+    """Whether matched points span the field, and the sum of their squared distances from their mean."""
+    mx = my = 0
+    for i in range(len(points)):
+        if index[i] >= 0:
+            mx += points[i, 0]
+            my += points[i, 1]
+    mx, my = quotient(mx, count), quotient(my, count)
+    xx = xy = yy = lever = 0
+    for i in range(len(points)):
+        if index[i] >= 0:
+            x, y = points[i, 0] - mx, points[i, 1] - my
+            lever += x * x + y * y
+            x, y = x >> PLANE_BITS, y >> PLANE_BITS
+            xx += x * x
+            xy += x * y
+            yy += y * y
+    return xx * yy - xy * xy >= tables.spread * count * count, lever
+
+
+@kernel
+def weigh(square: Integers, index: Integers, area: Integers, count: int, in_field: int, lever: int, t: Tables) -> int:
+    """log₂ of the Bayes factor of the matches at hand, downwards."""
+    n = len(index)
+    gain = np.empty(count, np.int64)
+    rank = np.empty(count, np.int64)
+    lowered = log2(count, t.log_table) + _LOG_UP + ((log2(max(lever, 1), t.log_table) + _LOG_UP + 1) >> 1)
+    everything = NEVER
+    for s in range(len(t.log_cell)):
+        found = 0
+        for i in range(n):
+            if index[i] < 0 or square[i] > t.farthest[s]:
+                continue
+            value = area[i] - t.log_cell[s] - ((square[i] * t.quadratic[s]) >> 32) - 1
+            at = found
+            while at > 0 and gain[at - 1] < value:
+                gain[at], rank[at] = gain[at - 1], rank[at - 1]
+                at -= 1
+            gain[at], rank[at] = value, index[i]
+            found += 1
+        of_width = NEVER
+        for depth in range(1, in_field + 1):
+            value = t.distracting[n] + t.seeing[0, depth]
+            total = m = 0
+            for k in range(found):
+                if rank[k] < depth:
+                    m += 1
+                    total += gain[k]
+                    value = max(value, total + t.distracting[n - m] + t.seeing[m, depth - m])
+            of_width = log_sum(of_width, value, t.sum_table)
+        everything = log_sum(everything, of_width + t.log_volume[s], t.sum_table)
+    evidence: int = everything - lowered - t.total[n, in_field]
+    return evidence

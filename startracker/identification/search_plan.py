@@ -1,0 +1,140 @@
+"""How many true stars an accepted answer needs, and the cheapest search that hardly misses as many.
+
+Of n points of which m are true H are taken for the pole, and the L nearest neighbours of each vote. A pole is a true
+star with a chance of m/n, and about (m − 1) L/(n − 1) of its neighbours are true: with h the (binomial) chance that
+enough of them are for the votes asked for, the field is missed with a chance of about (1 − H h/n)^m.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom, poisson
+
+from startracker.identification.bayes_factor import SCALE_LOG_PRIOR, SCALES, count_table
+from startracker.identification.verification import MOST_EXTRA
+
+FloatArray = NDArray[np.float64]
+
+ROLLS = 64
+"""Rolls told apart by the votes for a guide star."""
+MOST_VOTES = 8
+_NEIGHBOURS = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 119)
+_PAIR_NS, _CANDIDATE_NS, _STAR_NS = 12.0, 700.0, 6.0
+"""Of a guide pair looked at, an attitude tried and a guide star whose votes are counted."""
+_LOG_SPHERE_OF_ROTATIONS, _LOG_2PI = math.log(8.0 * math.pi**2), math.log(2.0 * math.pi)
+
+
+class Plan(NamedTuple):
+    """A search by votes: how many stars are taken for the pole, how many of the nearest vote, how many must agree, and
+    whether more stars would have to be taken than it may cost."""
+
+    poles: int
+    neighbours: int
+    votes: int
+    cut_short: bool = False
+
+
+def fewest_matches(evidence: FloatArray, excess: FloatArray, least_log_b: float) -> int:
+    """Matches from which on ln B exceeds a limit; one more than there are stars where it never does.
+
+    Parameters
+    ----------
+    evidence : (n + 1,)
+        Of `evidence_of_matches`.
+    excess : (widths, n)
+        ln of how crowded the points are (`clustering_null`): m of them cost no less than the m that are crowded least.
+    least_log_b : float
+        Limit on ln B.
+    """
+    price = np.maximum(np.cumsum(np.sort(excess, axis=1), axis=1).max(axis=0), 0.0)
+    enough = np.flatnonzero(evidence[1:] - price > least_log_b)
+    return int(enough[0]) + 1 if len(enough) else len(evidence)
+
+
+@lru_cache(maxsize=512)
+def evidence_of_matches(n: int, in_field: int, log_area: float, scale: float, unknowns: int) -> FloatArray:
+    """ln B (n + 1,) of 0 to n matches among n points spread over the image.
+
+    For a field of the average number of guide stars, of which those seen are spread evenly over the brightnesses, and
+    residuals of `scale` times the stated errors at which the fit is perfect (`bayes_factor.log_bayes_factor`).
+
+    Parameters
+    ----------
+    n, in_field : int
+        Observed stars; guide stars in the field.
+    log_area : float
+        ln of the image's area in units of the stated error squared.
+    scale : float
+        Multiple of the stated errors.
+    unknowns : int
+        3, or 4 where the focal length is fitted along.
+    """
+    counts = count_table(n, 2 * n + MOST_EXTRA)
+    row = int(np.argmin(np.abs(SCALES - scale)))
+    log_area -= 2.0 * math.log(SCALES[row])
+    depths = np.arange(1, min(in_field, 2 * n + MOST_EXTRA) + 1)
+    out = np.full(n + 1, -np.inf)
+    for m in range(3, min(n, len(depths)) + 1):  # none in a field without guide stars
+        # of m stars anywhere on a square, the roll's information is 1/6 of the others'
+        volume = 0.5 * unknowns * _LOG_2PI - 1.5 * (log_area + math.log(m)) + 0.5 * math.log(6.0)
+        within = m * depths // depths[-1]
+        value = within * (log_area - _LOG_2PI) + counts.log_weight[depths, within]
+        average = float(np.logaddexp.reduce(value) - counts.log_total[depths[-1]])
+        out[m] = volume - _LOG_SPHERE_OF_ROTATIONS + SCALE_LOG_PRIOR[row] + average
+    return out
+
+
+@lru_cache(maxsize=1024)
+def plan(
+    n: int,
+    fewest: int,
+    miss: float,
+    most_ns: float,
+    *,
+    pairs: float,
+    guides: int,
+    rolls: float,
+    gate: float,
+    rare: float,
+) -> Plan:
+    """Cheapest search that misses `fewest` true stars of n with a chance of at most `miss`, or what comes nearest.
+
+    Parameters
+    ----------
+    n, fewest, miss
+        As above.
+    most_ns : float
+        What it may cost.
+    pairs : float
+        Guide pairs looked at for a neighbour as far away as the field is wide; in proportion for others.
+    guides : int
+        Guide stars.
+    rolls : float
+        Of the 64, how many a vote covers.
+    gate : float
+        Guide stars that come by chance into the gate of a star close to the pair that says where it is.
+    rare : float
+        Chance with which so many others may be hit that an attitude is verified.
+    """
+    neighbours = np.array([count for count in _NEIGHBOURS if count < n - 1] + [n - 1])[:, None]
+    votes = np.arange(2, min(fewest - 1, MOST_VOTES) + 1)[None, :]
+    hit = binom.sf(votes - 1, neighbours, (fewest - 1) / (n - 1)) * (votes <= neighbours)
+    # the L nearest of n on a square lie within a circle of L/n of its area, at 2/3 of its radius on average
+    looked = pairs * neighbours * (2.0 / 3.0) * np.sqrt(neighbours / n / math.pi)
+    by_chance = poisson.sf(votes - 1, 2.0 * looked * rolls / (ROLLS * guides)) * ROLLS * guides * votes
+    each = _PAIR_NS * looked + _CANDIDATE_NS * by_chance + _STAR_NS * guides
+    enough = np.ceil(n * (1.0 - miss ** (1.0 / fewest)) / np.maximum(hit, 1e-9))
+    poles = np.minimum(np.minimum(enough, most_ns // each), n)
+    missed = np.maximum((1.0 - poles / n * hit) ** fewest, miss)
+    # the others are about half a field's width from the pair, which errs by a long lever
+    others = (n - 2) * gate * (1.5 + 0.5 * n * math.pi / neighbours)
+    hopeless = poisson.isf(rare, others) + 1 > fewest - 2
+    order = np.lexsort([(poles * each).ravel(), missed.ravel(), (hopeless | (hit == 0.0)).ravel()])
+    row, column = np.unravel_index(order[0], missed.shape)
+    cut_short = bool(poles[row, column] < min(enough[row, column], n))
+    return Plan(int(poles[row, column]), int(neighbours[row, 0]), int(votes[0, column]), cut_short)

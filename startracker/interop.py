@@ -1,0 +1,77 @@
+"""Objects of astropy and SciPy at the public edges: ``Quantity``, ``Time``, ``SkyCoord`` and ``Rotation``.
+
+They are known by what they can do, so that nothing is imported for them; plain numbers pass as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.errors import InputError
+
+__all__ = ["is_rotation", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
+
+
+def plain(given: Any, unit: str, name: str) -> Any:
+    """Numbers in a unit, of an astropy ``Quantity`` (or ``Angle``) in any unit that can be converted to it.
+
+    Raises
+    ------
+    InputError
+        When it cannot be converted.
+    """
+    if not (hasattr(given, "to_value") and hasattr(given, "unit")):
+        return given
+    try:
+        return given.to_value(unit)
+    except ValueError as error:  # astropy's UnitConversionError is one
+        raise InputError(f"{name} is in '{given.unit}'; it must be in {unit} or a unit of the same kind") from error
+
+
+def is_time(given: Any) -> bool:
+    """Whether this is an astropy ``Time``."""
+    return hasattr(given, "tt") and hasattr(given, "jyear")
+
+
+def julian_year(given: Any) -> Any:
+    """Julian epoch, TT, of an astropy ``Time``."""
+    return float(given.tt.jyear) if is_time(given) and np.ndim(given.tt.jyear) == 0 else given
+
+
+def skycoord_deg(given: Any, name: str) -> tuple[float, float]:
+    """Right ascension and declination, degrees, ICRS, of an astropy ``SkyCoord`` of a single direction.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    icrs = getattr(given, "icrs", None)
+    if icrs is None or np.ndim(icrs.ra) != 0:
+        raise InputError(f"{name} must be an astropy SkyCoord of one direction; got {type(given).__name__}")
+    return float(icrs.ra.deg), float(icrs.dec.deg)
+
+
+def is_rotation(given: Any) -> bool:
+    """Whether this is a SciPy ``Rotation``."""
+    return all(hasattr(given, name) for name in ("as_quat", "as_rotvec", "apply"))
+
+
+def rotation_quat(given: Any) -> NDArray[np.float64]:
+    """Quaternion (x, y, z, w) in the convention of `Attitude`, of a single SciPy ``Rotation`` that takes coordinates of
+    the source into the target: v_target = rotation.apply(v_source). SciPy's own quaternion is its conjugate.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    quat = np.asarray(given.as_quat(), dtype=float) if is_rotation(given) else np.empty(0)
+    if quat.shape != (4,):
+        raise InputError(
+            f"a single scipy Rotation is needed; got {type(given).__name__} of the shape {quat.shape[:-1]}"
+        )
+    return quat * [-1.0, -1.0, -1.0, 1.0]

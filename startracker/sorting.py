@@ -1,0 +1,56 @@
+"""Sorting within kernels: NumPy's own sort costs a second of compiling for each type of number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.kernels import kernel
+
+__all__ = ["median", "order_of", "sort"]
+
+
+@kernel
+def sort(values: NDArray[Any]) -> None:
+    """Numbers in place, ascending, none of them NaN: heapsort (Williams 1964, Comm. ACM 7, 347)."""
+    count = len(values)
+    for step in range(count + count // 2):
+        # the first steps make a heap of all, the others take its largest to the end
+        start, end = count // 2 - 1 - step, count
+        if start < 0:
+            end = count - (step - count // 2) - 1
+            start = 0
+            values[0], values[end] = values[end], values[0]
+        value, parent, child = values[start], start, 2 * start + 1
+        while child < end:
+            if child + 1 < end and values[child] < values[child + 1]:
+                child += 1
+            if not value < values[child]:
+                break
+            values[parent] = values[child]
+            parent, child = child, 2 * child + 1
+        values[parent] = value
+
+
+@kernel
+def median(values: NDArray[np.float64]) -> float:
+    """Median of numbers, which are sorted in place; NaN where one is."""
+    for value in values:
+        if np.isnan(value):
+            return np.nan
+    sort(values)
+    middle: float = 0.5 * (values[(len(values) - 1) // 2] + values[len(values) // 2])
+    return middle
+
+
+@kernel
+def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
+    """Indices of a few numbers, ascending, into `order`; of equal ones the first comes first."""
+    for last in range(len(values)):
+        place = last
+        while place > 0 and values[last] < values[order[place - 1]]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = last

@@ -1,0 +1,93 @@
+"""What an image is before any star is looked for: usable or not, its range, its saturation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from startracker.detection.defects import mask_extremes
+from startracker.detection.values import Image, as_pixels, whole_range
+
+__all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
+
+SATURATED_SHARE = 0.05
+"""Share of saturated pixels above which an image that cannot be solved is called saturated."""
+
+
+def plain(values: ArrayLike) -> NDArray[Any]:
+    """An array with NaN where a masked array (`numpy.ma`) is masked; anything else as it is."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values)
+    if values.dtype.kind not in "buif" or not np.ma.is_masked(values):
+        return np.asarray(values.data)
+    kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which hold all the numbers exactly
+    return np.asarray(np.ma.filled(values.astype(kind), np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A usable image as uint16 or float32, NaN where not finite or of a value that no light gives, of which there are
+    `masked`; its range; its saturated share and that level; whether it has NaN."""
+
+    pixels: Image
+    lowest: float
+    highest: float
+    saturated_share: float
+    saturation_dn: float
+    masked: int = 0
+    gaps: bool = False
+
+
+def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:
+    """What an image is, or why it is none.
+
+    The saturation is the level given, the largest number of an unsigned type, or a flat top.
+    """
+    try:
+        as_given = np.asanyarray(image)
+        given = plain(as_given)
+        if given.dtype.kind not in "buif":
+            return None, f"an image needs real numbers; got {given.dtype}"
+    except (TypeError, ValueError):
+        return None, "an image must be an array of numbers"
+    if given.ndim != 2:
+        return None, f"an image must have two dimensions (rows, columns); got {given.shape}"
+    pixels = as_pixels(given)
+    if shape is not None and given.shape != shape:
+        return None, (
+            f"the image is {given.shape[1]}×{given.shape[0]} pixels, the camera {shape[1]}×{shape[0]}: "
+            "give the camera that took it"
+        )
+    if not given.size:
+        return None, "no pixel of the image is a finite number"
+    level = saturation_dn
+    if level is None and as_given.dtype.kind == "u":
+        level = float(np.iinfo(as_given.dtype).max)
+    if level is not None and pixels.dtype == np.uint16:
+        least, most, full = whole_range(pixels, float(level))
+        return Survey(pixels, float(least), float(most), full / pixels.size, level), ""
+    # whole numbers need no search for what is not finite, and have their range in a quarter of the time
+    plane = given if given.dtype.kind in "ui" else pixels
+    lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
+    gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
+    if gaps:
+        pixels = np.where(np.isfinite(pixels), pixels, np.float32(np.nan))
+        lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
+        if not math.isfinite(highest):
+            return None, "no pixel of the image is a finite number"
+    pixels, masked = mask_extremes(pixels, lowest, highest)
+    if masked:
+        lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
+    if level is None:
+        level = highest if highest > 0 else math.inf
+    full = np.count_nonzero(pixels >= level) if highest >= level else 0
+    return Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
+
+
+def says_saturated(share: float, level: float) -> str:
+    """The finding in words."""
+    return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; expose for less time"

@@ -1,0 +1,127 @@
+"""Kernels: compiled once, told about while they are, and not timed; sorting within them."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import startracker
+from startracker.compilation import expected_kernels
+from startracker.kernels import kernel
+from startracker.sorting import median, order_of, sort
+
+SCRIPT = """
+import sys, time
+import numpy as np
+import startracker
+from startracker.compilation import progress
+from startracker.kernels import clock, processor_clock
+from startracker.sorting import sort
+if sys.argv[1:] == ["command"]:
+    progress.announce("solve")
+by_wall, by_clock, by_processor = time.perf_counter(), clock(), processor_clock()
+sort(np.array([2.0, 1.0]))
+print(time.perf_counter() - by_wall, clock() - by_clock, processor_clock() - by_processor)
+"""
+
+
+def run_on_terminal(cache: Path, *arguments: str) -> tuple[str, list[float]]:
+    """What the script writes to standard error, a terminal, and the times that it prints."""
+    controller, terminal = pty.openpty()
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=terminal,
+            check=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        )
+        os.write(terminal, b"end")  # a read of nothing would wait
+        said = b""
+        while not said.endswith(b"end"):
+            said += os.read(controller, 65536)
+    finally:
+        os.close(controller)
+        os.close(terminal)
+    return said[:-3].decode(), [float(word) for word in done.stdout.split()]
+
+
+def test_a_command_says_at_once_that_it_compiles_and_its_clock_leaves_that_out(tmp_path):
+    said, (wall_s, clock_s, processor_s) = run_on_terminal(tmp_path, "command")
+    assert re.search(r"\r\x1b\[KCompiling kernels, once for this installation: 0 of \d+", said)
+    assert "\n" not in said
+    assert said.endswith("\r\x1b[K")  # the line is gone when the result comes
+    # the rest is the compiler's own start
+    assert clock_s < wall_s - 0.05
+    assert processor_s < wall_s - 0.05
+    assert run_on_terminal(tmp_path, "command")[0] == ""  # kept on disk
+
+
+def test_a_program_is_not_told_of_a_short_wait(tmp_path):
+    assert run_on_terminal(tmp_path)[0] == ""
+
+
+def test_a_log_is_not_told_of_a_short_wait(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", SCRIPT, "command"]
+    assert subprocess.run(command, capture_output=True, check=True, env=environment).stderr == b""
+
+
+@pytest.mark.parametrize("task", ["run", "solve"])
+def test_most_kernels_that_a_task_expects_are_there(task):
+    expected, missing = expected_kernels(task), []
+    for name in expected:
+        module, _, function = name.partition(":")
+        file = Path(startracker.__file__).parent.parent / f"{module.replace('.', '/')}.py"
+        source = file.read_text() if file.exists() else ""
+        if not re.search(rf"^@kernel.*\ndef {function}\(", source, re.MULTILINE):
+            missing.append(name)
+    assert len(expected) > 50
+    assert len(missing) < 0.2 * len(expected), f"{missing}: python -m benchmarks.cold_start --write lists them anew"
+
+
+@kernel
+def _twice(number):
+    return 2 * number
+
+
+@kernel
+def _calls(number):
+    return _twice(number) + _twice(3) + _twice(4)
+
+
+def test_constants_are_no_types_of_their_own():
+    assert _calls(1) == 16
+    _calls.recompile()  # a kernel that comes from the cache has not compiled those it calls
+    assert len(_twice.signatures) == 1
+
+
+@settings(deadline=None)  # the first call compiles
+@given(arrays(np.int64, st.integers(0, 70), elements=st.integers(-9, 9)))
+def test_sort_is_that_of_numpy(values):
+    expected = np.sort(values)
+    sort(values)
+    assert np.array_equal(values, expected)
+
+
+@settings(deadline=None)
+@given(arrays(np.float64, st.integers(1, 40), elements=st.sampled_from([-np.inf, -1.5, 0.0, 0.25, 2.0, np.inf])))
+def test_order_is_that_of_a_stable_sort(values):
+    order = np.empty(len(values), np.int64)
+    order_of(values, order)
+    assert np.array_equal(order, np.argsort(values, kind="stable"))
+
+
+@settings(deadline=None)
+@given(arrays(np.float64, st.integers(1, 40), elements=st.floats(-1e6, 1e6) | st.just(np.nan)))
+def test_median_is_that_of_numpy(values):
+    expected = np.median(values)
+    assert median(values) == pytest.approx(expected, nan_ok=True)
