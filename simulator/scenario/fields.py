@@ -63,27 +63,18 @@ _UNITS = {
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """One key of the schema.
-
-    Parameters
-    ----------
-    path : str
-        Dotted path from the top.
-    annotation : type expression
-        Type with its limits.
-    default : object
-        `MISSING` where the user must give it.
-    owner : type
-        The class that declares it.
-    section : type or None
-        The class of a section; None for a plain key.
-    """
+    """One key of the schema."""
 
     path: str
+    """Dotted path from the top."""
     annotation: Any
+    """Type with its limits."""
     default: Any
+    """`MISSING` where the user must give it."""
     owner: type
+    """The class that declares it."""
     section: type | None
+    """The class of a section; None for a plain key."""
 
     @property
     def name(self) -> str:

@@ -39,19 +39,13 @@ NO_EARTH = 2.0
 
 @dataclass(frozen=True)
 class Exclusion:
-    """Exclusion angles, degrees; 0: none.
-
-    Parameters
-    ----------
-    sun_deg, moon_deg : float
-        Least angle between the boresight and the centre of the body.
-    earth_deg : float
-        Least angle between the boresight and the Earth's limb, lit or not.
-    """
+    """Exclusion angles, degrees; 0: none."""
 
     sun_deg: float = 0.0
     moon_deg: float = 0.0
+    """Least angle between the boresight and the centre of the body."""
     earth_deg: float = 0.0
+    """Least angle between the boresight and the Earth's limb, lit or not."""
 
     def __post_init__(self) -> None:
         for name in ("sun_deg", "moon_deg", "earth_deg"):
@@ -62,33 +56,22 @@ class Exclusion:
 
 @dataclass(frozen=True, eq=False)
 class Boresights:
-    """Attitudes of a camera, all of equal weight.
-
-    Parameters
-    ----------
-    kind : str
-        ``sky`` or ``path``.
-    matrices : (N, 3, 3)
-        ICRS → camera.
-    t_s : (N,)
-        Seconds after the scenario's epoch.
-    nadir : (N, 3)
-        Direction of the Earth's centre.
-    limb_cosine : (N,)
-        Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing.
-    excluded : dict of (N,) bool
-        By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken.
-    rolls : int
-        Attitudes a direction, which follow one another.
-    """
+    """Attitudes of a camera, all of equal weight."""
 
     kind: str
+    """``sky`` or ``path``."""
     matrices: FloatArray
+    """(N, 3, 3): ICRS → camera."""
     t_s: FloatArray
+    """(N,): Seconds after the scenario's epoch."""
     nadir: FloatArray
+    """(N, 3): Direction of the Earth's centre."""
     limb_cosine: FloatArray
+    """(N,): Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing."""
     excluded: dict[str, BoolArray]
+    """(N,): By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken."""
     rolls: int = 1
+    """Attitudes a direction, which follow one another."""
 
     def __len__(self) -> int:
         return len(self.matrices)

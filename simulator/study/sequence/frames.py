@@ -53,25 +53,17 @@ _LAG_MARGIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """One frame of a sequence.
-
-    Parameters
-    ----------
-    row : dict
-        Its row of ``sequence.parquet``.
-    frame : Frame, optional
-        The image; None where none came.
-    solution : Solution
-        What the session said.
-    window_xy, window_half_px : array (M, 2), int
-        Windows looked at.
-    """
+    """One frame of a sequence."""
 
     row: dict[str, Any]
+    """Its row of ``sequence.parquet``."""
     frame: Frame | None
+    """The image; None where none came."""
     solution: Solution
+    """What the session said."""
     window_xy: FloatArray
     window_half_px: int
+    """(M, 2): Windows looked at."""
 
 
 class SequenceRunner:
@@ -395,7 +387,3 @@ def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float
     return dict(
         zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
     )
-
-
-def _stream(seed: int, stage: str) -> np.random.Generator:
-    return stream(seed, stage, 0)
