@@ -6,16 +6,17 @@ Every attitude stands for the same share, of the sky or of the time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_mounting, build_orbit, build_scenes, pointing_parameters
+from simulator.build import build_mounting, build_orbit, build_scenes
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import level_matrices, round_s
 from simulator.mission.sampling import trial_time_s
+from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import barycentric_position_au
@@ -191,7 +192,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
             "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
         )
     orbit = build_orbit(scenario)
-    period_s = round_s(pointing_parameters(scenario.pointing), orbit.period_s)
+    period_s = round_s(scenario.pointing, orbit.period_s)
     t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
     r_km, v_km_s = orbit.state(t_s)
     if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
@@ -215,13 +216,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
 
 def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
     """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place, or spins."""
-    steady = scenario.model_copy(
-        update={
-            "pointing": scenario.pointing.model_copy(
-                update={"error_deg": 0.0, "jitter": type(scenario.pointing.jitter)()}
-            )
-        }
-    )
+    steady = scenario.model_copy(update={"pointing": replace(scenario.pointing, error_deg=0.0, jitter=NO_JITTER)})
     scenes = build_scenes(steady)
     scenes.plan(t_s)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters, pointing_parameters
+from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
@@ -118,7 +118,7 @@ class Sensitivity:
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
     """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
-    pointing = pointing_parameters(scenario.pointing)
+    pointing = scenario.pointing
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
     if pointing.spin.rate_deg_s:
