@@ -185,6 +185,11 @@ class Mekf:
         return Attitude(self._quat)
 
     @property
+    def quat(self) -> FloatArray:
+        """The attitude as a quaternion (4,), scalar last."""
+        return self._quat
+
+    @property
     def matrix(self) -> FloatArray:
         """The attitude as a matrix (3, 3)."""
         return quat_to_matrix(self._quat)
