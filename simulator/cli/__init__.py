@@ -153,7 +153,7 @@ def _run(arguments: list[str]) -> int:
         return code if isinstance(code, int) else 0
     except typer.TyperException as error:  # a wrong option or argument
         message = error.format_message() if hasattr(error, "format_message") else str(error)
-        print(f"boresight: {' '.join(message.split())} (boresight --help tells more)", file=sys.stderr)
+        print(f"boresight: {' '.join(message.split())} (see boresight --help)", file=sys.stderr)
         return 2
     except BoresightError as error:
         print(error, file=sys.stderr)

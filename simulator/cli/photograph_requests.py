@@ -61,7 +61,7 @@ class SolveRequest:
     constellations: Annotated[bool, typer.Option("--constellations", help="Lines of the constellations on it.")] = False
     pixels: Annotated[
         list[str] | None,
-        typer.Option("--pixel", metavar="X,Y", help="Tell where this pixel looks; may be repeated."),
+        typer.Option("--pixel", metavar="X,Y", help="Print where this pixel looks; may be repeated."),
     ] = None
     parity: Annotated[
         str | None,
@@ -80,7 +80,7 @@ class SolveRequest:
         ),
     ] = None
     explain: Annotated[
-        bool, typer.Option("--explain", help="Tell stage by stage what was found, tried and rejected.")
+        bool, typer.Option("--explain", help="Print stage by stage what was found, tried and rejected.")
     ] = False
 
     @property
@@ -128,5 +128,9 @@ class CalibrateRequest:
     )
     parameters: Annotated[
         str | None,
-        typer.Option("--parameters", metavar="A,B,...", help="Fit these (f, aspect, cx, cy, k1 ...), not what tells."),
+        typer.Option(
+            "--parameters",
+            metavar="A,B,...",
+            help="Fit these (f, aspect, cx, cy, k1 ...), not what the images determine.",
+        ),
     ] = None

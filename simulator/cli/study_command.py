@@ -135,7 +135,7 @@ def design_study(
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
-    console, told = open_console(error=True), open_console()
+    progress, console = open_console(error=True), open_console()
     asked: dict[str, Any] = {
         "steps": steps,
         "least_stars": stars,
@@ -147,21 +147,21 @@ def design_study(
     identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
     checked = None
     with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
-        with console.status("reckoning") as status:
+        with progress.status("computing") as status:
             result = design(
                 loaded,
                 over,
                 low,
                 high,
                 count=boresights,
-                progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
+                progress=lambda done: status.update(f"computing: {done} values of {over}"),
                 **asked,
             )
-        _print_design(result, told)
+        _print_design(result, console)
         if verify_trials and result.best is not None:
-            with console.status(f"verifying: {verify_trials} trials"):
+            with progress.status(f"verifying: {verify_trials} trials"):
                 checked = verify(loaded, result, verify_trials, workers)
-            _print_verification(result, checked, told)
+            _print_verification(result, checked, console)
         write_design(result, checked, folder, identity)
     print(f"{folder}: design.json, design.png")
     return 1 if result.best is None or (checked and checked.contradictions) else 0
@@ -191,8 +191,8 @@ def budget_study(
     sha256 = scenario_sha256(loaded, budget=True)
     identity = Identity("budget", loaded.name, loaded.seed, sha256, {"trials": trials})
     with results_folder(out or Path("out") / f"{loaded.name}-budget", identity, force=force) as folder:
-        with progress_bar(f"{loaded.name}: error budget", "trials") as tell:
-            result = budget(loaded, trials, workers, progress=tell)
+        with progress_bar(f"{loaded.name}: error budget", "trials") as progress:
+            result = budget(loaded, trials, workers, progress=progress)
         print(result.table())
         if result.interrupted and not force and standing(folder, "budget"):
             print(f"{folder}: keeps the budget that was there, as this one was interrupted")
@@ -216,7 +216,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
 
 
 class _Studies(TyperGroup):
-    """The group of studies; an unknown name is told with those that there are."""
+    """The group of studies; an unknown name is answered with those that there are."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command of a name."""
@@ -265,8 +265,8 @@ def _print_coverage(result: Coverage, of_baffle: Sequence[str], console: Console
         f"in {summary['field_deg2']:.1f} square degrees, over {summary['over']}"
     )
     for body, share in summary["excluded_share"].items():
-        told = _exclusion_text(body, summary["exclusion_deg"][body], body in of_baffle)
-        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}, {told}")
+        angle = _exclusion_text(body, summary["exclusion_deg"][body], body in of_baffle)
+        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}, {angle}")
     if stars["min"] is None:
         console.print("  everything is excluded; the options --sun-deg, --moon-deg and --earth-deg set other angles")
         return
