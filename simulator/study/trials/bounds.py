@@ -54,8 +54,8 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
 
     P = [Σ Jᵢᵀ Fᵢ Jᵢ]⁻¹ with the Fisher matrix Fᵢ (2, 2) of each star's position (`star_information`) and
     Jᵢ = ∂(x, y)/∂θ (2, 3), the slopes of its pixel against the camera's rotation vector. For equal errors σᵢ on both
-    axes of a star and pixels of equal size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster & Oh 1981, J. Guidance & Control 4,
-    70); but unlike that it holds away from the axis too, where a pixel of a pinhole spans a smaller angle.
+    axes of a star and pixels of equal size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster & Oh 1981, J. Guidance & Control
+    4, 70); but unlike that it holds away from the axis too, where a pixel of a pinhole spans a smaller angle.
 
     Parameters
     ----------
