@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
-from startracker.estimation.kernels import triple_product
 from startracker.identification.search_state import Candidates, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_with
+from startracker.linalg import triple_product
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
