@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.hypothesis import Bench, hypothesis_of
-from startracker.identification.marked_sky import mark_sky, no_marks, share_marked
+from startracker.identification.marked_sky import mark_sky, no_marks
 from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, verify_attitude
@@ -74,10 +74,10 @@ class Verifier:
             return
         gate = GATE_SIGMAS * effort.limits.scale
         effort.marks = mark_sky(self._guide.directions, lever * gate * float(np.median(self._stars.sigma)))
-        effort.marked = share_marked(effort.marks)
+        effort.marked = effort.marks.share
         effort.work += _MARK_WORK * len(self._guide)
 
-    def take(self, candidates: Candidates, third: int, effort: Effort, work: float) -> None:
+    def take(self, candidates: Candidates, effort: Effort, work: float) -> None:
         """Verify those candidates that other stars confirm."""
         effort.work += work
         if not len(candidates.focal):
@@ -86,7 +86,7 @@ class Verifier:
         confirmation, at = effort.confirmation, 0
         while at < len(candidates.focal) and not effort.ended:
             left, stars, sky = effort.limits.work - effort.work, self._stars, self._guide.view
-            at, matrix, work = next_confirmed(candidates, at, third, stars, sky, confirmation, left)
+            at, matrix, work = next_confirmed(candidates, at, stars, sky, confirmation, left)
             effort.work += work
             if at < len(candidates.focal):
                 self._verify(matrix, float(candidates.focal[at]), effort)
