@@ -175,7 +175,7 @@ class _Search:
             else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
         )
         self._pairs = Pairs(near.first, near.second, near.separation_rad)
-        self._guides = Guides(guide.view.directions, guide.view.v_mag)
+        self._guides = Guides(guide.directions, guide.v_mag)
         self._head = np.full(len(guide), -1, np.int32)
         self._verifier = Verifier(self.bench, guide, self._stars)
 

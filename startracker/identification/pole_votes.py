@@ -160,8 +160,9 @@ def _elected(neighbours: _Neighbours, need: int, pairs: Pairs, box: BallotBox) -
     for k in range(len(neighbours.star)):
         turn, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
         for p in range(neighbours.low[k], neighbours.high[k]):
-            _vote(votes, pairs.first[p], _bits(box.there[p] - turn, slack, pattern))
-            _vote(votes, pairs.second[p], _bits(box.back[p] - turn, slack, pattern))
+            # unsigned, as no index counts from the end
+            _vote(votes, np.uint32(pairs.first[p]), _bits(box.there[p] - turn, slack, pattern))
+            _vote(votes, np.uint32(pairs.second[p]), _bits(box.back[p] - turn, slack, pattern))
     for star in range(len(votes)):
         box.elected[star] = votes[star, 3] != zero
         count += box.elected[star]
