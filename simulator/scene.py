@@ -25,7 +25,7 @@ from simulator.mission.pointing import (
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
-from simulator.optics.jitter import Jitter, JitterPath, Spectrum, draw_jitter
+from simulator.optics.jitter import JitterPath, Spectrum, draw_jitter
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination
 from simulator.sky.colours import spectral_coordinates
@@ -48,49 +48,33 @@ the processor's cache."""
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The sky from the spacecraft at one instant.
-
-    Parameters
-    ----------
-    t_s : float
-        Seconds after the scenario's epoch.
-    r_km : array, shape (3,)
-        Position of the spacecraft, GCRS.
-    observer : Observer
-        Epoch, barycentric position and velocity.
-    sun_direction : array, shape (3,)
-        Unit vector from the spacecraft to the Sun, without aberration.
-    pointing : Pointing
-        Attitudes and rate; the true attitude is the mean over the exposure where there is jitter.
-    jitter : JitterPath, optional
-        Turning of the camera about that attitude during the exposure.
-    streak_rad : float
-        Angle that the camera turns by over the exposure.
-    catalog : StarCatalog
-        All stars of the sky.
-    rows : int array, shape (N,)
-        Those of them in and around the field.
-    star_directions : array, shape (N, 3)
-        Where each appears, ICRS axes.
-    star_b_v, star_giant : array, shape (N,)
-        Colour and class of their spectra (`simulator.sky.colours`).
-    bodies : Bodies
-        Sun, Moon and planets, wherever they are.
-    """
+    """The sky from the spacecraft at one instant."""
 
     t_s: float
+    """Seconds after the scenario's epoch."""
     r_km: FloatArray
+    """(3,): Position of the spacecraft, GCRS."""
     observer: Observer
+    """Epoch, barycentric position and velocity."""
     sun_direction: FloatArray
+    """(3,): Unit vector from the spacecraft to the Sun, without aberration."""
     pointing: Pointing
+    """Attitudes and rate; the true attitude is the mean over the exposure where there is jitter."""
     jitter: JitterPath | None
+    """Turning of the camera about that attitude during the exposure."""
     streak_rad: float
+    """Angle that the camera turns by over the exposure."""
     catalog: StarCatalog
+    """All stars of the sky."""
     rows: IntArray
+    """(N,): Those of them in and around the field."""
     star_directions: FloatArray
+    """(N, 3): Where each appears, ICRS axes."""
     star_b_v: FloatArray
     star_giant: FloatArray
+    """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
+    """Sun, Moon and planets, wherever they are."""
 
     @property
     def stars(self) -> StarCatalog:
@@ -100,24 +84,16 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneParameters:
-    """What scenes are made of, besides the orbit.
-
-    Parameters
-    ----------
-    seed : int
-        Of the run.
-    sampling : str
-        When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`).
-    pointing, jitter, spectrum, sky
-        Mounting and what the body holds; how the camera shakes, and by which spectrum; what is seen.
-    """
+    """What scenes are made of, besides the orbit."""
 
     seed: int
+    """Of the run."""
     sampling: str
+    """When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`)."""
     pointing: PointingParameters
-    jitter: Jitter
     spectrum: Spectrum
     sky: Sky
+    """Mounting, what the body holds and how the camera shakes; by which spectrum; what is seen."""
 
 
 class SceneBuilder:
@@ -247,13 +223,13 @@ class SceneBuilder:
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
         """One realisation of the jitter, None where there is none."""
         given = self.parameters
-        return draw_jitter(given.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
+        return draw_jitter(given.pointing.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
 
     def _shaken(
         self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
     ) -> tuple[Pointing, JitterPath | None]:
         """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
-        if self.parameters.jitter.is_off:
+        if self.parameters.pointing.jitter.is_off:
             return pointing, None
         jitter = jitter or self.draw_jitter(streams("jitter"))
         if jitter is None:

@@ -1,4 +1,4 @@
-"""The star tracker: image or centroids in, attitude with its uncertainty out; in every case a status and a reason."""
+"""The star tracker: from an image or centroids to an attitude with its covariance, a status and a reason."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from startracker.identification.given import as_prior, usable_directions
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.refine import refine
+from startracker.refine import Measured, Refined, refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -44,39 +44,40 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STATED_PX = 0.15
-"""Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
+"""Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
-"""Added to the centroids' errors for identification alone: what camera model and blends may add."""
+"""Added to the centroid errors for identification only: errors of the camera model and blends."""
 _DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
-"""Answers after which what a prior excludes is searched, too, unless they are beyond doubt."""
+"""Results after which the sky outside the prior is searched as well, unless they are beyond doubt."""
 
 
 class StarTracker:
-    """Star tracker of one camera.
+    """Star tracker for one camera.
 
     Parameters
     ----------
     camera : Camera
         Calibrated camera.
     catalog : str or StarCatalog
-        Name (``hipparcos``, ``bsc5``) or a table of one's own.
+        Name (``hipparcos``, ``bsc5``) or a user-defined table.
     magnitude_limit : float
-        Faintest guide star, V; best a little beyond what the camera detects.
+        Magnitude limit of the guide stars, V; should be slightly fainter than the camera detects.
     detector, centroider, identifier, estimator : str
         Algorithms by name: the ``METHODS`` of `startracker.detection`, `centroid`, `identification`, `estimation`, or
-        what other packages offer.
+        those of other packages.
     detection, centroid : settings
-        Knobs of the stages.
+        Settings of these stages.
     identification : IdentificationSettings
-        What all identifiers share, or the identifier's own class, such as `MatchGroupSettings` for ``match_groups``.
+        Settings common to all identifiers, or the identifier's own class, such as `MatchGroupSettings` for
+        ``match_groups``.
     focal_error : float
-        Relative error of the camera's focal length, at most. Above zero the focal length and a radial distortion are
-        fitted to each frame (six stars are needed); 0: the camera is taken for calibrated.
+        Maximum relative error of the camera's focal length. If positive, the focal length and a radial distortion are
+        fitted to each frame (six stars are needed); 0: the camera is calibrated.
 
     Raises
     ------
     InputError
-        For an unknown name, the settings of another identifier, or a magnitude limit that leaves no stars.
+        For an unknown name, settings of another identifier, or a magnitude limit that leaves no stars.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class StarTracker:
         table = load_catalog(catalog) if isinstance(catalog, str) else catalog
         self.guide = GuideDatabase.build(table, camera, magnitude_limit, self.identification)
 
-    # ------------------------------------------------------------------ what users call
+    # ------------------------------------------------------------------ public methods
     def solve(
         self,
         image: ArrayLike,
@@ -121,7 +122,7 @@ class StarTracker:
         saturation_dn: float | None = None,
         gain_e_per_dn: float | None = None,
     ) -> Solution:
-        """Attitude of an image.
+        """Attitude from an image.
 
         Parameters
         ----------
@@ -130,20 +131,20 @@ class StarTracker:
         prior : Attitude or scipy Rotation, optional
             ICRS to camera, from other sensors or the last frame.
         prior_deg : float or astropy Quantity
-            Largest error of the prior about each axis, degrees.
+            Maximum error of the prior about each axis, degrees.
         observer : Observer, optional
-            Epoch, velocity and position: space motion, aberration and parallax are then taken account of. Without it
-            the stars stand as at the catalogue's epoch, and the attitude is off by the aberration (20″) and more.
+            Epoch, velocity and position, for space motion, aberration and parallax. Without it catalogue positions at
+            the catalogue's epoch are used, and the attitude is biased by at least the aberration (20″).
         time : astropy Time or float, optional
-            When the image was taken (a number is a Julian year, TT), where nothing else is known of the observer: space
-            motion is taken account of.
+            Time of the image (a number is a Julian year, TT), if nothing else is known of the observer. Only space
+            motion is then applied.
         saturation_dn, gain_e_per_dn : float, optional
-            Of the detector, where known.
+            Of the detector, if known.
 
         Returns
         -------
         Solution
-            Never raises for what the image shows: the status and the reason tell.
+            An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, observer = Clock(), observer_of(observer, time)
         found = find_stars(
@@ -158,8 +159,8 @@ class StarTracker:
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            told = (*found.steps, *hints(found.status, 0, known_camera=True))
-            return replace(self._unsolved(found.status, found.reason, clock), steps=told)
+            explained = (*found.steps, *hints(found.status, 0, known_camera=True))
+            return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
         hint = as_prior(prior, prior_deg)
         solution, found, steps = self._solve_looks(found, hint, observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
@@ -181,30 +182,32 @@ class StarTracker:
         observer: Observer | None = None,
         time: Any = None,
     ) -> Solution:
-        """Attitude of star positions measured elsewhere.
+        """Attitude from given star positions.
 
         Parameters
         ----------
         xy : array_like, shape (N, 2)
-            Pixels (x, y) = (column, row), the first pixel's centre at (0, 0). NaN, repeated and outside ones are
-            left out.
+            Pixels (x, y) = (column, row), the first pixel's centre at (0, 0). NaN, duplicates and points outside the
+            image are left out.
         flux : array_like, shape (N,), optional
-            Signal, any linear unit. Without it the order counts as the order of brightness, magnitudes do not.
+            Signal in any linear unit. If omitted, the stars are taken as sorted by brightness and magnitudes are not
+            used.
         sigma_px : array_like, shape (N,) or a number, optional
-            Standard error of each centroid on one axis, pixels. Without it all count alike, and their error is told by
-            how well they fit; the covariance of few stars is then that much larger.
+            Standard error of each centroid on one axis, pixels. If omitted, all centroids have equal weight and their
+            error is estimated from the residuals; the covariance for few stars is then larger accordingly.
         prior, prior_deg, observer, time
             As in `solve`.
 
         Raises
         ------
         InputError
-            When the arrays' shapes do not fit, or an error is not positive.
+            If the shapes of the arrays do not match or an error is not positive.
         """
         clock, observer = Clock(), observer_of(observer, time)
         points, signal = clean_centroids(xy, flux, self.camera)
         guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
-        solution = self._solve(points, signal, variance, as_prior(prior, prior_deg), observer, guide, clock)
+        measured = Measured(points, signal, variance)
+        solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
@@ -221,11 +224,11 @@ class StarTracker:
     def _solve_looks(
         self, found: FoundStars, prior: Prior | None, observer: Observer | None, clock: Clock
     ) -> tuple[Solution, FoundStars, Sequence[Step]]:
-        """Solution, the stars that it is of, and the steps that led to these.
+        """Solution, the stars it was computed from, and the steps that led to these.
 
-        The frame's other hypothesis, points for trails or trails for points, is tried where the likelier one does not
-        explain a whole field; the one with the more evidence is answered. Pieces of trails lie near their stars and all
-        off alike: where points win, they count only if they can be no pieces.
+        If the more likely hypothesis (points or trails) does not explain the whole field, the other one is tried as
+        well, and the solution with the stronger evidence is returned. Fragments of trails lie close to their stars with
+        a common offset: a solution from points is only accepted if they cannot be fragments.
         """
         guide = self.guide.seen_by(observer)
         looks: list[tuple[FoundStars, Solution]] = []
@@ -233,8 +236,8 @@ class StarTracker:
             stars = look() if callable(look) else look
             if stars is None:
                 continue
-            errors = stars.covariance_px2, stars.common_px2
-            tried = self._solve(stars.xy, stars.flux, stars.variance_px2, prior, observer, guide, clock, *errors)
+            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2
+            tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
             looks.append((stars, tried))
             if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):
                 break
@@ -245,62 +248,30 @@ class StarTracker:
             if other is not stars:
                 steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
         if not stars.trailed and solution.solved and may_be_pieces(solution, stars.flux, guide, trailed):
-            within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
+            within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
         return replace(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
-        self,
-        xy: FloatArray,
-        flux: FloatArray | None,
-        variance_px2: FloatArray | None,
-        prior: Prior | None,
-        observer: Observer | None,
-        guide: GuideDatabase,
-        clock: Clock,
-        covariance_px2: FloatArray | None = None,
-        common_px2: FloatArray | None = None,
+        self, stars: Measured, prior: Prior | None, observer: Observer | None, guide: GuideDatabase, clock: Clock
     ) -> Solution:
         tried: Sequence[Step] = ()
         free_fit: Solution | None = None
-        if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
-            camera, error = self.camera, self.focal_error
-            search = FreeSearch(
-                xy,
-                flux,
-                camera.width,
-                camera.height,
-                self.catalog,
-                self.identification,
-                observer,
-                variance_px2=variance_px2,
-                rough=camera,
-            )
-            fov = camera.undistorted_fov_deg
-            band = (fov * (1.0 - error), fov, fov * (1.0 + error))
-            free_fit = search.run((band,), (camera.parity,))
-            clock.lap("free_scale")
-            tried = (
-                search_step(search.trials, (band,), (camera.parity,)),
-                Step("identification", free_fit.reason),
-            )
+        if self.focal_error > 0.0 and len(stars.xy) >= FEWEST_MATCHED:
+            free_fit, tried = self._free_fit(stars, observer, clock)
             if is_beyond_doubt(free_fit, self.identification):
                 return replace(free_fit, times_ms=clock.times_ms(), steps=tried)
-        stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        directions, usable, vectors, sigma = usable_directions(xy, stated, self.camera.pixel_rad, self.camera.image_map)
-        signal, most = None if flux is None else flux[usable], self.identification.max_centroids
-        observed = Observed(vectors, signal, sigma)
-        if len(vectors) > most:
-            observed = Observed(vectors[:most], None if signal is None else signal[:most], sigma[:most])
-            text = f"the {most} brightest of {len(vectors)} centroids are taken (max_centroids)"
+        observed, usable, directions = self._observed(stars)
+        if len(usable) > len(observed.vectors):
+            text = f"the {len(observed.vectors)} brightest of {len(usable)} centroids are used (max_centroids)"
             tried = (*tried, Step("identification", text))
         found, contradicted = self._around_prior(observed, guide, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
-        told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
-        tried = Steps(tried, told)
+        explained = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
+        tried = Steps(tried, explained)
         if free_fit is not None:
             found = replace(found, operations=found.operations + free_fit.operations)
             if free_fit.solved and not (
@@ -308,67 +279,89 @@ class StarTracker:
             ):
                 return replace(free_fit, times_ms=clock.times_ms(), steps=tried, operations=found.operations)
         if found.status is not Status.SOLVED:
-            unsolved = self._unsolved(found.status, found.reason, clock, xy)
+            unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
             chance, operations = found.log_false_alarm, found.operations
             return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
-        pairs = found.pairs.copy()
-        pairs[:, 0] = usable[pairs[:, 0]]
+        pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
             known = None if free else directions
-            refined = refine(
-                pairs,
-                xy,
-                variance_px2,
-                camera,
-                guide,
-                self._estimate,
-                free,
-                directions=known,
-                covariance_px2=covariance_px2,
-                common_px2=common_px2,
-                observer=observer,
-            )
-        except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
-            return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
+            refined = refine(pairs, stars, camera, guide, self._estimate, free, known, observer)
+        except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
+            reason = f"{found.reason}; but the estimator says: {error}"
+            return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
+        return replace(self._solved(found, refined, stars, guide, clock), steps=tried, prior_contradicted=contradicted)
+
+    def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
+        """Solution with the focal length fitted along, within its error, and what was tried."""
+        camera, error = self.camera, self.focal_error
+        search = FreeSearch(
+            stars.xy,
+            stars.flux,
+            camera.width,
+            camera.height,
+            self.catalog,
+            self.identification,
+            observer,
+            variance_px2=stars.variance_px2,
+            rough=camera,
+        )
+        fov = camera.undistorted_fov_deg
+        band = (fov * (1.0 - error), fov, fov * (1.0 + error))
+        found = search.run((band,), (camera.parity,))
+        clock.lap("free_scale")
+        step = search_step(search.trials, (band,), (camera.parity,))
+        return found, (step, Step("identification", found.reason))
+
+    def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
+        """Directions for the identification, the centroids that have one, and those of all centroids."""
+        stated = np.full(len(stars.xy), STATED_PX)
+        if stars.variance_px2 is not None:
+            stated = np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+        camera, most = self.camera, self.identification.max_centroids
+        directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
+        signal = None if stars.flux is None else stars.flux[usable[:most]]
+        return Observed(vectors[:most], signal, sigma[:most]), usable, directions
+
+    def _solved(
+        self, found: Identification, refined: Refined, measured: Measured, guide: GuideDatabase, clock: Clock
+    ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         stars = MatchedStars(
-            xy[used],
+            measured.xy[used],
             guide.catalog.id[chosen],
             guide.catalog.star_name[chosen],
             guide.v_mag[chosen],
-            np.full(len(used), np.nan) if flux is None else flux[used],
+            np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
             refined.residual_px,
             refined.used,
         )
         clock.lap("attitude")
         return Solution(
             Status.SOLVED,
-            found.reason + _off_focus(refined.camera.fx / self.camera.fx),
+            found.reason + _focal_correction(refined.camera.fx / self.camera.fx),
             Attitude.from_matrix(refined.matrix),
             refined.covariance,
             stars,
-            xy,
+            measured.xy,
             refined.camera.fov_deg,
             self.camera.parity,
             clock.times_ms(),
             refined.camera,
-            tried,
-            found.log_false_alarm,
-            found.operations,
-            contradicted,
+            log_false_alarm=found.log_false_alarm,
+            operations=found.operations,
         )
 
     def _around_prior(
         self, observed: Observed, guide: GuideDatabase, prior: Prior | None
     ) -> tuple[Identification, bool]:
-        """Identification within the prior, and over the whole sky where that leaves a doubt; the one with the more
-        evidence, and whether it contradicts the prior."""
+        """Identification within the prior and, unless that is beyond doubt, over the whole sky; the result with the
+        stronger evidence, and whether it contradicts the prior."""
         found = self._identify(observed, guide, self.identification, prior)
-        sure = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
-        if prior is None or sure or found.status not in _DOUBTFUL:
+        accepted = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
+        if prior is None or accepted or found.status not in _DOUBTFUL:
             return found, False
         elsewhere = self._identify(observed, guide, self.identification, None)
         operations = found.operations + elsewhere.operations
@@ -393,7 +386,7 @@ class StarTracker:
         )
 
 
-def _off_focus(factor: float) -> str:
+def _focal_correction(factor: float) -> str:
     return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"
 
 

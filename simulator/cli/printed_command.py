@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from simulator.cli.options import option, switch
 from simulator.cli.terminal import open_console
 from startracker._version import __version__
 from startracker.errors import InputError
@@ -16,20 +18,63 @@ from startracker.errors import InputError
 if TYPE_CHECKING:
     from simulator.theses.printed import PrintedStudy
 
-__all__ = ["greyling1995_study", "yee1999_study"]
+__all__ = ["PictureRequest", "finish", "greyling1995_study"]
 
-_WIDTH = 140  # columns of the table where the output is no terminal
+WIDTH = 140  # columns of the table where the output is no terminal
 
-SectionName = Annotated[
-    str | None, typer.Option("--section", metavar="NAME", help="Only this part; an unknown name lists them.")
-]
-OutFolder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the table and the figures; default: out/NAME.")
-]
+SectionName = Annotated[str | None, option("--section", "NAME", "Only this part; an unknown name lists them.")]
+OutFolder = Annotated[Path | None, option("--out", "DIR", "Folder for the table and the figures; default: out/NAME.")]
 
 Force = Annotated[
-    bool, typer.Option("--force", help="Replace results of another version, or of more sections, that stand in DIR.")
+    bool, switch("--force", "Replace results of another version, or of more sections, that stand in DIR.")
 ]
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
+
+    centroids: Annotated[
+        Path | None,
+        option("--centroids", "FILE.csv", "Columns x, y, brightest first, or with flux; default: her Vega image."),
+    ] = None
+    size: Annotated[str | None, option("--size", "WxH", "Of the image, pixels.")] = None
+    fov: Annotated[str | None, option("--fov", "XxY", "Field across and down, degrees, such as 9.0130x6.9049.")] = None
+    edition: Annotated[
+        int | None, option("--edition", "4|5", "Of the Bright Star Catalogue; default: 4 for the Vega image, else 5.")
+    ] = None
+    origin: Annotated[
+        str,
+        option(
+            "--origin",
+            "WHERE",
+            "Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
+            "negative.",
+        ),
+    ] = "auto"
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest star of the sub-catalogue.")] = 6.0
+    dec: Annotated[str, option("--dec", "MIN:MAX", "Declinations of the sub-catalogue, degrees.")] = "30:90"
+    max_separation_deg: Annotated[
+        float | None, option("--max-separation-deg", "A", "Of the pair database; default: the field's diagonal.")
+    ] = None
+    separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15
+    rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
+    enclosed_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 1.0
+    grouping_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
+    vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2
+    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0
+    three_stars: Annotated[
+        bool, switch("--three-stars", "Match three stars alone, where one group of triads is found.")
+    ] = False
+    integers: Annotated[bool, switch("--integers", "Identify in integer arithmetic.")] = False
+    points: Annotated[
+        list[str] | None,
+        option("--point", "X,Y", "Right ascension and declination of a point, origin as the centroids'."),
+    ] = None
+    json_file: Annotated[Path | None, option("--json", "FILE", "Write every table of the picture as JSON.")] = None
+    section: SectionName = None
+    out: OutFolder = None
+    force: Force = False
 
 
 def greyling1995_study(section: SectionName = None, out: OutFolder = None, force: Force = False) -> int:
@@ -38,101 +83,6 @@ def greyling1995_study(section: SectionName = None, out: OutFolder = None, force
 
     folder = out or Path("out") / "greyling1995"
     return finish(lambda progress: greyling1995.run(section, progress), "greyling1995", section, folder, force)
-
-
-def yee1999_study(
-    centroids: Annotated[
-        Path | None,
-        typer.Option(
-            "--centroids",
-            metavar="FILE.csv",
-            help="Columns x, y, brightest first, or with flux; default: her Vega image.",
-        ),
-    ] = None,
-    size: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Of the image, pixels.")] = None,
-    fov: Annotated[
-        str | None, typer.Option("--fov", metavar="XxY", help="Field across and down, degrees, such as 9.0130x6.9049.")
-    ] = None,
-    edition: Annotated[
-        int | None,
-        typer.Option(
-            "--edition", metavar="4|5", help="Of the Bright Star Catalogue; default: 4 for the Vega image, else 5."
-        ),
-    ] = None,
-    origin: Annotated[
-        str,
-        typer.Option(
-            "--origin",
-            metavar="WHERE",
-            help="Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
-            "negative.",
-        ),
-    ] = "auto",
-    magnitude_limit: Annotated[
-        float, typer.Option("--magnitude-limit", metavar="V", help="Faintest star of the sub-catalogue.")
-    ] = 6.0,
-    dec: Annotated[
-        str, typer.Option("--dec", metavar="MIN:MAX", help="Declinations of the sub-catalogue, degrees.")
-    ] = "30:90",
-    max_separation_deg: Annotated[
-        float | None,
-        typer.Option("--max-separation-deg", metavar="A", help="Of the pair database; default: the field's diagonal."),
-    ] = None,
-    separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15,
-    rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0,
-    enclosed_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 1.0,
-    grouping_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0,
-    vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2,
-    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0,
-    three_stars: Annotated[
-        bool, typer.Option("--three-stars", help="Match three stars alone, where one group of triads is found.")
-    ] = False,
-    integers: Annotated[bool, typer.Option("--integers", help="Identify in integer arithmetic.")] = False,
-    point: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--point", metavar="X,Y", help="Right ascension and declination of a point, origin as the centroids'."
-        ),
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write every table of the picture as JSON.")
-    ] = None,
-    section: SectionName = None,
-    out: OutFolder = None,
-    force: Force = False,
-) -> int:
-    """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
-    from simulator.cli.yee_picture import PictureRequest, report, run_picture
-    from simulator.theses import yee1999
-
-    request = PictureRequest(
-        centroids=centroids,
-        size=size,
-        fov=fov,
-        edition=edition,
-        origin=origin,
-        magnitude_limit=magnitude_limit,
-        dec=dec,
-        max_separation_deg=max_separation_deg,
-        tolerances_deg=(
-            separation_tolerance_deg,
-            rotation_tolerance_deg,
-            enclosed_tolerance_deg,
-            grouping_tolerance_deg,
-        ),
-        vote_number=vote_number,
-        tau_px=tau_px,
-        three_stars=three_stars,
-        integers=integers,
-        points=tuple(point or ()),
-        json_file=json_file,
-    )
-    analysis = run_picture(request)
-    report(analysis, request, open_console(_WIDTH))
-    if centroids is None:
-        folder = out or Path("out") / "yee1999"
-        finish(lambda progress: yee1999.run(section, progress, analysis), "yee1999", section, folder, force)
-    return 0 if analysis.plate is not None else 1
 
 
 def finish(
@@ -174,7 +124,7 @@ def finish(
             study = run(lambda part: status.update(f"computing: {part}"))
             status.update("drawing the figures")
             files = study.write(folder)
-    study.print(open_console(_WIDTH))
+    study.print(open_console(WIDTH))
     print(f"{folder}: {', '.join(files)}")
     return 0
 

@@ -29,19 +29,26 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Jitter:
-    """Random turning of the camera: rms angle about x, y, z (0: none), shape of its power spectrum, and its axes."""
+    """Random turning of the camera, during exposures and, in a sequence, between them."""
 
     rms_arcsec: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Root mean square of the angle about x, y, z; 0: none."""
     psd: str = "lorentz"
+    """Power spectrum: ``white`` up to the corner; ``lorentz``, 1/(1 + (f/corner)²) up to 8 corners; ``table``."""
     corner_hz: float = 10.0
+    """Corner frequency."""
     table: str | None = None
+    """CSV file (frequency_hz, psd) whose shape is taken for ``table``."""
     axes: str = "camera"
+    """Axes of `rms_arcsec`."""
 
     @property
     def is_off(self) -> bool:
         """Whether nothing turns."""
         return not any(self.rms_arcsec)
 
+
+NO_JITTER = Jitter()
 
 COMPONENTS = 256
 """Cosines an axis."""
@@ -54,24 +61,17 @@ _TABLE_STEPS = 8193
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Shape of a power spectrum on 0 … `max_hz`.
-
-    Parameters
-    ----------
-    name : str
-        ``white``, ``lorentz`` or ``table``.
-    corner_hz, max_hz : float
-        Corner of the first two; where the band ends.
-    frequency_hz, density, cumulative : (F,) arrays
-        Of a table: density per Hz normalised to 1, linear between its points, and its integral.
-    """
+    """Shape of a power spectrum on 0 … `max_hz`."""
 
     name: str
+    """``white``, ``lorentz`` or ``table``."""
     corner_hz: float
     max_hz: float
+    """Corner of the first two; where the band ends."""
     frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
     density: FloatArray = field(default_factory=lambda: np.empty(0))
     cumulative: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(F,): Of a table: density per Hz normalised to 1, linear between its points, and its integral."""
 
     def per_hz(self, frequency_hz: ArrayLike) -> FloatArray:
         """One-sided density s(f) of a process of variance 1, 1/Hz."""
@@ -134,26 +134,18 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class JitterPath:
-    """One realisation, as a function of time.
-
-    Parameters
-    ----------
-    frequency_hz, cosine_rad, sine_rad : (M, 3) arrays
-        Of the components about each axis.
-    max_hz : float
-        No component is faster.
-    matrix : (3, 3) array
-        From those axes into the camera's.
-    offset_rad : (3,) array
-        Taken off the sum, camera axes.
-    """
+    """One realisation, as a function of time."""
 
     frequency_hz: FloatArray
     cosine_rad: FloatArray
     sine_rad: FloatArray
+    """(M, 3): Of the components about each axis."""
     max_hz: float
+    """No component is faster."""
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))
+    """(3, 3): From those axes into the camera's."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,): Taken off the sum, camera axes."""
 
     def at(self, t_s: ArrayLike) -> FloatArray:
         """Rotation vectors (..., 3) in camera axes, radians, at seconds from mid-exposure: how the camera has turned

@@ -1,4 +1,4 @@
-"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well placed.
+"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well centred.
 
 The star's image (PSF, smear, pixels) and the noise of its pixels give the signal-to-noise ratio of the detection and
 the Cramér–Rao bound of the centroid. Left out: stray light, ghosts, jitter, cosmic rays, hot pixels, errors of the
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters, pointing_parameters
+from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
@@ -24,7 +24,7 @@ from simulator.scenario import Scenario
 from simulator.sky.background import sky_brightness_s10
 from simulator.sky.photometry import Photometer
 from simulator.study.coverage.boresights import sky_grid
-from simulator.study.trials.bounds import fisher_of_place, image_slopes, mean_dark_e, pixel_variance_e2
+from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
@@ -33,7 +33,7 @@ __all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "no
 
 FloatArray = NDArray[np.float64]
 
-_PLACES = 16
+_POSITIONS = 16
 """Places in the field, each at another phase within its pixel, over which images and bounds are averaged."""
 
 _HALF_WIDTHS, _LEAST_HALF = 4.0, 4
@@ -46,54 +46,36 @@ _B_V = 0.6
 
 @dataclass(frozen=True)
 class Pixel:
-    """A pixel without a star.
-
-    Parameters
-    ----------
-    sky_e, dark_e : float
-        Mean electrons of the diffuse sky and of the dark current.
-    noise_e : float
-        Standard deviation, electrons.
-    top_e : float
-        Electrons at which it saturates.
-    """
+    """A pixel without a star."""
 
     sky_e: float
     dark_e: float
+    """Mean electrons of the diffuse sky and of the dark current."""
     noise_e: float
+    """Standard deviation, electrons."""
     top_e: float
+    """Electrons at which it saturates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What the camera of a scenario detects, and the error of its centroids.
-
-    Parameters
-    ----------
-    camera : Camera
-        The calibrated camera.
-    pixel : Pixel
-        Background and noise of a pixel without a star.
-    photometer : Photometer
-        Electrons a second of stars in the middle of the field.
-    gathered_s : float
-        Exposure times the mean illumination of the field against its middle.
-    snr_per_electron : float
-        Signal-to-noise ratio of the detection for each electron of a star.
-    least_snr : float
-        Ratio from which on a star counts as detected.
-    electrons, sigma_px : (K,) arrays
-        Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels.
-    """
+    """What the camera of a scenario detects, and the error of its centroids."""
 
     camera: Camera
+    """The calibrated camera."""
     pixel: Pixel
+    """Background and noise of a pixel without a star."""
     photometer: Photometer
+    """Electrons a second of stars in the middle of the field."""
     gathered_s: float
+    """Exposure times the mean illumination of the field against its middle."""
     snr_per_electron: float
+    """Signal-to-noise ratio of the detection for each electron of a star."""
     least_snr: float
+    """Ratio from which on a star counts as detected."""
     electrons: FloatArray
     sigma_px: FloatArray
+    """(K,): Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels."""
 
     @property
     def least_electrons(self) -> float:
@@ -118,7 +100,7 @@ class Sensitivity:
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
     """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
-    pointing = pointing_parameters(scenario.pointing)
+    pointing = scenario.pointing
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
     if pointing.spin.rate_deg_s:
@@ -184,13 +166,13 @@ def centroid_bound_px(
     detector: DetectorParameters,
     exposure_s: float,
 ) -> FloatArray:
-    """Cramér–Rao bound (P, 2) of a star's place along columns and rows, pixels: the inverse of
-    `simulator.study.trials.bounds.fisher_of_place`, infinite where saturation leaves nothing.
+    """Cramér–Rao bound (P, 2) of a star's position along columns and rows, pixels: the inverse of
+    `simulator.study.trials.bounds.fisher_of_position`, infinite where saturation leaves nothing.
 
     Parameters
     ----------
     images : three (P, M, M) arrays
-        Share of the light in each pixel for P places, and its slopes (`simulator.study.trials.bounds.image_slopes`).
+        Share of the light in each pixel for P positions, and its slopes (`simulator.study.trials.bounds.image_slopes`).
     electrons : float
         Electrons of the star.
     pixel : Pixel
@@ -202,7 +184,7 @@ def centroid_bound_px(
     light = pixel.sky_e + signal
     variance = pixel_variance_e2(light, pixel.dark_e, signal, detector, exposure_s)
     variance = np.where(light + pixel.dark_e < pixel.top_e, variance, np.inf)
-    information = fisher_of_place(*images, np.full(len(signal), electrons), variance)
+    information = fisher_of_position(*images, np.full(len(signal), electrons), variance)
     xx, yy, xy = information[:, 0, 0], information[:, 1, 1], information[:, 0, 1]
     determinant = xx * yy - xy * xy
     known = determinant > 1e-12 * xx * yy
@@ -211,19 +193,19 @@ def centroid_bound_px(
 
 
 def _images(plane: FocalPlane, rate_rad_s: FloatArray, exposure_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Smeared images (P, H, W) of a star at places spread over the field, and their derivatives along x and y."""
+    """Smeared images (P, H, W) of a star at positions spread over the field, and their derivatives along x and y."""
     camera = plane.camera
-    k = np.arange(_PLACES)
+    k = np.arange(_POSITIONS)
     # at the rms distance from the centre, so that a roll draws streaks of the rms length
-    azimuth = 2.0 * math.pi * k / _PLACES
+    azimuth = 2.0 * math.pi * k / _POSITIONS
     x = 0.5 * (camera.width - 1) + camera.width / math.sqrt(6.0) * np.cos(azimuth)
     y = 0.5 * (camera.height - 1) + camera.height / math.sqrt(6.0) * np.sin(azimuth)
-    places = np.stack([np.floor(x) + (k + 0.5) / _PLACES, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
+    positions = np.stack([np.floor(x) + (k + 0.5) / _POSITIONS, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
     psf = plane.psfs.psf(_B_V)
-    paths, weights = star_paths(camera, camera.unproject(places), rate_rad_s, exposure_s, psf.feature_px)
+    paths, weights = star_paths(camera, camera.unproject(positions), rate_rad_s, exposure_s, psf.feature_px)
     if not np.isfinite(paths).all():
         raise InputError("the lens model gives no direction at the rms distance from the centre of the image")
-    local = paths - np.rint(places)[:, None, :]
+    local = paths - np.rint(positions)[:, None, :]
     sigma = max(psf.sigma_px, psf.sigma_y_px)
     half = max(_LEAST_HALF, psf.core_half_px, math.ceil(_HALF_WIDTHS * sigma)) + math.ceil(float(np.abs(local).max()))
     return image_slopes(psf, local, weights, half)

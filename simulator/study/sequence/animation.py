@@ -40,29 +40,20 @@ _WINDOW, _MATCHED = (230, 159, 0), (86, 180, 233)
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """What is shown of one frame.
-
-    Parameters
-    ----------
-    index : int
-        Row of the frame.
-    picture : array of uint8, shape (h, w)
-        Sky black, stars bright; made small.
-    factor : int
-        Pixels of the frame in one of the picture.
-    window_xy, window_half_px, matched_xy
-        On the frame, pixels.
-    heading : str
-        What is written above.
-    """
+    """What is shown of one frame."""
 
     index: int
+    """Row of the frame."""
     picture: NDArray[np.uint8]
+    """(h, w): Sky black, stars bright; made small."""
     factor: int
+    """Pixels of the frame in one of the picture."""
     window_xy: NDArray[np.float64]
     window_half_px: int
     matched_xy: NDArray[np.float64]
+    """On the frame, pixels."""
     heading: str
+    """What is written above."""
 
 
 def view_of(tracked: TrackedFrame) -> FrameView:
@@ -196,16 +187,16 @@ def mp4_bytes(views: list[FrameView], columns: Columns, name: str, program: str)
 def _marks(draw: ImageDraw.ImageDraw, view: FrameView, corner: tuple[int, int]) -> None:
     """Windows as squares, matched stars as circles."""
 
-    def place(xy: NDArray[np.float64]) -> tuple[float, float]:
+    def position(xy: NDArray[np.float64]) -> tuple[float, float]:
         x, y = (xy + 0.5) / view.factor - 0.5
         return corner[0] + float(x), corner[1] + float(y)
 
     half = max(view.window_half_px / view.factor, 3.0)
     for xy in view.window_xy:
-        x, y = place(xy)
+        x, y = position(xy)
         draw.rectangle((x - half, y - half, x + half, y + half), outline=_WINDOW)
     for xy in view.matched_xy:
-        x, y = place(xy)
+        x, y = position(xy)
         draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=_MATCHED)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import gyro_parameters, pointing_parameters, sequence_motion
+from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
@@ -45,33 +45,25 @@ NO_FRAME = "no_frame"
 """Status of a frame that did not come."""
 LEAST_PRIOR_DEG = 0.1
 _LEAST_WALK = 1e-6
-"""Least disturbance, rad/s/√s, that the filter is told of: a body that drifts freely."""
+"""Least disturbance, rad/s/√s, given to the filter: a body that drifts freely."""
 _FEWEST_FOR_WALK = 8
 _LAG_MARGIN = 3.0
-"""A steady acceleration is no white noise; told of this many times as much, the filter lags by less than its σ."""
+"""A steady acceleration is no white noise; given this many times as much, the filter lags by less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """One frame of a sequence.
-
-    Parameters
-    ----------
-    row : dict
-        Its row of ``sequence.parquet``.
-    frame : Frame, optional
-        The image; None where none came.
-    solution : Solution
-        What the session said.
-    window_xy, window_half_px : array (M, 2), int
-        Windows looked at.
-    """
+    """One frame of a sequence."""
 
     row: dict[str, Any]
+    """Its row of ``sequence.parquet``."""
     frame: Frame | None
+    """The image; None where none came."""
     solution: Solution
+    """What the session said."""
     window_xy: FloatArray
     window_half_px: int
+    """(M, 2): Windows looked at."""
 
 
 class SequenceRunner:
@@ -93,7 +85,7 @@ class SequenceRunner:
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
         section = scenario.sequence
-        self._pointing = pointing_parameters(scenario.pointing)
+        self._pointing = scenario.pointing
         self.start = self._start()
         plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
         self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
@@ -112,7 +104,7 @@ class SequenceRunner:
         if section.gyro.use:
             turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
             samples = gyro_samples(
-                gyro_parameters(section.gyro), np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
+                section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
             self.gyro, self.biases = samples
         self.noise = self._noise()
@@ -140,7 +132,7 @@ class SequenceRunner:
         return hold(self._pointing, nominal, rng)
 
     def _noise(self) -> GyroNoise | RateNoise:
-        """What the filter is told of the motion and of the gyro."""
+        """The noise of the motion and of the gyro, as the filter is given it."""
         section = self.scenario.sequence
         walk = section.rate_walk_deg_s_sqrt_s
         if walk == "auto":
@@ -364,8 +356,8 @@ class SequenceRunner:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
-            strangers = misidentified(truth, solution) if self.same_catalog else 0
-            row["single_wrong"] = self._is_wrong(truth, solution, strangers, nees, error_deg)
+            wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
+            row["single_wrong"] = self._is_wrong(truth, solution, wrong_stars, nees, error_deg)
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row
@@ -395,7 +387,3 @@ def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float
     return dict(
         zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
     )
-
-
-def _stream(seed: int, stage: str) -> np.random.Generator:
-    return stream(seed, stage, 0)

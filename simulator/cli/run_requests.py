@@ -1,0 +1,101 @@
+"""Options of ``boresight run``, ``render`` and ``sweep``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulator.cli.options import Dask, ScenarioFile, Seed, SetValues, option, switch
+
+Force = Annotated[
+    bool,
+    switch("--force", "Compute everything again, and replace results of another run that stand in DIR."),
+]
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """Run a Monte Carlo study: statistics on the terminal, trials.parquet, summary.json and report.html in DIR."""
+
+    scenario: ScenarioFile
+    trials: Annotated[int | None, option("--trials", "N", "In place of the scenario's number of trials.")] = None
+    seed: Seed = None
+    set_values: SetValues = None
+    workers: Annotated[
+        int | None,
+        option("--workers", "N", "Processes on this machine; default: its cores. The rows do not depend on it."),
+    ] = None
+    dask: Dask = None
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME.")] = None
+    resume: Annotated[
+        bool,
+        switch(
+            "--resume",
+            "Make a finished run longer by its trials in DIR. Those of an interrupted run are taken over anyway.",
+        ),
+    ] = False
+    force: Force = False
+    sequence: Annotated[
+        bool, switch("--sequence", "Run the scenario's sequence instead: frames one after the other, in tracking mode.")
+    ] = False
+    frames: Annotated[int | None, option("--frames", "N", "Of a sequence, in place of the scenario's number.")] = None
+    step_s: Annotated[float | None, option("--step-s", "S", "Of a sequence, in place of the scenario's step.")] = None
+    single: Annotated[bool, switch("--single", "Of a sequence: solve every frame alone too, to compare.")] = False
+    animate: Annotated[
+        bool, switch("--animate", "Of a sequence: a GIF of the frames, and an MP4 where ffmpeg is installed.")
+    ] = False
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """Render a frame; of several scenarios one each, --out and --preview then name folders."""
+
+    scenarios: Annotated[
+        list[Path],
+        typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
+    ]
+    index: Annotated[int | None, option("--index", "I", "The frame of this trial; default 0.")] = None
+    at: Annotated[str | None, option("--at", "TIME", "The frame at this UTC time (ISO 8601) instead.")] = None
+    pointing: Annotated[
+        str | None, option("--pointing", "RA,DEC,ROLL", "Point the camera there (degrees, ICRS) instead.")
+    ] = None
+    seed: Seed = None
+    set_values: SetValues = None
+    out: Annotated[Path | None, option("--out", "FRAME.fits", "Write image, camera and truth as FITS.")] = None
+    preview: Annotated[Path | None, option("--preview", "FRAME.png", "Write a picture.")] = None
+    noiseless: Annotated[
+        bool, switch("--noiseless", "Switch off every noise and flaw of the detector, and the background.")
+    ] = False
+    noiseless_plane: Annotated[
+        bool, switch("--noiseless-plane", "Add the light before the detector to the FITS file (MEAN_E).")
+    ] = False
+
+
+@dataclass(frozen=True)
+class SweepRequest:
+    """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
+
+    scenario: ScenarioFile
+    over: Annotated[
+        list[str],
+        typer.Option(
+            "--over",
+            metavar="PATH=VALUES",
+            help="Values of a key: low:high:count, low:high:count,log or a list v1,v2,...; may be repeated.",
+            show_default=False,
+        ),
+    ]
+    lhs: Annotated[int | None, option("--lhs", "N", "A Latin hypercube of N points instead of the full grid.")] = None
+    trials: Annotated[int | None, option("--trials", "N", "Trials per point, in place of the scenario's.")] = None
+    seed: Seed = None
+    set_values: SetValues = None
+    workers: Annotated[int | None, option("--workers", "N", "Processes on this machine; default: its cores.")] = None
+    dask: Dask = None
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-sweep.")] = None
+    resume: Annotated[
+        bool, switch("--resume", "Go on from an interrupted sweep in DIR; a finished one stays as it is.")
+    ] = False
+    force: Force = False
