@@ -121,7 +121,7 @@ def integer_build() -> Section:
     rows = [*fixed_centroids(), *table_rows("yee1999/integer_build", values | _run_time())]
     least = max(off[off > 0].min(), 1e-5)
     shown = {"centre": off[:, 0], "roll": off[:, 1], "edges": np.logspace(np.log10(least), 0.0, 25)}
-    return Section("The integer build", rows, figures("yee1999/integer_build", {"integer_attitude": lambda: shown}))
+    return Section("The integer build", rows, figures("yee1999/integer_build", shown))
 
 
 def _centroid_differences() -> Values:
