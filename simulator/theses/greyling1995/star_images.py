@@ -16,7 +16,7 @@ from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
 from simulator.theses.tables import FloatArray
 from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
-from startracker.centroid.window import read_window
+from startracker.centroid.window import Pixels, read_window
 from startracker.detection import find_components
 from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
@@ -66,9 +66,8 @@ def moments(stamps: FloatArray) -> FloatArray:
     """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's own kernel."""
     side = 2 * _HALF + 1
     level, noise = as_plane(np.zeros((side, side), np.float32)), as_plane(np.ones((side, side), np.float32))
-    return np.array(
-        [read_window(stamp.astype(np.float32), level, noise, _HALF, _HALF, _HALF, 0.0)[1] for stamp in stamps]
-    )
+    frames = (Pixels(stamp.astype(np.float32), level, noise, 0.0, 0.0) for stamp in stamps)
+    return np.array([read_window(frame, _HALF, _HALF, _HALF)[1] for frame in frames])
 
 
 def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray:
