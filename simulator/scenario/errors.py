@@ -1,4 +1,4 @@
-"""Where a mistake stands and what it is; a `ScenarioError` tells all mistakes of a scenario at once."""
+"""Where a mistake stands and what it is; a `ScenarioError` reports all mistakes of a scenario at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from startracker.errors import InputError
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """Where a key was written: a line of a file, or an option of the command line."""
 
     source: str
@@ -27,15 +27,15 @@ class Place:
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake: its place, the dotted key it is about (or an empty string), and what to do."""
+    """One mistake: its location, the dotted key it is about (or an empty string), and what to do."""
 
-    place: Place
+    location: Location
     key: str
     message: str
 
     def __str__(self) -> str:
-        subject = f"{self.key}: " if self.key and self.key != self.place.key else ""
-        line = f"{self.place}: {subject}{self.message}"
+        subject = f"{self.key}: " if self.key and self.key != self.location.key else ""
+        line = f"{self.location}: {subject}{self.message}"
         return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)  # one line, whatever was quoted
 
 
@@ -50,8 +50,15 @@ class ScenarioError(InputError):
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         unique = list(dict.fromkeys(problems))
-        rank = {source: i for i, source in enumerate(dict.fromkeys(p.place.source for p in unique))}
-        unique.sort(key=lambda p: (p.place.source.startswith("--"), rank[p.place.source], p.place.line, p.place.column))
+        rank = {source: i for i, source in enumerate(dict.fromkeys(p.location.source for p in unique))}
+        unique.sort(
+            key=lambda p: (
+                p.location.source.startswith("--"),
+                rank[p.location.source],
+                p.location.line,
+                p.location.column,
+            )
+        )
         self.problems: tuple[Problem, ...] = tuple(unique)
         super().__init__("\n".join(map(str, self.problems)))
 

@@ -2,7 +2,7 @@
 ``allow_unphysical: true`` lets pass and the report then repeats.
 
 Each rule reads the values it needs and names the key at fault. A rule whose values are themselves wrong is skipped, so
-that physics is checked, and told, together with every other mistake.
+that physics is checked, and reported, together with every other mistake.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def violations(values: Values) -> list[Violation]:
     for rule in RULES:
         try:
             found.extend(rule(values))
-        except KeyError:  # a value that is wrong in itself, which is told elsewhere
+        except KeyError:  # a value that is wrong in itself, which is reported elsewhere
             continue
     return found
 
@@ -240,7 +240,7 @@ def _diffraction(v: Values) -> Iterator[Violation]:
 def _full_well(v: Values) -> Iterator[Violation]:
     if v["detector.full_well_e"] < v["detector.read_noise_e"]:
         message = f"{v['detector.full_well_e']:g} e⁻ is less than the read noise of {v['detector.read_noise_e']:g} e⁻"
-        yield _unphysical("detector.full_well_e", message + "; no signal could be told from it")
+        yield _unphysical("detector.full_well_e", message + "; no signal could be distinguished from it")
 
 
 def _temperature(v: Values) -> Iterator[Violation]:

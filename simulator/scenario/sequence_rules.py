@@ -10,7 +10,7 @@ from typing import Any
 
 MOST_FRAMES = 1_000_000
 LARGEST_STEP_DEG = 170.0
-"""Turn from one frame to the next; beyond half a turn its direction is not told by the two attitudes."""
+"""Turn from one frame to the next; beyond half a turn the two attitudes do not determine its direction."""
 
 
 def sequence_contradictions(

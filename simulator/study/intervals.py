@@ -148,7 +148,7 @@ def spread_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
 
     n m₂ / σ² has a χ² distribution of ν degrees of freedom scaled by n / ν, with ν = 2 n m₂² / (m₄ − m₂²) chosen to
     match the variance of m₂ (Box 1953, Biometrika 40, 318): n for a normal distribution, fewer for longer tails. ν is
-    not let rise above n, so that few values never look surer than normal ones are.
+    not let rise above n, so that few values never look more certain than normal ones are.
 
     Returns
     -------

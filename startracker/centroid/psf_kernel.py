@@ -18,6 +18,7 @@ __all__ = ["FITTED", "MOST_TOGETHER", "Starts", "fit_stars", "group_stars", "wei
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Box: TypeAlias = tuple[int, int, int, int]
 Two: TypeAlias = tuple[float, float]
 Three: TypeAlias = tuple[float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
@@ -107,8 +108,9 @@ def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, rew
 
 
 @kernel
-def _bounds(starts: Starts, members: IntArray, height: int, width: int) -> tuple[int, int, int, int]:
+def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
     """First column and row, and numbers of columns and rows, of a rectangle that holds all windows."""
+    height, width = shape
     left, top, right, bottom = width, height, 0, 0
     for k in members:
         x, y, half = round(starts.x[k]), round(starts.y[k]), starts.half[k]
@@ -146,7 +148,14 @@ def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float
 
 
 @kernel
-def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, reweigh: bool, out: FloatArray) -> None:
+def _fit_group(
+    pixels: Pixels,
+    psf: Samples,
+    starts: Starts,
+    members: IntArray,
+    reweigh: bool,
+    out: FloatArray,
+) -> None:
     """Fit of stars together, written to their rows of `out`; these stay NaN where it fails.
 
     Parameters of a star: ln(flux), x and y, so that the normal matrix is well scaled.
@@ -154,17 +163,18 @@ def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, 
     m, size, ceiling = len(members), 3 * len(members), np.inf
     for k in members:
         ceiling = min(ceiling, starts.ceiling[k])
-    height, width = pixels.image.shape
-    left, top, wide, high = _bounds(starts, members, height, width)
-    work, slopes, lines = np.empty((7, wide * high)), np.empty((size, wide * high)), np.empty((4, max(wide, high)))
-    signal, dark, rows, noise = work[0], work[1], work[2:6], (pixels.inverse_gain, pixels.flat_error)
+    left, top, wide, high = _bounds(starts, members, pixels.image.shape)
+    work, lines = np.empty((5 + size, wide * high)), np.empty((6, max(wide, high, 8)))
+    signal, dark, rows, slopes, noise = work[0], work[1], work[2:5], work[5:], (pixels.inverse_gain, pixels.flat_error)
     used = read_pixels(pixels, left, top, wide, high, ceiling, signal, dark)
     if m > 1:
         used = _leave_out(starts, members, left, top, wide, signal, dark)
     if used <= size:
         return
     normal, right, score = np.empty((size, size)), np.empty(size), np.empty(size)
-    x, y, flux = starts.x[members], starts.y[members], np.empty(m)
+    x, y, flux = np.empty(m), np.empty(m), np.empty(m)
+    for k in range(m):
+        x[k], y[k] = starts.x[members[k]], starts.y[members[k]]
     chi2, step = 0.0, 1.0
     for iteration in range(_ITERATIONS):
         for k in range(m):
@@ -174,7 +184,7 @@ def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, 
                 if not flux[k] > 0.0:
                     return
         chi2 = weigh_pixels(slopes, flux, signal, dark, noise, reweigh or iteration < _WEIGHINGS, rows)
-        normal_equations(slopes, rows[1], rows[2], wide * high, normal, right, work[6])
+        normal_equations(slopes, rows[0], rows[1], normal, right)
         if not factorise(normal, size):
             return
         score[:] = right

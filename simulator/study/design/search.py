@@ -39,7 +39,7 @@ __all__ = ["PARAMETERS", "Design", "Point", "Verification", "design", "predict",
 FloatArray = NDArray[np.float64]
 
 Progress = Callable[[int], None]
-"""Called with the number of values reckoned."""
+"""Called with the number of values computed."""
 
 _TOLERANCE = 0.005
 """The value is found to this share of itself."""
@@ -247,7 +247,7 @@ def design(
     specification = {axis: float(getattr(scenario.specification, f"{axis}_deg")) for axis in BODY_AXES}
     points: dict[float, Point] = {}
 
-    def reckon(value: float) -> Point:
+    def computed(value: float) -> Point:
         if value not in points:
             points[value] = _point(scenario, parameter, value, looks, least_stars, least_availability, specification)
             if progress:
@@ -255,7 +255,7 @@ def design(
         return points[value]
 
     grid = [float(f"{value:.6g}") for value in np.geomspace(low, high, steps)]
-    met = [reckon(value).met for value in grid]
+    met = [computed(value).met for value in grid]
     best = None
     if any(met):
         first = met.index(True)
@@ -264,7 +264,7 @@ def design(
             fails = grid[first - 1]
             while best.value - fails > _TOLERANCE * best.value:
                 middle = float(f"{math.sqrt(fails * best.value):.6g}")
-                point = reckon(middle)
+                point = computed(middle)
                 best, fails = (point, fails) if point.met else (best, middle)
     return Design(
         name=scenario.name,
@@ -356,5 +356,5 @@ def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
     try:
         return scenario.changed(keys)
     except ValidationError as error:
-        told = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
-        raise InputError("; ".join(" ".join(text.split()) for text in told)) from error
+        reasons = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
+        raise InputError("; ".join(" ".join(text.split()) for text in reasons)) from error

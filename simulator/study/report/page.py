@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A report, told and drawn but not yet set in type."""
+    """A report, its text and its figures, but not yet set in type."""
 
     scenario: Scenario
     summary: Mapping[str, Any]

@@ -45,10 +45,10 @@ NO_FRAME = "no_frame"
 """Status of a frame that did not come."""
 LEAST_PRIOR_DEG = 0.1
 _LEAST_WALK = 1e-6
-"""Least disturbance, rad/s/√s, that the filter is told of: a body that drifts freely."""
+"""Least disturbance, rad/s/√s, given to the filter: a body that drifts freely."""
 _FEWEST_FOR_WALK = 8
 _LAG_MARGIN = 3.0
-"""A steady acceleration is no white noise; told of this many times as much, the filter lags by less than its σ."""
+"""A steady acceleration is no white noise; given this many times as much, the filter lags by less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class SequenceRunner:
         return hold(self._pointing, nominal, rng)
 
     def _noise(self) -> GyroNoise | RateNoise:
-        """What the filter is told of the motion and of the gyro."""
+        """The noise of the motion and of the gyro, as the filter is given it."""
         section = self.scenario.sequence
         walk = section.rate_walk_deg_s_sqrt_s
         if walk == "auto":
@@ -356,8 +356,8 @@ class SequenceRunner:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
-            strangers = misidentified(truth, solution) if self.same_catalog else 0
-            row["single_wrong"] = self._is_wrong(truth, solution, strangers, nees, error_deg)
+            wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
+            row["single_wrong"] = self._is_wrong(truth, solution, wrong_stars, nees, error_deg)
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row

@@ -82,7 +82,7 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def effective_number(values: FloatArray) -> float:
-    """Number of independent values that tell as much of the mean as these correlated ones.
+    """Number of independent values that say as much of the mean as these correlated ones.
 
     N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
     7, 473: the initial positive sequence); between 1 and N.

@@ -92,7 +92,7 @@ def _in_field(sources: TrueSources, width: int, height: int, limit: float) -> tu
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
     """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
-    where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
+    where the covariance is right (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
     if covariance_rad2 is None or not np.isfinite(error_deg).all():
         return math.nan
     error = np.radians(error_deg)
@@ -172,8 +172,8 @@ class TrialRunner:
         row |= zip(_BOUND, bound_deg.tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
-        strangers = misidentified(truth, solution) if self.same_catalog else 0
-        row["wrong"] = is_wrong(strangers, row["nees"], error_deg, bound_deg)
+        wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
+        row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, bound_deg)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
         stars, bodies = _in_field(sources, camera.width, camera.height, limit)
@@ -184,7 +184,7 @@ class TrialRunner:
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_used": len(fitted),
-            "stars_misidentified": strangers,
+            "stars_misidentified": wrong_stars,
             "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
             "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
         }
