@@ -1,4 +1,4 @@
-"""Defects of a device: pixels and columns that glow, and such that are dead."""
+"""Defects of a device: hot and dead pixels and columns."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from startracker.errors import InputError
 def hot_defects(
     detector: DetectorParameters, dark_factor: float, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Dark current on top of the ordinary one, electrons a second, and where it is, (H, W) each; None without hot
-    defects.
+    """Additional dark current of hot defects, electrons per second, and their mask, (H, W) each; None without any.
 
     Parameters
     ----------
@@ -64,5 +63,5 @@ def _some_pixels(fraction: float, pixels: int, rng: np.random.Generator) -> NDAr
 
 def _some_columns(key: str, count: int, width: int, rng: np.random.Generator) -> NDArray[np.int64]:
     if count > width:
-        raise InputError(f"detector.{key} = {count} is more than the {width} columns there are; lower it")
+        raise InputError(f"detector.{key} = {count} exceeds the {width} columns of the detector; lower it")
     return rng.choice(width, size=count, replace=False)
