@@ -1,4 +1,4 @@
-"""Light before the exposure: sources with their rates, electrons a second, and what drawing them needs."""
+"""Light sources with their rates, electrons per second, and the data needed for rendering."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ class Light:
     variable: NDArray[np.bool_]
     """As in `simulator.frame.TrueSources`."""
     rate_e_s: FloatArray
-    """(N,): Photo-electrons a second through the lens, vignetting left out."""
+    """(N,): Photo-electrons per second through the lens, without vignetting."""
     radius_rad: FloatArray
     """(N,): Angular radius; 0 for stars."""
     lit: FloatArray
     sun_angle_rad: FloatArray
-    """(N,): Lit share of the disk, and where on it the light comes from."""
+    """(N,): Illuminated fraction of the disk, and direction of the Sun on it."""
     limb: FloatArray
-    """(N, 3): Edge of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
+    """(N, 3): Limb of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
     wavelength_nm: FloatArray
     """(N,): Mean wavelength of the photo-electrons."""
 
     def joined(self, other: Light) -> Light:
-        """These sources, then others."""
+        """These sources followed by others."""
         return Light(*(np.concatenate([getattr(light, f.name) for light in (self, other)]) for f in fields(Light)))
 
     def truth(self, xy: FloatArray, image_xy: FloatArray, electrons: FloatArray) -> TrueSources:
@@ -62,7 +62,7 @@ class Light:
 
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons a second of the scene's stars (N,); 0 behind the Earth."""
+    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth."""
     v_mag = scene.catalog.v_mag[scene.rows]
     rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
     if sky.earth:
@@ -71,7 +71,7 @@ def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray
 
 
 def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
-    """Some of a scene's stars as sources; wavelengths only where images depend on them."""
+    """A selection of a scene's stars as sources; wavelengths only if images depend on them."""
     catalog, stars, none = scene.catalog, scene.rows[rows], np.zeros(len(rows))
     b_v, giant = scene.star_b_v[rows], scene.star_giant[rows]
     return Light(
@@ -92,7 +92,7 @@ def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: P
 
 
 def body_rates_e_s(scene: Scene, bodies: Bodies, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons a second of bodies (N,), less what the Earth hides of them."""
+    """Photo-electrons per second of bodies (N,), with occultation by the Earth."""
     share = unhidden(bodies, scene.r_km, scene.sun_direction, sky)
     return photometer.body_electrons_per_s(bodies.name, bodies.v_mag) * share
 
@@ -129,7 +129,7 @@ def body_light(
 
 @kernel
 def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
-    """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
+    """Rows of those positions (N, 2) that are on the image or outside by at most an extent (N,)."""
     rows, count = np.empty(len(xy), np.int64), 0
     for n in range(len(xy)):
         x, y = xy[n, 0], xy[n, 1]
@@ -141,7 +141,7 @@ def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -
 
 @kernel
 def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """Weighted means (N, 2) of paths (N, K, 2) over their moments that are not NaN; (N, 2) `otherwise` without one."""
+    """Weighted means (N, 2) of paths (N, K, 2) over moments that are not NaN; `otherwise` (N, 2) if there are none."""
     out = otherwise.copy()
     for n in range(len(paths)):
         x, y, total = 0.0, 0.0, 0.0

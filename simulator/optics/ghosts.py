@@ -62,12 +62,12 @@ def ghost_sources(
     xy (G, 2), electrons (G,), radius_px (G,) of those that overlap the image, by pair of surfaces
     """
     centre = np.array([camera.cx, camera.cy])
-    places, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
+    centres, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for ghost in ghosts:
-        place = centre + ghost.scale * (xy - centre)
+        image = centre + ghost.scale * (xy - centre)
         share = ghost.flux * electrons
-        seen = np.isfinite(place).all(axis=1) & (share >= LEAST_ELECTRONS) & camera.contains(place, ghost.radius_px)
-        places.append(place[seen])
+        seen = np.isfinite(image).all(axis=1) & (share >= LEAST_ELECTRONS) & camera.contains(image, ghost.radius_px)
+        centres.append(image[seen])
         light.append(share[seen])
         radii.append(np.full(int(seen.sum()), ghost.radius_px))
-    return np.concatenate(places), np.concatenate(light), np.concatenate(radii)
+    return np.concatenate(centres), np.concatenate(light), np.concatenate(radii)

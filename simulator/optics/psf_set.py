@@ -99,8 +99,8 @@ class PsfSet:
 
     def psf(self, b_v: float = DEFAULT_B_V, xy: tuple[float, float] | None = None) -> Psf:
         """PSF of a star by colour and position (by default the image centre)."""
-        place = np.array([[(self._size_px[0] - 1) / 2, (self._size_px[1] - 1) / 2] if xy is None else xy])
-        return self.groups(np.array([b_v]), place)[0][1]
+        position = np.array([[(self._size_px[0] - 1) / 2, (self._size_px[1] - 1) / 2] if xy is None else xy])
+        return self.groups(np.array([b_v]), position)[0][1]
 
     def groups(self, b_v: ArrayLike, xy: ArrayLike) -> list[tuple[IntArray, Psf]]:
         """Groups of stars with the same PSF.

@@ -91,7 +91,7 @@ def rolling_paths(
     reach_s = exposure_s / 2.0 + (middle + margin_px + 1.0) * line_time_s
     shaking = _spline(jitter, reach_s) if jitter is not None else None
 
-    def place(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def image_of(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, K, 2) and cosines (N, K) of the off-axis angle at moments (N, K)."""
         vectors = np.einsum("nkij,nj->nki", rotation_matrices(-rate * t[..., None]), directions)
         if shaking is not None:
@@ -100,7 +100,7 @@ def rolling_paths(
 
     def late(t: FloatArray, u: FloatArray) -> FloatArray:
         """Delay of moments (N, K) relative to those of the rows of the stars at these moments."""
-        rows = np.clip(place(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
+        rows = np.clip(image_of(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
         return np.asarray(t - u - rows * line_time_s)
 
     def moments(u: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ def rolling_paths(
         length_px += wander_length_px(camera, jitter, exposure_s * longest, limit_rad)
         cycles = jitter.max_hz * exposure_s * longest
     nodes, weights = exposure_nodes(length_px, feature_px, cycles)
-    xy, cosine = place(moments(nodes * exposure_s / 2.0))
+    xy, cosine = image_of(moments(nodes * exposure_s / 2.0))
     xy[~(cosine >= np.cos(limit_rad)) | ~held[:, None]] = np.nan
     return xy, weights, exposed
 
