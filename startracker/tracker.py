@@ -212,11 +212,11 @@ class StarTracker:
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
             solution = replace(solution, reason=reason)
-        steps = (
-            listed_step(np.size(xy) // 2, points, signal),
-            *solution.steps,
-            *attitude_steps(solution),
-            *hints(solution.status, len(points), known_camera=True),
+        steps = Steps(
+            partial(listed_step, np.size(xy) // 2, points, signal),
+            solution.steps,
+            partial(attitude_steps, solution),
+            hints(solution.status, len(points), known_camera=True),
         )
         return replace(solution, steps=steps)
 

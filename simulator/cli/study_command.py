@@ -109,34 +109,22 @@ def design_study(
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.study.design.files import write_design
-    from simulator.study.design.search import design, verify
+    from simulator.study.design.search import Trade, design, verify
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
     progress, console = open_console(error=True), open_console()
-    asked: dict[str, Any] = {
-        "steps": steps,
-        "least_stars": stars,
-        "least_availability": availability,
-        "path": path,
-    }
+    trade = Trade(over, low, high, steps, stars, availability, boresights, path)
+    asked = {name: getattr(trade, name) for name in ("steps", "least_stars", "least_availability", "path")}
     sha256 = scenario_sha256(loaded, design=(over, low, high), **asked)
     amounts = {"boresights": boresights, "verification trials": verify_trials}
     identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
     checked = None
     with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
         with progress.status("computing") as status:
-            result = design(
-                loaded,
-                over,
-                low,
-                high,
-                count=boresights,
-                progress=lambda done: status.update(f"computing: {done} values of {over}"),
-                **asked,
-            )
+            result = design(loaded, trade, lambda done: status.update(f"computing: {done} values of {over}"))
         _print_design(result, console)
         if verify_trials and result.best is not None:
             with progress.status(f"verifying: {verify_trials} trials"):

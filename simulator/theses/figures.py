@@ -11,6 +11,8 @@ figure of one panel has the panel's own keys instead:
     Keywords of ``axes.set`` and ``axes.legend``.
 ``projection``
     Of the panel, such as ``3d``.
+``with``
+    Of the figure: a value whose own entries join the values.
 
 A text with ``$`` in front is a value by name, braces in a text are filled in, and BLUE or INK is a colour of
 `simulator.study.style`. A call or a panel with ``each: NAME`` stands once for every mapping of that list, whose entries
@@ -21,31 +23,33 @@ the keywords of what belongs to what it has drawn, and ``figure_legend`` those o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, cast
 
 from simulator.study import style
-from simulator.theses.printed import new_figure
-from simulator.theses.tables import Values, read_yaml, value_of
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import read_yaml, table_rows, value_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "figures"]
+__all__ = ["draw", "figures", "section_of"]
 
 _COLOURS = {name: getattr(style, name) for name in ("INK", "SOFT", "BLUE", "ORANGE", "GREEN", "VERMILION")}
 
 
-def figures(file: str, values: Mapping[str, Callable[[], Values]]) -> dict[str, Callable[[], Figure]]:
-    """Figures of a file, such as ``"greyling1995/path"``, by name: each with the function that gives its values."""
-    return {name: partial(_of_function, file, name, function) for name, function in values.items()}
+def section_of(name: str, title: str, values: Mapping[str, Any], tables: Sequence[str] = ()) -> Section:
+    """A section from its values: the rows of its tables and the figures of its file, both of its name by default."""
+    rows = [row for table in tables or (name,) for row in table_rows(table, values)]
+    return Section(title, rows, figures(name, values))
 
 
-def _of_function(file: str, name: str, function: Callable[[], Values]) -> Figure:
-    return draw(f"{file}/{name}", function())
+def figures(name: str, values: Mapping[str, Any]) -> dict[str, Callable[[], Figure]]:
+    """The figures of a file, such as ``"greyling1995/path"``, in its order; none where there is no such file."""
+    return {key: partial(draw, f"{name}/{key}", values) for key in _plans(name)}
 
 
 def draw(name: str, values: Mapping[str, Any]) -> Figure:
@@ -57,7 +61,9 @@ def draw(name: str, values: Mapping[str, Any]) -> Figure:
         When it names a value that is not among them, or there is no such figure.
     """
     folder, file, key = name.split("/")
-    plan = _plans(f"{folder}/figures/{file}")[key]
+    plan = _plans(f"{folder}/{file}")[key]
+    if "with" in plan:
+        values = {**values, **value_of(plan["with"], values)}
     rows, columns = plan.get("grid", (1, 1))
     figure, made = new_figure(rows, columns, tuple(plan["size"]), squeeze=False, **plan.get("axes", {}))
     panels = (panel for entry in plan.get("panels", [plan]) for panel in _each(entry, values))
@@ -74,7 +80,11 @@ def draw(name: str, values: Mapping[str, Any]) -> Figure:
 
 @lru_cache(maxsize=32)
 def _plans(name: str) -> dict[str, dict[str, Any]]:
-    return dict(read_yaml(name))
+    folder, file = name.split("/")
+    try:
+        return dict(read_yaml(f"{folder}/figures/{file}"))
+    except FileNotFoundError:
+        return {}
 
 
 def _projected(axes: Axes, projection: str) -> Axes:

@@ -36,7 +36,7 @@ from startracker.identification.search_plan import (
     fewest_matches,
     plan,
 )
-from startracker.identification.search_state import Limits, Pairs
+from startracker.identification.search_state import Guides, Limits, Pairs
 from startracker.identification.triangles import PAIR_SIGMAS, triangle_costs, triangles_alike
 from startracker.identification.verification import GATE_SIGMAS
 from startracker.settings import AdaptiveSettings, IdentificationSettings
@@ -175,6 +175,7 @@ class _Search:
             else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
         )
         self._pairs = Pairs(near.first, near.second, near.separation_rad)
+        self._guides = Guides(guide.directions, guide.v_mag)
         self._head = np.full(len(guide), -1, np.int32)
         self._verifier = Verifier(self.bench, guide, self._stars)
 
@@ -212,15 +213,13 @@ class _Search:
         limits = _limits(self.bench, self._observed, assumption)
         vectors, diagonal = self._observed.vectors, 2.0 * self._guide.half_diagonal_rad
         effort = Effort(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_LOOK_WORK)
-        for triple in first_triangles(vectors, diagonal, assumption.triangles):
-            if effort.ended:
-                break
+        triples = first_triangles(vectors, diagonal, assumption.triangles)
+        while effort.looked < len(triples) and not effort.ended:
             self._verifier.mark(effort, _MANY_FOUND, _LEVER)
-            candidates, third, work = triangles_alike(
-                triple, self._stars, self._guide.view, self._pairs, limits, self._head
-            )
-            effort.looked += 1
-            self._verifier.take(candidates, third, effort, work)
+            some = triples[effort.looked : 2 * effort.looked + 1]  # the first does mostly
+            candidates, work = triangles_alike(some, self._stars, self._guides, self._pairs, limits, self._head)
+            effort.looked += len(some)
+            self._verifier.take(candidates, effort, work)
         return self._verifier.note(effort, f"{assumption.words}: {effort.looked} triangles")
 
     def votes(self, assumption: _Assumption) -> bool:
@@ -240,12 +239,12 @@ class _Search:
             if effort.ended:
                 break
             left = limits._replace(work=limits.work - effort.work)
-            stars, sky = self._stars, self._guide.view
+            stars, sky = self._stars, self._guides
             candidates, work = vote_about(pole, nearest[pole], votes.votes, stars, sky, self._pairs, self._box, left)
             effort.looked += 1
             if len(candidates.focal):
                 self._verifier.mark(effort, _MANY_TRIED - len(candidates.focal), _USUAL_LEVER)
-            self._verifier.take(candidates, -1, effort, work)
+            self._verifier.take(candidates, effort, work)
         done = self._verifier.note(
             effort, f"{assumption.words}: {effort.looked} stars with {votes.neighbours} neighbours"
         )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.hypothesis import Bench, hypothesis_of
-from startracker.identification.marked_sky import mark_sky, no_marks, share_marked
+from startracker.identification.marked_sky import mark_sky, no_marks
 from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, verify_attitude
@@ -65,7 +65,7 @@ class Verifier:
     """Takes candidates to the bench."""
 
     def __init__(self, bench: Bench, guide: GuideDatabase, stars: Stars) -> None:
-        self.bench, self._guide, self._stars = bench, guide, stars
+        self.bench, self._sky, self._stars = bench, guide.view, stars
         self._found: list[FloatArray] = []
 
     def mark(self, effort: Effort, many: int, lever: float) -> None:
@@ -73,11 +73,11 @@ class Verifier:
         if effort.marks.reach2 > 0.0 or effort.found < many:
             return
         gate = GATE_SIGMAS * effort.limits.scale
-        effort.marks = mark_sky(self._guide.directions, lever * gate * float(np.median(self._stars.sigma)))
-        effort.marked = share_marked(effort.marks)
-        effort.work += _MARK_WORK * len(self._guide)
+        effort.marks = mark_sky(self._sky.directions, lever * gate * float(np.median(self._stars.sigma)))
+        effort.marked = effort.marks.share
+        effort.work += _MARK_WORK * len(self._sky.directions)
 
-    def take(self, candidates: Candidates, third: int, effort: Effort, work: float) -> None:
+    def take(self, candidates: Candidates, effort: Effort, work: float) -> None:
         """Verify those candidates that other stars confirm."""
         effort.work += work
         if not len(candidates.focal):
@@ -85,8 +85,8 @@ class Verifier:
         effort.found += len(candidates.focal)
         confirmation, at = effort.confirmation, 0
         while at < len(candidates.focal) and not effort.ended:
-            left, stars, sky = effort.limits.work - effort.work, self._stars, self._guide.view
-            at, matrix, work = next_confirmed(candidates, at, third, stars, sky, confirmation, left)
+            left = effort.limits.work - effort.work
+            at, matrix, work = next_confirmed(candidates, at, self._stars, self._sky, confirmation, left)
             effort.work += work
             if at < len(candidates.focal):
                 self._verify(matrix, float(candidates.focal[at]), effort)
@@ -94,7 +94,7 @@ class Verifier:
 
     def _verify(self, matrix: FloatArray, focal: float, effort: Effort) -> None:
         """Verify an attitude against all stars, unless it is known; a poor fit with a free focal length, too."""
-        limits, sky = effort.limits, self._guide.view
+        limits, sky = effort.limits, self._sky
         least = 3.0 - (_SAME_SIGMAS * limits.scale * float(self._stars.sigma[0])) ** 2
         if any(float((matrix * known).sum()) > least for known in self._found):
             return

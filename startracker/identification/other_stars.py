@@ -187,14 +187,12 @@ def _attitude_of_pair(
 
 @kernel
 def next_confirmed(
-    candidates: Candidates, start: int, third: int, stars: Stars, sky: SkyView, confirmation: Confirmation, work: float
+    candidates: Candidates, start: int, stars: Stars, sky: SkyView, confirmation: Confirmation, work: float
 ) -> tuple[int, FloatArray, float]:
     """First of the candidates from `start` on that enough other stars confirm.
 
     Parameters
     ----------
-    third : int
-        An observed star that confirms nothing, as it made the candidates; −1: none.
     work : float
         Operations after which to give up.
 
@@ -204,10 +202,10 @@ def next_confirmed(
     """
     others, looked, need, taken, last = no_others(), 0, 0, 0.0, -1
     for c in range(start, len(candidates.focal)):
-        j, k = candidates.stars[c, 0], candidates.stars[c, 1]
-        u, w = sky.directions[candidates.stars[c, 2]], sky.directions[candidates.stars[c, 3]]
-        if last < 0 or j != candidates.stars[last, 0] or k != candidates.stars[last, 1]:
-            looked, last = look_beyond(j, k, third, stars, confirmation.gate, others), c
+        row, before = candidates.stars[c], candidates.stars[max(last, 0)]
+        j, k, u, w = row[0], row[1], sky.directions[row[2]], sky.directions[row[3]]
+        if last < 0 or j != before[0] or k != before[1] or row[4] != before[4]:
+            looked, last = look_beyond(j, k, row[4], stars, confirmation.gate, others), c
             mean = 0.0
             for star in range(looked):
                 mean += 0.25 * others.gate2[star] * len(sky.directions)

@@ -18,9 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.catalog.sky_view import SkyView
 from startracker.identification.search_plan import MOST_VOTES
-from startracker.identification.search_state import Candidates, Limits, Pairs, Stars
+from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
 from startracker.kernels import kernel, kernel_with
 from startracker.sorting import median
@@ -161,8 +160,9 @@ def _elected(neighbours: _Neighbours, need: int, pairs: Pairs, box: BallotBox) -
     for k in range(len(neighbours.star)):
         turn, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
         for p in range(neighbours.low[k], neighbours.high[k]):
-            _vote(votes, pairs.first[p], _bits(box.there[p] - turn, slack, pattern))
-            _vote(votes, pairs.second[p], _bits(box.back[p] - turn, slack, pattern))
+            # unsigned, as no index counts from the end
+            _vote(votes, np.uint32(pairs.first[p]), _bits(box.there[p] - turn, slack, pattern))
+            _vote(votes, np.uint32(pairs.second[p]), _bits(box.back[p] - turn, slack, pattern))
     for star in range(len(votes)):
         box.elected[star] = votes[star, 3] != zero
         count += box.elected[star]
@@ -174,7 +174,7 @@ def _voters(
     pole: int,
     neighbours: _Neighbours,
     stars: Stars,
-    sky: SkyView,
+    sky: Guides,
     pairs: Pairs,
     box: BallotBox,
     limits: Limits,
@@ -226,7 +226,7 @@ def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Ar
 
 @kernel
 def vote_about(
-    pole: int, nearest: IntArray, need: int, stars: Stars, sky: SkyView, pairs: Pairs, box: BallotBox, limits: Limits
+    pole: int, nearest: IntArray, need: int, stars: Stars, sky: Guides, pairs: Pairs, box: BallotBox, limits: Limits
 ) -> tuple[Candidates, float]:
     """Guide stars that an observed star and one of its neighbours may be, by the votes of all of these.
 
@@ -245,7 +245,7 @@ def vote_about(
     -------
     Pole and neighbour with their guide stars, operations.
     """
-    found, focal, count = np.empty((16, 4), np.int32), np.empty(16), 0
+    found, focal, count = np.empty((16, 5), np.int32), np.empty(16), 0
     neighbours = _neighbours(pole, nearest, stars, pairs, limits)
     if len(neighbours.star) < need:
         return Candidates(found[:0], focal[:0]), 0.0
@@ -270,8 +270,8 @@ def vote_about(
             continue
         if count == len(focal):
             found, focal = grown(found, focal)
-        found[count, 0], found[count, 1], found[count, 2], found[count, 3] = pole, j, a, b
-        focal[count] = voters.focal[x]
+        row = found[count]
+        row[0], row[1], row[2], row[3], row[4], focal[count] = pole, j, a, b, -1, voters.focal[x]
         count += 1
     for x in range(len(voters.focal)):
         box.head[voters.stars[x, 1]] = -1

@@ -33,6 +33,13 @@ class Pairs(NamedTuple):
     separation: NDArray[np.float32]
 
 
+class Guides(NamedTuple):
+    """Guide stars: unit vectors (G, 3), V (G,)."""
+
+    directions: FloatArray
+    v_mag: FloatArray
+
+
 class Limits(NamedTuple):
     """What a search may do.
 
@@ -68,8 +75,9 @@ class Candidates(NamedTuple):
 
     Parameters
     ----------
-    stars : int32 (K, 4)
-        The two observed stars, then their guide stars.
+    stars : int32 (K, 5)
+        The two observed stars, their guide stars, and the observed star that confirms nothing as it made the candidate,
+        or −1.
     focal : (K,)
         ln of the focal length's factor, observed over assumed.
     """

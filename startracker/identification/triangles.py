@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.catalog.sky_view import SkyView
 from startracker.estimation.kernels import triple_product
-from startracker.identification.search_state import Candidates, Limits, Pairs, Stars
+from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_with
 
 FloatArray = NDArray[np.float64]
@@ -169,24 +168,18 @@ def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> floa
 
 
 @kernel
-def triangles_alike(
-    triple: IntArray, stars: Stars, sky: SkyView, pairs: Pairs, limits: Limits, head: Int32Array
-) -> tuple[Candidates, int, float]:
-    """Triangles of guide stars that three observed stars (3,) may be.
-
-    Parameters
-    ----------
-    head : (G,)
-        Scratch, −1 throughout; left so.
-
-    Returns
-    -------
-    The two stars of the longest side with their guide stars, the third observed star, operations.
-    """
-    t = _triangle(triple, stars, limits.scale)
-    found, focal, count = np.empty((16, 4), np.int32), np.empty(16), 0
-    if min(t.ij - t.error_ij, t.ik - t.error_ik) <= 0.0:
-        return Candidates(found[:0], focal[:0]), t.i, 0.0
+def _add_alike(
+    t: _Triangle,
+    stars: Stars,
+    sky: Guides,
+    pairs: Pairs,
+    limits: Limits,
+    head: Int32Array,
+    found: Candidates,
+    count: int,
+) -> tuple[Int32Array, FloatArray, int, float]:
+    """Add the triangles of guide stars that an observed one may be; the arrays, the new number, operations."""
+    rows, focal = found
     shorter, longer = 1.0 / (1.0 + limits.focal_range), 1.0 / (1.0 - limits.focal_range)
     low_ik, high_ik = window(pairs.separation, (t.ik - t.error_ik) * shorter, (t.ik + t.error_ik) * longer)
     low_ij, high_ij = window(pairs.separation, (t.ij - t.error_ij) * shorter, (t.ij + t.error_ij) * longer)
@@ -199,13 +192,15 @@ def triangles_alike(
     following, partner = _chained(pairs, low_ik, high_ik, i_to_k, sky.v_mag, limits.magnitude_tolerance, head)
     at_i, at_j = _joined(pairs, low_ij, high_ij, i_to_j, sky.v_mag, limits.magnitude_tolerance, head)
     for p in range(len(at_i)):
-        v, u, link = sky.directions[at_i[p]], sky.directions[at_j[p]], head[at_i[p]]
+        a, b, link = at_i[p], at_j[p], head[at_i[p]]
+        x, y, z = sky.directions[b, 0], sky.directions[b, 1], sky.directions[b, 2]
         while link >= 0:
             c, link = partner[link], following[link]
             work += _PAIR_WORK
-            w = sky.directions[c]
-            if not cos_low <= u[0] * w[0] + u[1] * w[1] + u[2] * w[2] <= cos_high or c == at_j[p]:
+            cosine = x * sky.directions[c, 0] + y * sky.directions[c, 1] + z * sky.directions[c, 2]
+            if not cos_low <= cosine <= cos_high or c == b:
                 continue
+            v, u, w = sky.directions[a], sky.directions[b], sky.directions[c]
             if seen * triple_product(v, u, w) <= 0.0 and abs(seen) > thin:
                 continue
             factor = _focal_of(t, v, u, w) if limits.focal_range > 0.0 else 0.0
@@ -214,16 +209,40 @@ def triangles_alike(
             if not (fits_prior(stars.vectors[t.j], u, limits) and fits_prior(stars.vectors[t.k], w, limits)):
                 continue
             if count == len(focal):
-                found, focal = grown(found, focal)
-            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = t.j, t.k, at_j[p], c
-            focal[count] = factor
+                rows, focal = grown(rows, focal)
+            row = rows[count]
+            row[0], row[1], row[2], row[3], row[4], focal[count] = t.j, t.k, b, c, t.i, factor
             count += 1
         if work > limits.work:
             break
     for p in range(low_ik, high_ik):
         head[pairs.first[p]] = -1
         head[pairs.second[p]] = -1
-    return Candidates(found[:count], focal[:count]), t.i, work
+    return rows, focal, count, work
+
+
+@kernel
+def triangles_alike(
+    triples: IntArray, stars: Stars, sky: Guides, pairs: Pairs, limits: Limits, head: Int32Array
+) -> tuple[Candidates, float]:
+    """Triangles of guide stars that triples (T, 3) of observed stars may be.
+
+    Parameters
+    ----------
+    head : (G,)
+        Scratch, −1 throughout; left so.
+
+    Returns
+    -------
+    The two stars of the longest side with their guide stars, and the third observed star; operations.
+    """
+    rows, focal, count, work = np.empty((16, 5), np.int32), np.empty(16), 0, 0.0
+    for number in range(len(triples)):
+        t = _triangle(triples[number], stars, limits.scale)
+        if min(t.ij - t.error_ij, t.ik - t.error_ik) > 0.0 and work <= limits.work:
+            rows, focal, count, cost = _add_alike(t, stars, sky, pairs, limits, head, Candidates(rows, focal), count)
+            work += cost
+    return Candidates(rows[:count], focal[:count]), work
 
 
 @kernel

@@ -15,7 +15,7 @@ from startracker.identification.adaptive import first_triangles, nearest_stars
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.other_stars import least_hits
 from startracker.identification.pairs import separation
-from startracker.identification.search_state import Limits, Pairs, Stars
+from startracker.identification.search_state import Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, triangles_alike
 from startracker.identification.verification import focal_slopes
 from startracker.settings import AdaptiveSettings
@@ -85,11 +85,12 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     limits = Limits(1.0, focal_range, 99.0, 0.5, 1e12, np.eye(3), -2.0)
     pairs = Pairs(near.first, near.second, near.separation_rad)
     head = np.full(len(sky), -1, np.int32)
-    candidates, third, operations = triangles_alike(np.array([0, 1, 2]), stars, sky.view, pairs, limits, head)
+    directions = Guides(sky.directions, sky.v_mag)
+    candidates, operations = triangles_alike(np.array([[0, 1, 2]]), stars, directions, pairs, limits, head)
     found = len(candidates.focal)
     tolerance = PAIR_SIGMAS * math.hypot(0.005, 0.005)
     expected = brute_force(vectors, sky.directions[sky.pattern], tolerance, focal_range)
-    assert sorted([third, *candidates.stars[0, :2]]) == [0, 1, 2]
+    assert sorted(candidates.stars[0, [0, 1, 4]]) == [0, 1, 2]
     assert (head == -1).all()
     assert operations > 0.0
     assert expected > 0

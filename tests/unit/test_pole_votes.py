@@ -18,7 +18,7 @@ from startracker.identification.observed import Observed
 from startracker.identification.pairs import separation
 from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
 from startracker.identification.search_plan import Setting, crowding_price, evidence_of_matches, fewest_matches, plan
-from startracker.identification.search_state import Limits, Pairs, Stars
+from startracker.identification.search_state import Guides, Limits, Pairs, Stars
 from startracker.identification.verification import focal_slopes
 from startracker.settings import AdaptiveSettings
 
@@ -36,9 +36,9 @@ def searched(guide, stars, limits, nearest, need):
     near = guide.pairs_within(10.0)  # of any length
     pairs = Pairs(near.first, near.second, near.separation_rad)
     there, back = pair_bearings(guide.directions, near.first, near.second)
-    g = len(guide)
+    g, sky = len(guide), Guides(guide.directions, guide.v_mag)
     box = BallotBox(there, back, np.empty((g, 4), np.uint64), np.empty(g, np.bool_), np.full(g, -1, np.int32))
-    found = [vote_about(k, row, need, stars, guide.view, pairs, box, limits) for k, row in enumerate(nearest)]
+    found = [vote_about(k, row, need, stars, sky, pairs, box, limits) for k, row in enumerate(nearest)]
     assert (box.head == -1).all()
     return [candidates for candidates, _ in found], sum(work for _, work in found)
 
@@ -111,7 +111,7 @@ def test_votes_alone_find_a_field_among_as_many_false_stars(guide, factor):
     verifier = Verifier(bench, guide, stars)
     candidates, _ = searched(guide, stars, limits, nearest_stars(observed.vectors), 4)
     for found in candidates:
-        verifier.take(found, -1, Effort(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
+        verifier.take(found, Effort(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
     best = bench.standing[0]
     assert best.focal == pytest.approx(factor, abs=2e-3)
     guides = np.full(len(xy), -1)

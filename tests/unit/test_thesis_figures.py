@@ -69,7 +69,7 @@ def test_a_value_that_is_not_there_is_an_error(drawn):
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parts[-3]}-{file.stem}")
 def test_every_figure_has_what_a_figure_needs(file):
     for plan in read_yaml(str(file.relative_to(ROOT).with_suffix(""))).values():
-        assert plan.keys() <= {"size", "grid", "axes", "suptitle", "panels", "every", "figure_legend", *_PANEL}
+        assert plan.keys() <= {"size", "grid", "axes", "suptitle", "panels", "every", "figure_legend", "with", *_PANEL}
         for panel in [*plan.get("panels", [plan]), plan.get("every", {})]:
             for call in panel.get("draw", []):
                 method = next(iter(call))

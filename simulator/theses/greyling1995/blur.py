@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +10,9 @@ from scipy.optimize import minimize_scalar
 
 from simulator.optics import airy
 from simulator.optics.psf import SIGMA_PER_RING
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.centroid.bias import moment_bias
 
 FIRST_DARK_RING, SECOND_DARK_RING = airy.FIRST_RING * np.pi, 7.015586669815619
@@ -99,25 +98,8 @@ def section(
     pixels of `pitch_um` out.
     """
     focused_um = airy.first_ring() * f_number * wavelength_um
-    drawn = figures(
-        "greyling1995/blur",
-        {
-            "fig_4_1_airy": _pattern,
-            "fig_4_2_airy_and_gaussian": partial(_both, focused_um, ring_px * pitch_um),
-            "fig_4_3_difference": _difference,
-            "fig_4_4_pixel_spread": _spread,
-        },
-    )
-    rows = table_rows("greyling1995/blur", _airy_values(focused_um) | _fit_values(ring_px))
-    return Section("Chapter 4.1: the stellar image", rows, drawn)
-
-
-def _airy_values(focused_um: float) -> Values:
-    return {
-        "disk_um": 2.0 * focused_um,
-        "within_first_percent": 100.0 * float(airy.encircled_energy(FIRST_DARK_RING / np.pi)),
-        "within_second_percent": 100.0 * float(airy.encircled_energy(SECOND_DARK_RING / np.pi)),
-    }
+    values = _airy_values() | _lens_values(focused_um, ring_px * pitch_um) | _fit_values(ring_px) | _spread()
+    return section_of("greyling1995/blur", "Chapter 4.1: the stellar image", values)
 
 
 def _fit_values(ring_px: float) -> Values:
@@ -125,6 +107,7 @@ def _fit_values(ring_px: float) -> Values:
     minimax = found["range of the error (max − min)"]
     truth, light = airy_pattern(X_FIT), spread(THESIS_FIT_SIGMA)
     excess = [np.ptp(gaussian(X_FIT, s) - truth) for s in (THESIS_FIT_SIGMA, minimax)]
+    x = np.linspace(0.0, 5.0, 501)
     return {
         "minimax": minimax,
         "range_excess": excess[0] / excess[1] - 1,
@@ -140,6 +123,9 @@ def _fit_values(ring_px: float) -> Values:
         "sigma_of_80": _least(lambda sigma: (_central_share(sigma) - 0.8) ** 2, 0.5, 2.0),
         "above": int((light > 0.3).sum()),
         "light": light,
+        "fit_x": x,
+        "fits": [{"sigma": s, "off": gaussian(x, s) - airy_pattern(x)} for s in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+        "first_ring": FIRST_DARK_RING,
     }
 
 
@@ -149,35 +135,36 @@ def _central_share(sigma_px: float) -> float:
     return float(light[1:4, 1:4].sum() / light.sum())
 
 
-def _pattern() -> Values:
+def _airy_values() -> Values:
     x = np.linspace(-12.0, 12.0, 961)
     airy_x = airy_pattern(x)
+    dark = (FIRST_DARK_RING, SECOND_DARK_RING)
     rings = [
-        {"x": sign * ring, "label": "dark rings, 3.83 and 7.02" if sign * ring == FIRST_DARK_RING else None}
-        for ring in (FIRST_DARK_RING, SECOND_DARK_RING)
+        {"at": sign * ring, "label": "dark rings, 3.83 and 7.02" if sign * ring == FIRST_DARK_RING else None}
+        for ring in dark
         for sign in (1.0, -1.0)
     ]
-    picture = np.log10(np.maximum(airy_pattern(np.hypot(*np.meshgrid(x[::4], x[::4]))), 1e-4))
-    outside = np.where(np.abs(x) >= FIRST_DARK_RING, 20.0 * airy_x, np.nan)
-    return {"x": x, "airy": airy_x, "outside": outside, "rings": rings, "picture": picture}
-
-
-def _both(focused_um: float, wide_um: float) -> Values:
-    r_um, x = np.linspace(-30.0, 30.0, 1201), np.linspace(-5.0, 5.0, 401)
     return {
-        "r_um": r_um,
-        "rings_um": (focused_um, wide_um),
-        "lenses": [airy_pattern(r_um / ring_um * FIRST_DARK_RING) for ring_um in (focused_um, wide_um)],
+        "within_percent": [100.0 * float(airy.encircled_energy(ring / np.pi)) for ring in dark],
         "x": x,
-        "airy": airy_pattern(x),
-        "gaussians": [gaussian(x, sigma) for sigma in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+        "airy": airy_x,
+        "outside": np.where(np.abs(x) >= FIRST_DARK_RING, 20.0 * airy_x, np.nan),
+        "rings": rings,
+        "picture": np.log10(np.maximum(airy_pattern(np.hypot(*np.meshgrid(x[::4], x[::4]))), 1e-4)),
     }
 
 
-def _difference() -> Values:
-    x = np.linspace(0.0, 5.0, 501)
-    curves = [{"sigma": s, "off": gaussian(x, s) - airy_pattern(x)} for s in (THESIS_FIT_SIGMA, THESIS_SIGMA)]
-    return {"x": x, "curves": curves, "ring": FIRST_DARK_RING}
+def _lens_values(focused_um: float, wide_um: float) -> Values:
+    r_um, x = np.linspace(-30.0, 30.0, 1201), np.linspace(-5.0, 5.0, 401)
+    return {
+        "disk_um": 2.0 * focused_um,
+        "r_um": r_um,
+        "rings_um": (focused_um, wide_um),
+        "lenses": [airy_pattern(r_um / ring_um * FIRST_DARK_RING) for ring_um in (focused_um, wide_um)],
+        "near_x": x,
+        "near_airy": airy_pattern(x),
+        "gaussians": [gaussian(x, sigma) for sigma in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+    }
 
 
 def _spread() -> Values:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import IntArray, Values, table_rows
+from simulator.theses.tables import IntArray, Values
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
@@ -125,15 +125,12 @@ def zone_counts(magnitude_limit: float = 6.5, zones: int = ZONES) -> tuple[IntAr
 
 def section() -> Section:
     """Section 5.2.1: rows, Table 5.1 and Figs. 5.2, 5.4 and 5.5."""
-    drawn = figures(
-        "greyling1995/guide_stars",
-        {"fig_5_2_lines": _line_numbers, "fig_5_4_zones": _zone_map, "fig_5_5_zone_stars": _zone_stars},
-    )
-    rows = table_rows("greyling1995/guide_stars", _limit_values() | _table_values() | _zone_values())
-    return Section("Chapter 5.2: guide stars", rows, drawn)
+    values = _limit_values() | _table_values() | _zone_values() | _zone_map()
+    return section_of("greyling1995/guide_stars", "Chapter 5.2: guide stars", values)
 
 
 def _limit_values() -> Values:
+    n = np.arange(2, 1300)
     possible, resolved_deg = 133 * 132 // 2, RESOLVED_PX / SIDE_PX * FIELD_DEG
     return {
         "resolved_deg": resolved_deg,
@@ -144,6 +141,10 @@ def _limit_values() -> Values:
         "kept_percent": 100 * 2682 / possible,
         "bytes": 4 * 1248 + 4 * 32290,
         "one_byte_a_line": 4 * 1248 + 32290,
+        "n": n,
+        "every": n * (n - 1) / 2,
+        "most": np.minimum(n * (n - 1) / 2, PARTNERS * n),
+        "partners": PARTNERS,
     }
 
 
@@ -153,7 +154,7 @@ def _table_values() -> Values:
         catalog, before, most = guide_stars(limit), guide_stars(limit, closest_deg=0.0), int(stars) * PARTNERS
         above = f"; {stars} stars make {most} lines at most: {pairs} is not from this listing"
         printed = {"limit": limit, "stars": stars, "lines": pairs, "above": above if most < int(pairs) else ""}
-        found = {"found": len(catalog), "before": len(before)}
+        found = {"found": len(catalog), "before": len(before), "printed": (int(stars), int(pairs))}
         rows.append(printed | found | {"found_lines": len(lines(catalog)), "lines_before": len(lines(before))})
     everyone, kept = guide_stars(6.5, closest_deg=0.0), guide_stars(6.5)
     return {
@@ -180,41 +181,21 @@ def _zone_values() -> Values:
         "everywhere": everywhere,
         "band_mean": everywhere * width / 360.0,
         "zone_mean": stars.mean(),
+        "zone_numbers": np.arange(1, ZONES + 1),
+        "zone_stars": stars,
+        "printed_densest": DENSEST_ZONE,
     }
-
-
-def _line_numbers() -> Values:
-    """Numbers of lines against those of stars."""
-    n = np.arange(2, 1300)
-    every = n * (n - 1) / 2
-    limits = []
-    for limit, (stars, pairs) in TABLE_5_1.items():
-        catalog = guide_stars(limit)
-        found = {"found": len(catalog), "found_lines": len(lines(catalog))}
-        limits.append({"limit": limit, "stars": int(stars), "lines": int(pairs)} | found)
-    return {"n": n, "every": every, "most": np.minimum(every, PARTNERS * n), "limits": limits, "partners": PARTNERS}
 
 
 def _zone_map() -> Values:
     """The zones, drawn a little apart, and the stars to V = 6.5."""
     catalog = guide_stars(6.5, 20.0)
-    width, height = zone_size_deg()
+    height = zone_size_deg()[1]
     zones = []
     for k in range(ZONES):
         start, bottom = 360.0 / ZONES * k, BORESIGHT_DEC_DEG - 0.5 * height + (k % 3 - 1) * 0.5
         corners = {"corners": [(start, bottom), (start - 360.0, bottom)], "name": str(k + 1)}
         zones.append(corners | {"x": start + 15.0, "y": bottom + height + 2.4})
-    return {
-        "ra": np.degrees(catalog.ra_rad),
-        "dec": np.degrees(catalog.dec_rad),
-        "size": np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0),
-        "width": width,
-        "height": height,
-        "zones": zones,
-        "path": BORESIGHT_DEC_DEG,
-    }
-
-
-def _zone_stars() -> Values:
-    stars = zone_counts()[0]
-    return {"numbers": np.arange(1, ZONES + 1), "stars": stars, "densest": DENSEST_ZONE, "mean": float(stars.mean())}
+    stars = {"ra": np.degrees(catalog.ra_rad), "dec": np.degrees(catalog.dec_rad)}
+    size = np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0)
+    return {"map": stars | {"size": size}, "zone_corners": zones, "path": BORESIGHT_DEC_DEG}

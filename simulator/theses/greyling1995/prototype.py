@@ -47,9 +47,19 @@ _FIG_DEFOCUS_UM = 120.0
 
 def section() -> Section:
     """Chapter 6 against the models of the product."""
+    circuit = signals.values()
     values = _device_values() | _state_values() | _clock_values() | _smear_values() | _converter_values()
-    rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", signals.values())
-    return Section("Chapter 6: the prototype camera with the TC211", rows, signals.FIGURES | _FIGURES)
+    values |= {
+        "modes": _modes,
+        "focus": partial(_images, (SERIAL_CLOCK_HZ, _FIG_DEFOCUS_UM), (SERIAL_CLOCK_HZ, 0.0)),
+        "slow": partial(_images, (SLOW_CLOCK_HZ, 0.0)),
+        "fast": partial(_images, (SERIAL_CLOCK_HZ, 0.0)),
+        "smear": _smear,
+        "conversion": _converters,
+    }
+    drawn = figures("greyling1995/prototype", values | circuit)
+    rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", circuit)
+    return Section("Chapter 6: the prototype camera with the TC211", rows, drawn)
 
 
 # ---------------------------------------------------------------------- sections 6.1 and 6.2
@@ -245,16 +255,3 @@ def _converters() -> Values:
         shown = np.array([(bits, error) for bits, error in found if math.isfinite(error)])
         peaks.append({"peak": peak, "bits": shown[:, 0], "errors": shown[:, 1], "geometric": geometric})
     return {"bright": peaks[0], "faint": peaks[1], "ticks": BITS, "needed": POSITION_PX}
-
-
-_FIGURES = figures(
-    "greyling1995/prototype",
-    {
-        "fig_6_4_modes": _modes,
-        "fig_6_9_focus": partial(_images, (SERIAL_CLOCK_HZ, _FIG_DEFOCUS_UM), (SERIAL_CLOCK_HZ, 0.0)),
-        "fig_6_10_slow_clock": partial(_images, (SLOW_CLOCK_HZ, 0.0)),
-        "fig_6_11_2_mhz": partial(_images, (SERIAL_CLOCK_HZ, 0.0)),
-        "fig_6_smear_against_clock": _smear,
-        "fig_6_converter": _converters,
-    },
-)

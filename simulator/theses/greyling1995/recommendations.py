@@ -13,12 +13,12 @@ from scipy.stats import norm
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
+from simulator.theses.tables import FloatArray, IntArray, Values
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -227,9 +227,8 @@ def section(frames: int = 12) -> Section:
         "prnu_px": prnu_error_px(),
         "mapped_px": prnu_error_px(1.0 / math.sqrt(16 * 40_000)),
     }
-    rows = table_rows("greyling1995/recommendations", values)
-    drawn = figures("greyling1995/recommendations", {"sec_7_2_planets": partial(_planet_curves, planets)})
-    return Section("Chapter 7.2: what the thesis recommends", rows, drawn)
+    values |= {"curves": partial(_planet_curves, planets)}
+    return section_of("greyling1995/recommendations", "Chapter 7.2: what the thesis recommends", values)
 
 
 def _planet_curves(planets: dict[str, float]) -> Values:

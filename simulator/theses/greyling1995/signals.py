@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from simulator.theses.figures import figures
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
@@ -115,6 +114,10 @@ def values() -> Values:
         "dummy": DUMMY_CELLS,
         "terms": len(TERMS),
         "same": "the same" if agree else "other",
+        "clock_signals": _clocks,
+        "states": _states,
+        "circuit": _circuit,
+        "output": _output,
     }
 
 
@@ -190,15 +193,3 @@ def _output() -> Values:
     limits = [{"level": DARK_V - (DARK_V - SATURATED_V) * float(level)} for level in levels]
     logic = _raised({"S/H": signals["S/H"], "/MW": signals["/MW"]})
     return {"signals": signals, "codes": codes, "limits": limits, "logic": logic}
-
-
-FIGURES = figures(
-    "greyling1995/signals",
-    {
-        "fig_6_5_clocks": _clocks,
-        "fig_6_6_states": _states,
-        "fig_6_7_circuit": _circuit,
-        "fig_6_8_output": _output,
-    },
-)
-"""File name to the function that draws it, in the order of the thesis."""

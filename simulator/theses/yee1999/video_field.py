@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.tables import Values
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
 from startracker.identification.arithmetic import FloatArithmetic
 
@@ -54,8 +54,7 @@ def video_field() -> Section:
         "largest": largest,
         "within": largest < 0.34,
     }
-    drawn = figures("yee1999/video_field", {"fig_4_10_field": lambda: _differences(stars)})
-    return Section("The field of OEDIPUS-C", table_rows("yee1999/video_field", values), drawn)
+    return section_of("yee1999/video_field", "The field of OEDIPUS-C", values | _differences(stars))
 
 
 def database_separations(stars: SubCatalog) -> list[float]:
