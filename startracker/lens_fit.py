@@ -102,7 +102,7 @@ def stretch(vectors: FloatArray, amounts: FloatArray) -> FloatArray:
     """Vectors (M, 3) with what air does to a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
 
     Refraction R = κ tan z (κ = 58.3″) shortens the sky by κ sec²z along the vertical and by κ across it. The mean of
-    both cannot be told from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. What is left is
+    both cannot be distinguished from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. The rest is
     R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of 40°.
     """
     a, b = amounts
@@ -266,7 +266,7 @@ def _normal_equations(
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for i, m in enumerate(matches):
         vectors = stretch(m.directions @ state.matrices[i].T, state.stretches[i])
-        places, moves, by_vector = sensitivity(state.camera, vectors)
+        pixels, moves, by_vector = sensitivity(state.camera, vectors)
         # the stretch's own share of a turn, 1e-3, does not matter for the step
         blocks = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
         at = [np.arange(lens), lens + 3 * i + np.arange(3)]
@@ -280,7 +280,7 @@ def _normal_equations(
         jacobian = np.concatenate(blocks, axis=2).reshape(len(weight), -1) * weight[:, None]
         where = np.concatenate(at)
         normal[np.ix_(where, where)] += jacobian.T @ jacobian
-        gradient[where] += jacobian.T @ ((m.xy - places).ravel() * weight)
+        gradient[where] += jacobian.T @ ((m.xy - pixels).ravel() * weight)
     for name, sigma in _held(names, state):
         k = names.index(name)
         normal[k, k] += 1.0 / sigma**2

@@ -87,16 +87,16 @@ def _print(sequence: Sequence, console: Console) -> None:
 
 
 def _print_operation(rules: dict[str, Any], console: Console) -> None:
-    """What the sensor's rules of operation did."""
-    exposure, blemishes, magnitudes = rules["exposure_s"], rules["blemishes"], rules["magnitudes"]
+    """Print the effect of the rules of operation."""
+    exposure, defects, magnitudes = rules["exposure_s"], rules["blemishes"], rules["magnitudes"]
     console.print(
         f"Rules: {rules['discarded']} frames discarded as over-exposed (exposure {exposure['first']:g} s, shortest "
         f"{exposure['shortest']:g} s, last {exposure['last']:g} s); suspended for {rules['suspended_s']:g} s, "
-        f"{rules['sun_frames']} frames of the Sun; {rules['moon_frames']} cleared of what is larger than a star"
+        f"{rules['sun_frames']} frames of the Sun; large objects removed from {rules['moon_frames']} frames"
     )
     console.print(
-        f"Defective pixels: {blemishes['mapped']} mapped, {blemishes['certain_mapped']} of {blemishes['certain']} that "
-        f"are beyond doubt, {blemishes['sound_mapped']} sound ones"
+        f"Defective pixels: {defects['mapped']} mapped, {defects['certain_mapped']} of {defects['certain']} certain, "
+        f"{defects['sound_mapped']} good pixels"
     )
     if magnitudes["stars"]:
         slope = magnitudes["colour_slope"]

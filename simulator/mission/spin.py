@@ -1,4 +1,4 @@
-"""A body that spins freely: its axis of symmetry cones about the angular momentum, which stands still.
+"""A freely spinning body: its axis of symmetry precesses about the angular momentum, which is inertially fixed.
 
 With equal moments of inertia I across the axis of symmetry (body +Z) and r I about it, Euler's equations without a
 torque are solved by steady turns (Goldstein, Poole & Safko 2002, *Classical Mechanics*, section 5.6). With ω the
@@ -30,7 +30,7 @@ def cone_rate_rad_s(spin: Spin) -> float:
 
 
 def spin_attitude(spin: Spin, t_s: float) -> Attitude:
-    """Attitude ICRS → principal axes, seconds after the epoch; these axes take the place of the local level.
+    """Attitude ICRS → principal axes, seconds after the epoch; these axes replace the local level.
 
     At rest they are east, north and the axis that stands still; the body is tilted from there onto its cone, by the
     smallest turn that does it, and turned about +Z.

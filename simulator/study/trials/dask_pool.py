@@ -39,8 +39,8 @@ def run_on_cluster(
     Parameters
     ----------
     scenario : Scenario
-        Sent with every block; a worker builds what its trials share once. Files that it names must be at the same
-        place on every machine.
+        Sent with every block; a worker builds the data common to its trials once. Files that it names must have the
+        same path on every machine.
     blocks : Blocks
         What is left to run.
     address : str
