@@ -1,6 +1,6 @@
 """How functions become compiled kernels, and clocks that leave the wait for it out.
 
-Kernels are compiled by numba when they are first called, and kept on disk; `startracker.compilation` tells the user.
+Kernels are compiled by numba on first use and cached on disk; `startracker.compilation` shows the progress.
 """
 
 from __future__ import annotations

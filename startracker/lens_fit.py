@@ -103,7 +103,7 @@ def stretch(vectors: FloatArray, amounts: FloatArray) -> FloatArray:
     """Vectors (M, 3) with what air does to a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
 
     Refraction R = κ tan z (κ = 58.3″) shortens the sky by κ sec²z along the vertical and by κ across it. The mean of
-    both cannot be told from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. What is left is
+    both cannot be distinguished from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. The rest is
     R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of 40°.
     """
     a, b = amounts
