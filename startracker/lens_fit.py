@@ -276,7 +276,7 @@ def image_equations(
     vectors = stars.directions @ matrix.T
     if amounts is not None:
         vectors = stretch(vectors, amounts)
-    places, moves, by_vector = sensitivity(camera, vectors)
+    pixels, moves, by_vector = sensitivity(camera, vectors)
     # the stretch's own share of a turn, 1e-3, does not matter for the step
     columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
     if with_refraction:
@@ -286,7 +286,7 @@ def image_equations(
         columns.append(by_vector @ by_amount)
     weight = np.repeat(1.0 / stars.sigma_px, 2)
     jacobian = np.concatenate(columns, axis=2).reshape(len(weight), -1) * weight[:, None]
-    return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - places).ravel() * weight)
+    return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - pixels).ravel() * weight)
 
 
 def _normal_equations(
