@@ -167,9 +167,9 @@ def judge(answer: Identification, truth: IntArray) -> bool | None:
     return bool(np.all(truth[answer.pairs[:, 0]] == answer.pairs[:, 1]))
 
 
-def region_lines(hour: float, limits: Sequence[float] = LIMITS) -> float:
-    """Mean number of lines in the program's map about an hour, over limiting magnitudes."""
-    return float(np.mean([map_lines(hour, limit) for limit in limits]))
+def region_lines(hour: float) -> float:
+    """Mean number of lines in the program's map about an hour, over the limiting magnitudes."""
+    return float(np.mean([map_lines(hour, limit) for limit in LIMITS]))
 
 
 Outcomes = dict[int, dict[int, Outcome]]
