@@ -240,7 +240,7 @@ def _time_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
         "times_ms": (min(times), max(times)),
         "own_times_ms": (min(ours), max(ours)),
         "bars": [{"at": at + k, "ms": ms} for k, ms in ((-0.3, printed[:, 1]), (0.0, times), (0.3, ours))],
-        "places": at,
+        "ticks": at,
         "power": float(np.polyfit(np.log(printed[:, 2]), np.log(printed[:, 1]), 1)[0]),
     }
 

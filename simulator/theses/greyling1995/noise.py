@@ -135,12 +135,12 @@ def _budget() -> Values:
     """The terms of the noise budget: printed sum, equations, simulated frames; and their total in squares."""
     equation, measured = equation_terms_e(), measured_terms_e()
     names = list(equation)
-    place = np.arange(len(names) + 1)
+    at = np.arange(len(names) + 1)
     quadrature = math.sqrt(sum(equation[name] ** 2 for name in ("photon noise", "DSNU", "reset noise")) + DARK_E)
     series = (
         ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E]),
         ("by the equations, in squares", [*equation.values(), quadrature]),
         ("simulated frames", [*(measured[name] for name in names), measured["together"]]),
     )
-    bars = [{"at": place + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
-    return {"bars": bars, "place": place, "names": [*names, "total"]}
+    bars = [{"at": at + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
+    return {"bars": bars, "ticks": at, "names": [*names, "total"]}
