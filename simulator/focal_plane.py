@@ -46,21 +46,14 @@ _DISK_PX = 1.5
 
 
 class Illumination(NamedTuple):
-    """Light of one exposure.
-
-    Parameters
-    ----------
-    sources : TrueSources
-        Every source whose light reaches the detector.
-    mean_e : array, shape (height, width)
-        Mean photo-electrons, of the sources and of the background.
-    excluded : tuple of str
-        Bodies within the baffle's exclusion angle.
-    """
+    """Light of one exposure."""
 
     sources: TrueSources
+    """Every source whose light reaches the detector."""
     mean_e: FloatArray
+    """(height, width): Mean photo-electrons, of the sources and of the background."""
     excluded: tuple[str, ...]
+    """Bodies within the baffle's exclusion angle."""
 
 
 class Reaching(NamedTuple):
@@ -79,37 +72,26 @@ class Reaching(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
-    """Camera, response and point spread functions of one instrument.
-
-    Parameters
-    ----------
-    camera : Camera
-        As calibrated: what the frame carries.
-    true_camera : Camera
-        As it is: what the sky is drawn through.
-    photometer : Photometer
-        Aperture, transmission and quantum efficiency.
-    psfs : PsfSet
-        Images of points.
-    sky : Sky
-        What shines.
-    aperture_mm, pixel_area_cm2 : float
-        Diameter of the lens and area of a pixel.
-    vignetting, ghosts, baffle, tether
-        Of the lens, and before it.
-    """
+    """Camera, response and point spread functions of one instrument."""
 
     camera: Camera
+    """As calibrated: what the frame carries."""
     true_camera: Camera
+    """As it is: what the sky is drawn through."""
     photometer: Photometer
+    """Aperture, transmission and quantum efficiency."""
     psfs: PsfSet
+    """Images of points."""
     sky: Sky
+    """What shines."""
     aperture_mm: float
     pixel_area_cm2: float
+    """Diameter of the lens and area of a pixel."""
     vignetting: Vignetting
     ghosts: tuple[Ghost, ...]
     baffle: Baffle | None
     tether: Tether
+    """Of the lens, and before it."""
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
 
     def half_field_rad(self, exposure_s: float) -> float:

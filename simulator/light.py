@@ -28,23 +28,7 @@ _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """Sources of light, columns of equal length N.
-
-    Parameters
-    ----------
-    id, name, kind, direction, v_mag, b_v, variable
-        As in `simulator.frame.TrueSources`.
-    rate_e_s : (N,) array
-        Photo-electrons a second through the lens, vignetting left out.
-    radius_rad : (N,) array
-        Angular radius; 0 for stars.
-    lit, sun_angle_rad : (N,) arrays
-        Lit share of the disk, and where on it the light comes from.
-    limb : (N, 3) array
-        Edge of the Earth across the disk (`simulator.optics.bodies.Limb`).
-    wavelength_nm : (N,) array
-        Mean wavelength of the photo-electrons.
-    """
+    """Sources of light, columns of equal length N."""
 
     id: IntArray
     name: NDArray[np.str_]
@@ -53,12 +37,18 @@ class Light:
     v_mag: FloatArray
     b_v: FloatArray
     variable: NDArray[np.bool_]
+    """As in `simulator.frame.TrueSources`."""
     rate_e_s: FloatArray
+    """(N,): Photo-electrons a second through the lens, vignetting left out."""
     radius_rad: FloatArray
+    """(N,): Angular radius; 0 for stars."""
     lit: FloatArray
     sun_angle_rad: FloatArray
+    """(N,): Lit share of the disk, and where on it the light comes from."""
     limb: FloatArray
+    """(N, 3): Edge of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
     wavelength_nm: FloatArray
+    """(N,): Mean wavelength of the photo-electrons."""
 
     def joined(self, other: Light) -> Light:
         """These sources, then others."""

@@ -34,7 +34,7 @@ def main(request: RunRequest) -> int:
     scenario = load_scenario(request.scenario, request.set_values or (), trials=request.trials, seed=request.seed)
     workers = processes(request.workers, request.dask, scenario.study.trials)
     folder = request.out or Path("out") / scenario.name
-    with progress_bar(scenario.name, "trials", scenario.study.trials) as tell:
+    with progress_bar(scenario.name, "trials", scenario.study.trials) as progress:
         study = run(
             scenario,
             workers=workers,
@@ -42,7 +42,7 @@ def main(request: RunRequest) -> int:
             out=folder,
             resume=request.resume,
             force=request.force,
-            progress=tell,
+            progress=progress,
         )
     _print(study, folder, open_console())
     return 130 if study.summary["interrupted"] else 0

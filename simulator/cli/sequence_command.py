@@ -31,14 +31,14 @@ def run_sequence_command(request: RunRequest) -> int:
     values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
     scenario = load_scenario(request.scenario, values, seed=request.seed)
     folder = request.out or Path("out") / f"{scenario.name}-sequence"
-    with progress_bar(scenario.name, "frames", scenario.sequence.frames) as tell:
+    with progress_bar(scenario.name, "frames", scenario.sequence.frames) as progress:
         sequence = run_sequence(
             scenario,
             out=folder,
             single=request.single,
             animate=request.animate,
             force=request.force,
-            progress=tell,
+            progress=progress,
         )
     _print(sequence, open_console())
     if request.animate and find_ffmpeg() is None:
@@ -95,7 +95,7 @@ def _print_operation(rules: dict[str, Any], console: Console) -> None:
         f"{rules['sun_frames']} frames of the Sun; {rules['moon_frames']} cleared of what is larger than a star"
     )
     console.print(
-        f"Blemishes: {blemishes['mapped']} pixels mapped, {blemishes['certain_mapped']} of {blemishes['certain']} that "
+        f"Defective pixels: {blemishes['mapped']} mapped, {blemishes['certain_mapped']} of {blemishes['certain']} that "
         f"are beyond doubt, {blemishes['sound_mapped']} sound ones"
     )
     if magnitudes["stars"]:

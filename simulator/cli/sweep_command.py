@@ -51,7 +51,7 @@ def main(request: SweepRequest) -> int:
             dask=request.dask,
             resume=request.resume,
             force=request.force,
-            progress=bar.tell,
+            progress=bar.update,
         )
     _print(sweep, open_console(_WIDTH))
     return 130 if sweep.table["interrupted"] else 0
@@ -94,8 +94,8 @@ class SweepProgress:
     def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
-    def tell(self, done: int, total: int, point: Point) -> None:
-        """Take note of progress, as `simulator.study.sweep.run.run_sweep` tells it."""
+    def update(self, done: int, total: int, point: Point) -> None:
+        """Take note of progress, as `simulator.study.sweep.run.run_sweep` reports it."""
         if self.done_before is None:
             self.done_before, self.started_s = done, self.clock()
         left_s = time_left_s(done, self.done_before, total, self.clock() - self.started_s)

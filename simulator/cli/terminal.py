@@ -20,7 +20,7 @@ def open_console(width: int = 110, *, error: bool = False) -> Console:
 
 @contextmanager
 def progress_bar(name: str, unit: str, total: int | None = None) -> Iterator[Callable[[int, int], None]]:
-    """A bar that is gone when the work is done, and none without a terminal; tell it (finished, all)."""
+    """A bar that is gone when the work is done, and none without a terminal; call it with (finished, all)."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,

@@ -42,7 +42,7 @@ def main(request: PictureRequest) -> int:
     if request.centroids is None:
         folder = request.out or Path("out") / "yee1999"
         section = request.section
-        finish(lambda tell: yee1999.run(section, tell, analysis), "yee1999", section, folder, request.force)
+        finish(lambda progress: yee1999.run(section, progress, analysis), "yee1999", section, folder, request.force)
     return 0 if analysis.plate is not None else 1
 
 

@@ -19,24 +19,16 @@ Map = NDArray[np.float64] | NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
-    """Fixed pattern of one device at one temperature.
-
-    Parameters
-    ----------
-    prnu : (H, W) array or float
-        Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
-    dark_e_s : (H, W) array or float
-        Mean dark current of each pixel, electrons a second; a scalar where all pixels are alike.
-    dead : (H, W) bool, optional
-        Dead pixels and columns; None where there are none.
-    hot : (H, W) bool, optional
-        Hot pixels and columns, however little they glow; None where there are none.
-    """
+    """Fixed pattern of one device at one temperature."""
 
     prnu: Map | float
+    """Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off."""
     dark_e_s: Map | float
+    """Mean dark current of each pixel, electrons a second; a scalar where all pixels are alike."""
     dead: NDArray[np.bool_] | None = None
+    """(H, W): Dead pixels and columns; None where there are none."""
     hot: NDArray[np.bool_] | None = None
+    """(H, W): Hot pixels and columns, however little they glow; None where there are none."""
 
     def single(self) -> FixedPattern:
         """The same in single precision, as frames take it: half as much to fetch from slow memory each time, and no

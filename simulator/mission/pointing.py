@@ -196,13 +196,13 @@ def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:
     return turn @ pointing.camera
 
 
-def random_attitude(rng: np.random.Generator, source: str = "icrs", target: str = "camera") -> Attitude:
+def random_attitude(rng: np.random.Generator) -> Attitude:
     """Attitude uniform over all rotations (Shoemake 1992, "Uniform random rotations", *Graphics Gems III*)."""
     u, a, b = rng.random(3)
     a, b = 2.0 * math.pi * a, 2.0 * math.pi * b
     outer, inner = math.sqrt(1.0 - u), math.sqrt(u)
     quat = np.array([outer * math.sin(a), outer * math.cos(a), inner * math.sin(b), inner * math.cos(b)])
-    return Attitude(quat, source, target)
+    return Attitude(quat, "icrs", "camera")
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,19 +31,13 @@ a clean lens. Inside the exclusion angle a tracker is not meant to work."""
 
 @dataclass(frozen=True, eq=False)
 class Baffle:
-    """Point-source transmittance over the angle from the boresight, and the exclusion angles.
-
-    Parameters
-    ----------
-    angle_rad, pst : (N,) array
-        Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last.
-    exclusion_rad : dict
-        Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work.
-    """
+    """Point-source transmittance over the angle from the boresight, and the exclusion angles."""
 
     angle_rad: FloatArray
     pst: FloatArray
+    """(N,): Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last."""
     exclusion_rad: dict[str, float]
+    """Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
         """Irradiance on the detector over that of the same source on the aperture at normal incidence."""

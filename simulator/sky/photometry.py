@@ -61,15 +61,6 @@ class Photometer:
     (`simulator.sky.colours`, whose `spectral_coordinates` makes B−V and `giant` from a catalogue's columns). B−V that
     is NaN counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
 
-    Parameters
-    ----------
-    response : Curve
-        Transmission × quantum efficiency.
-    aperture_area_cm2 : float
-        Area of the entrance pupil, cm².
-    spectrum : str
-        Name of a family of spectra; also those of the entry-point group ``boresight.spectra``.
-
     Raises
     ------
     InputError
@@ -77,8 +68,11 @@ class Photometer:
     """
 
     response: Curve
+    """Transmission × quantum efficiency."""
     aperture_area_cm2: float
+    """Area of the entrance pupil, cm²."""
     spectrum: str = "colour_sequence"
+    """Name of a family of spectra; also those of the entry-point group ``boresight.spectra``."""
     _wavelength_nm: FloatArray = field(init=False, repr=False)
     _efficiency: FloatArray = field(init=False, repr=False)
     _rate: _Tables = field(init=False, repr=False)

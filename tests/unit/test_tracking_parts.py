@@ -15,7 +15,7 @@ from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
 from startracker.tracking.looking import Sky, look
-from startracker.tracking.matching import match_gated, spreads, track
+from startracker.tracking.matching import Match, match_gated, spreads, track
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
 
@@ -66,12 +66,11 @@ def test_match_uses_no_star_twice_and_the_nearer_wins():
     places = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
     places /= np.linalg.norm(places, axis=1, keepdims=True)
     seen = places[[0, 0, 1]] + np.array([[3e-4, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
-    us, vs, spread = spreads(places, np.eye(3) * 1e-12)
-    index, distance2, owner = np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64)
-    count = match_gated(seen, np.full(3, 1e-4), places, us, vs, spread, 18.4, index, distance2, owner)
+    match = Match(np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64))
+    count = match_gated(seen, np.full(3, 1e-4), places, spreads(places, np.eye(3) * 1e-12), 18.4, match)
     assert count == 2
-    assert list(index) == [-1, 0, 1]
-    assert distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
+    assert list(match.partner) == [-1, 0, 1]
+    assert match.distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
 
 
 def test_match_follows_the_common_rotation_not_the_nearest_star(tracker):

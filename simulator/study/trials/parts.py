@@ -310,7 +310,7 @@ def nothing_lost() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        reason = str(error).removesuffix("; choose another place")
+        reason = str(error).removesuffix("; choose another path")
         raise InputError(
             f"{reason}; the finished trials are kept: make room there and run again with --resume"
         ) from error
