@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.kernels import pair_rotation
+from startracker.estimation.directions import pair_rotation
 from startracker.identification.pattern_table import chord
 from startracker.kernels import kernel
 from startracker.linalg import solve, triple_product, turned
