@@ -49,10 +49,7 @@ NOT_YET = (
     "simulator/theses",
     "startracker/centroid",
     "startracker/detection",
-    "startracker/estimation",
     "startracker/identification",
-    "startracker/refine.py",
-    "startracker/tracking",
 )
 """Files and folders that are still to be rewritten; the list only becomes shorter."""
 
