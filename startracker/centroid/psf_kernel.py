@@ -237,7 +237,7 @@ def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: Floa
         row[0], row[1], row[2], row[6], row[7] = space.at[0, k], space.at[1, k], space.at[2, k], chi2, freedom
         for axis in range(2):
             for a in range(size):
-                column[a] = float(a == 3 * k + 1 + axis)
+                column[a] = 1.0 if a == 3 * k + 1 + axis else 0.0
             substitute(space.normal, size, column)
             row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
