@@ -155,7 +155,7 @@ def point_at_random(
 def point_spinning(parameters: PointingParameters, t_s: float, rng: np.random.Generator) -> Pointing:
     """`point` of a body that spins freely (`simulator.mission.spin`), `t_s` seconds after the epoch.
 
-    Its principal axes take the place of the local level: offset, random error and `rate_deg_s` act on top.
+    Its principal axes replace the local level: offset, random error and `rate_deg_s` act on top.
     """
     nominal = _offset(parameters) @ spin_attitude(parameters.spin, t_s)
     return _pointing(parameters, nominal, spin_rate_rad_s(parameters.spin, t_s), rng.uniform(-1.0, 1.0, 3))

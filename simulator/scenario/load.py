@@ -279,7 +279,7 @@ def _check_table(
             else:
                 flat[key.path] = value
         elif key.default is MISSING:
-            if name in misspelt:  # reported already, as what was written in its place
+            if name in misspelt:  # reported already, as what was written instead of it
                 continue
             problems.append(Problem(location, key.path, "required key is missing"))
         else:

@@ -34,7 +34,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         fastest += v["sequence.slew.max_rate_deg_s"]
     # plain Monte Carlo scenarios may turn as fast as they like: only what the section itself asks for is refused
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
-        message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° a step; use a shorter step"
+        message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° per step; use a shorter step"
         yield impossible("sequence.step_s", message)
     yield from _operation_contradictions(v)
     frames, start_s = v["sequence.frames"], v["sequence.start_s"]

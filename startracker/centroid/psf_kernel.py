@@ -224,16 +224,22 @@ def _fit_group(
             # what the last step gains is known; matrix and χ² are those of its start but for that
             chi2, step = chi2 - gain, 0.0
             break
-    if not step <= _ACCEPTED_PX:
-        return
-    for k in range(m):
+    if step <= _ACCEPTED_PX:
+        _note(members, space, chi2, used - size, out)
+
+
+@kernel
+def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: FloatArray) -> None:
+    """Rows of a fit, see `FITTED`, from a normal matrix that is factorised."""
+    size, column = 3 * len(members), space.sides[0]
+    for k in range(len(members)):
         row = out[members[k]]
-        row[0], row[1], row[2], row[6], row[7] = x[k], y[k], flux[k], chi2, used - size
+        row[0], row[1], row[2], row[6], row[7] = space.at[0, k], space.at[1, k], space.at[2, k], chi2, freedom
         for axis in range(2):
-            right[:] = 0.0
-            right[3 * k + 1 + axis] = 1.0
-            substitute(normal, size, right)
-            row[3 + axis], row[5] = right[3 * k + 1 + axis], right[3 * k + 1]
+            for a in range(size):
+                column[a] = float(a == 3 * k + 1 + axis)
+            substitute(space.normal, size, column)
+            row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
 
 @kernel

@@ -204,10 +204,8 @@ def track(
     ----------
     observed, sigma : (N, 3), (N,)
         Directions and their standard errors on one axis, rad.
-    places : (K, 3)
-        Predicted directions, brightest first, camera frame.
-    covariance : (3, 3)
-        Of the predicted attitude, rad².
+    places, covariance : (K, 3), (3, 3)
+        Predicted directions, brightest first, camera frame; covariance of the predicted attitude, rad².
     area : float
         Solid angle in which stars were looked for, sr.
 

@@ -14,7 +14,7 @@ from startracker.observer import Observer
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
-from startracker.tracking.looking import Sky, look
+from startracker.tracking.looking import Sky, look, window_half
 from startracker.tracking.matching import Match, match_gated, spreads, track
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
@@ -141,7 +141,8 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     image = rng.normal(100.0, 3.0, size=(256, 256))
     for x, y in centre:
         image += 900.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 0.9**2))
-    seen = look(image.astype(np.float32), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    half = window_half(tracker, expected, np.eye(3) * 1e-9, 0.0, 20)
+    seen = look(image.astype(np.float32), tracker, expected, half, 0.0, 1.0, None, 1.0)
     inside = CAMERA.contains(centre, -8.0)
     apart = [np.sort(np.hypot(*(centre - c).T))[1] > 12.0 for c in centre]
     found = [np.hypot(*(seen.xy - c).T).min() for c in centre[inside & apart]]
@@ -149,9 +150,10 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     # 900 over 3: some 0.01 px, plus what the widths measured on few stars leave
     assert max(found) < 0.06
     assert seen.windows == CAMERA.contains(np.rint(centre)).sum()
-    assert look(image, tracker, expected, np.eye(3) * 1e-2, 0.0, 20, 1.0, None, 1.0) is None  # windows too large
-    assert look(image[:10], tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0) is None
-    swapped = look(image.astype(">f4"), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    assert window_half(tracker, expected, np.eye(3) * 1e-2, 0.0, 20) is None  # windows too large
+    assert look(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
+    assert look(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
+    swapped = look(image.astype(">f4"), tracker, expected, half, 0.0, 1.0, None, 1.0)
     np.testing.assert_allclose(swapped.xy, seen.xy)
 
 

@@ -317,7 +317,7 @@ def nothing_lost() -> Iterator[None]:
 
 
 def discard_parts(folder: Path) -> None:
-    """Remove the blocks of a finished run, once its results stand in their place."""
+    """Remove the blocks of a finished run, once its results have replaced them."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
 
 

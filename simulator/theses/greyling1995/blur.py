@@ -26,6 +26,9 @@ OFFSETS: FloatArray = np.arange(11.0) * 0.05
 
 THESIS_SIGMA, THESIS_FIT_SIGMA = 1.23, 1.3497
 
+_ROWS, _COLUMNS = np.mgrid[-2:3, -2:3].astype(float)
+"""Of each pixel of a window of 5 × 5, from its middle."""
+
 CRITERIA: dict[str, Callable[[FloatArray], float]] = {
     "range of the error (max − min)": lambda e: float(np.ptp(e)),
     "largest absolute error": lambda e: float(np.abs(e).max()),
@@ -55,38 +58,27 @@ def _least(function: Callable[[float], float], low: float, high: float) -> float
     return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
 
 
-def pixel_grid(side_px: int = 5) -> tuple[FloatArray, FloatArray]:
-    """Column and row (side, side) of each pixel of a window, from its middle."""
-    n = side_px // 2
-    rows, columns = np.mgrid[-n : n + 1, -n : n + 1].astype(float)
-    return columns, rows
-
-
 def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) -> FloatArray:
     """Offset less first moment over 5 × 5 point samples of an Airy pattern whose first dark ring is `ring_px` out."""
-    columns, rows = pixel_grid()
     out = []
     for offset in np.atleast_1d(np.asarray(offset_px, dtype=float)):
-        samples = airy_pattern(np.hypot(columns - offset, rows) * FIRST_DARK_RING / ring_px)
-        out.append(offset - float((samples * columns).sum() / samples.sum()))
+        samples = airy_pattern(np.hypot(_COLUMNS - offset, _ROWS) * FIRST_DARK_RING / ring_px)
+        out.append(offset - float((samples * _COLUMNS).sum() / samples.sum()))
     return np.array(out)
 
 
-def sigma_of_bias(ring_px: float = FIRST_DARK_RING) -> float:
+def sigma_of_bias() -> float:
     """σ of the point-sampled Gaussian whose centroid bias is nearest, in least squares over `OFFSETS`, to the Airy
     pattern's."""
-    truth = airy_bias(OFFSETS, ring_px)
-    scale = ring_px / FIRST_DARK_RING
+    truth = airy_bias(OFFSETS)
     return _least(
-        lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()),
-        0.7 * scale,
-        1.6 * scale,
+        lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()), 0.7, 1.6
     )
 
 
 def spread(sigma_px: float) -> FloatArray:
     """Intensity (5, 5) at the pixels' centres of a star in the middle of one, relative to the middle."""
-    return gaussian(np.hypot(*pixel_grid()), sigma_px)
+    return gaussian(np.hypot(_COLUMNS, _ROWS), sigma_px)
 
 
 def section(

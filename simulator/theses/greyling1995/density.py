@@ -67,13 +67,12 @@ def window_counts(
     return centre, np.asarray(last - first)
 
 
-def cell_counts(magnitude_limit: float = np.inf) -> tuple[FloatArray, FloatArray, IntArray]:
+def cell_counts() -> tuple[FloatArray, FloatArray, IntArray]:
     """Stars in cells of 5° × 5°: edges in right ascension and declination, counts (declination, right ascension)."""
-    ra, dec, v = _bright_stars()
+    ra, dec, _ = _bright_stars()
     ra_edges = np.arange(0.0, 360.0 + CELL_DEG, CELL_DEG)
     dec_edges = np.arange(MAP_DEC_DEG[0], MAP_DEC_DEG[1] + CELL_DEG, CELL_DEG)
-    bright = v <= magnitude_limit
-    counts, _, _ = np.histogram2d(dec[bright], ra[bright], bins=(dec_edges, ra_edges))
+    counts, _, _ = np.histogram2d(dec, ra, bins=(dec_edges, ra_edges))
     return ra_edges, dec_edges, counts.astype(np.int64)
 
 

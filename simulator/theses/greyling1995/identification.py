@@ -167,9 +167,9 @@ def judge(answer: Identification, truth: IntArray) -> bool | None:
     return bool(np.all(truth[answer.pairs[:, 0]] == answer.pairs[:, 1]))
 
 
-def region_lines(hour: float, limits: Sequence[float] = LIMITS) -> float:
-    """Mean number of lines in the program's map about an hour, over limiting magnitudes."""
-    return float(np.mean([map_lines(hour, limit) for limit in limits]))
+def region_lines(hour: float) -> float:
+    """Mean number of lines in the program's map about an hour, over the limiting magnitudes."""
+    return float(np.mean([map_lines(hour, limit) for limit in LIMITS]))
 
 
 Outcomes = dict[int, dict[int, Outcome]]
@@ -240,7 +240,7 @@ def _time_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
         "times_ms": (min(times), max(times)),
         "own_times_ms": (min(ours), max(ours)),
         "bars": [{"at": at + k, "ms": ms} for k, ms in ((-0.3, printed[:, 1]), (0.0, times), (0.3, ours))],
-        "places": at,
+        "ticks": at,
         "power": float(np.polyfit(np.log(printed[:, 2]), np.log(printed[:, 1]), 1)[0]),
     }
 

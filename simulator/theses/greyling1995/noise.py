@@ -27,6 +27,9 @@ SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 PRINTED_NOISE_E, PRINTED_NOISE_MV = 1310.0, 1.5
 FAINTEST_V, BRIGHTEST_V, LEAST_DN = 6.5, -1.47, 5
 
+BRIGHTNESS_RATIO = 100.0 ** ((FAINTEST_V - BRIGHTEST_V) / 5.0)
+"""Light of the brightest star over that of the faintest, (⁵√100)^(m₂ − m₁)."""
+
 _SIDE, _SEED = 256, 1995
 _DSNU_FRAMES = 16
 
@@ -80,16 +83,11 @@ def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
     return np.asarray(frames, dtype=float)
 
 
-def brightness_ratio(faint_v: float = FAINTEST_V, bright_v: float = BRIGHTEST_V) -> float:
-    """Light of the brightest star over that of the faintest, (⁵√100)^(m₂ − m₁)."""
-    return float(100.0 ** ((faint_v - bright_v) / 5.0))
-
-
 def faint_star_dn(bits: int) -> int:
     """What the product's converter makes of the V = 6.5 star when the V = −1.47 star just fills it."""
     full_well = 150_000.0
     converter = {"full_well_e": full_well, "gain_e_per_dn": "auto", "adc_bits": bits, "shot_noise": False}
-    return int(_frames_e(full_well / brightness_ratio(), 1, **converter)[0, 0, 0])
+    return int(_frames_e(full_well / BRIGHTNESS_RATIO, 1, **converter)[0, 0, 0])
 
 
 def _noise_values() -> Values:
@@ -111,7 +109,7 @@ def _noise_values() -> Values:
 
 def _converter_values() -> Values:
     """What the converter reads of the faintest star when the brightest just fills it, by its bits."""
-    ratio, bits = brightness_ratio(), np.arange(6, 17)
+    ratio, bits = BRIGHTNESS_RATIO, np.arange(6, 17)
     counts = np.array([faint_star_dn(int(b)) for b in bits])
     least = next(b for b in range(1, 33) if faint_star_dn(b) >= LEAST_DN)
     return {
@@ -137,12 +135,12 @@ def _budget() -> Values:
     """The terms of the noise budget: printed sum, equations, simulated frames; and their total in squares."""
     equation, measured = equation_terms_e(), measured_terms_e()
     names = list(equation)
-    place = np.arange(len(names) + 1)
+    at = np.arange(len(names) + 1)
     quadrature = math.sqrt(sum(equation[name] ** 2 for name in ("photon noise", "DSNU", "reset noise")) + DARK_E)
     series = (
         ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E]),
         ("by the equations, in squares", [*equation.values(), quadrature]),
         ("simulated frames", [*(measured[name] for name in names), measured["together"]]),
     )
-    bars = [{"at": place + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
-    return {"bars": bars, "place": place, "names": [*names, "total"]}
+    bars = [{"at": at + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
+    return {"bars": bars, "ticks": at, "names": [*names, "total"]}

@@ -50,9 +50,10 @@ def thesis_orbit() -> Orbit:
     return build_orbit(section, EQUINOX)
 
 
-def year_path(count: int = 367) -> BoresightPath:
-    """Boresight at `count` instants of the year after the equinox."""
-    return boresight_path(thesis_orbit(), PointingParameters(), np.linspace(0.0, TROPICAL_YEAR_S, count))
+@functools.cache
+def year_path() -> BoresightPath:
+    """Boresight at 367 instants of the year after the equinox."""
+    return boresight_path(thesis_orbit(), PointingParameters(), np.linspace(0.0, TROPICAL_YEAR_S, 367))
 
 
 def sanson_flamsteed(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:

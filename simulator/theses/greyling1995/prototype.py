@@ -151,18 +151,18 @@ def _smear_values() -> Values:
 
 # ---------------------------------------------------------------------- focus
 @cache
-def defocus_radii_um(defocus_um: float = DEFOCUS_UM) -> tuple[float, float]:
+def defocus_radii_um() -> tuple[float, float]:
     """Root mean square radius of a star's image out of focus, µm: by diffraction, and of the geometric disc.
 
     The disc has the diameter δ/N; with the pixel's own spread, rms² = (δ/2N)²/2 + (p_x² + p_y²)/12.
     """
     optics, pitch = camera().optics, camera().detector.pitch_um
     f_number = optics.focal_length_mm / optics.aperture_mm
-    psf = build_psf(PsfModel(model="diffraction", defocus_um=defocus_um), f_number, pitch)
+    psf = build_psf(PsfModel(model="diffraction", defocus_um=DEFOCUS_UM), f_number, pitch)
     image = render_stars((81, 81), np.array([[40.0, 40.0]]), np.ones(1), np.array([1e6]), psf)
     y, x = np.indices(image.shape)
     square = ((x - 40) * pitch[0]) ** 2 + ((y - 40) * pitch[1]) ** 2
-    disc_um = defocus_um / f_number / 2.0
+    disc_um = DEFOCUS_UM / f_number / 2.0
     near = np.where(np.sqrt(square) < disc_um + 2.0 * max(pitch), image, 0.0)
     pixel = (pitch[0] ** 2 + pitch[1] ** 2) / 12.0
     return float(np.sqrt((near * square).sum() / near.sum())), math.sqrt(disc_um**2 / 2.0 + pixel)

@@ -72,15 +72,14 @@ def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> Flo
     return np.asarray(difference - basis @ (basis.T @ difference)).reshape(star.shape)
 
 
-def is_planet_score(stamp: FloatArray, noise: float, sigma_px: float = THESIS_SIGMA) -> float:
+def is_planet_score(stamp: FloatArray, noise: float) -> float:
     """Correlation of a 5 × 5 image with what makes a disk, in standard deviations of the noise: 0 ± 1 for a star.
 
     The thesis' two-dimensional correlation, of what a star's brightness, position and background cannot explain.
 
-    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit,
-    `sigma_px` that of the lens' Gaussian as calibrated.
+    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit.
     """
-    direction = _direction(0.5, sigma_px, sigma_known=True)
+    direction = _direction(0.5, THESIS_SIGMA, sigma_known=True)
     return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
 
 

@@ -118,5 +118,5 @@ def _curves(found: dict[tuple[str, str], Result]) -> Values:
             if result.wrong
         ]
     fields = next(iter(found.values())).fields
-    cases = {"places": np.arange(len(CASES)), "cases": list(CASES)}
+    cases = {"ticks": np.arange(len(CASES)), "cases": list(CASES)}
     return cases | {"curves": curves, "wrong": wrong, "fields": fields, "limit": LIMIT}

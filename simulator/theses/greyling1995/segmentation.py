@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -140,12 +141,10 @@ def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> 
     return np.asarray(xy[np.hypot(*(xy - centre).T) > radius + _CLEARANCE_PX])
 
 
-def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[float, float]:
-    """Least and greatest apparent diameter of Mars from the Earth, over some years from 1990 on, by DE421."""
-    from datetime import UTC, datetime
-
+def mars_diameters_arcsec() -> tuple[float, float]:
+    """Least and greatest apparent diameter of Mars from the Earth, over the 17 years from 1990 on, by DE421."""
     clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
-    t_s = np.arange(0.0, 365.25 * years, step_days) * 86_400.0
+    t_s = np.arange(0.0, 365.25 * 17, 5.0) * 86_400.0
     away_au = barycentric_position_au("Mars", clock, t_s) - barycentric_position_au("Earth", clock, t_s)
     diameter = 2.0 * np.degrees(np.arcsin(MARS_RADIUS_KM / AU_KM / np.linalg.norm(away_au, axis=1))) * 3600.0
     return float(diameter.min()), float(diameter.max())
@@ -157,11 +156,12 @@ def section(frames: int = 10) -> Section:
     return section_of("greyling1995/segmentation", "Chapter 4.2: stars found by region growing", values)
 
 
-def _pattern_values(side: int = 21) -> Values:
+def _pattern_values() -> Values:
     """Pixels that the detector looks at: all of an empty image of 512 × 512; of a small one, where it finds a bright
     pixel."""
     formula = ((SIDE_PX - 2) / 3) ** 2
     empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
+    side = 21
     level, limit = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
     looked = np.zeros((side, side))
     for row, column in np.ndindex(side, side):

@@ -60,11 +60,11 @@ def terms_next(state: int, go: int, c1z: int, c2z: int, c3z: int, b: int) -> tup
     return sums["Q3"] << 2 | sums["Q2"] << 1 | sums["Q1"], sums["A set"], sums["B set"]
 
 
-def line_signals(clocks: int = 2 * (COUNTS_PER_LINE + 2) + 4) -> dict[str, FloatArray]:
-    """Signals (clocks,) from the first line of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
+def line_signals() -> dict[str, FloatArray]:
+    """Signals over two lines from the first of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
     sequencer = Sequencer(0)
     found: list[tuple[int, int, str]] = []
-    while len(found) < clocks:
+    while len(found) < 2 * (COUNTS_PER_LINE + 2) + 4:
         now, mode, count = sequencer.state, sequencer.mode, sequencer.c1
         pulse = sequencer.step()
         if mode == "clockout" and (found or now == 3):

@@ -43,7 +43,7 @@ class SubCatalog:
         """Right ascension and declination (G, 2)."""
         return np.column_stack([self.ra_deg, self.dec_deg])
 
-    def places(self, numbers: list[int]) -> IntArray:
+    def indices(self, numbers: list[int]) -> IntArray:
         """Indices of HR numbers.
 
         Raises
@@ -52,7 +52,7 @@ class SubCatalog:
             A number that the sub-catalogue lacks.
         """
         at = np.searchsorted(self.hr, numbers)
-        missing = [n for n, place in zip(numbers, at, strict=True) if place >= len(self) or self.hr[place] != n]
+        missing = [n for n, index in zip(numbers, at, strict=True) if index >= len(self) or self.hr[index] != n]
         if missing:
             raise InputError(f"the sub-catalogue has no HR {', '.join(map(str, missing))}")
         return at.astype(np.int64)

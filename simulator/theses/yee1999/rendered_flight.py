@@ -31,9 +31,9 @@ _RIGHT_DEG = 0.5
 """A boresight that is off by more is that of other stars: five times the error she gives."""
 
 
-def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None = None) -> list[SolvedFrame]:
+def flight_frames(images: Sequence[int] | None = None) -> list[SolvedFrame]:
     """Images of the turn in ``oedipus.yaml``, by their numbers from 1, each solved without what the others told."""
-    scenario = scenario or Scenario.load("oedipus")
+    scenario = Scenario.load("oedipus")
     runner = SequenceRunner(scenario)
     options = Options(
         edition=5,

@@ -60,7 +60,7 @@ def video_field() -> Section:
 def database_separations(stars: SubCatalog) -> list[float]:
     """Separations of Table D.1's pairs in the sub-catalogue, degrees."""
     tables = stars.tables(40.0)
-    pairs = np.array([stars.places([int(row["first"]), int(row["second"])]) for row in printed_rows("table_d_1")])
+    pairs = np.array([stars.indices([int(row["first"]), int(row["second"])]) for row in printed_rows("table_d_1")])
     apart = tables.arithmetic.catalog_separations(tables.sky, pairs[:, 0], pairs[:, 1])
     return [float(value) for value in tables.arithmetic.separation_degrees(apart)]
 
