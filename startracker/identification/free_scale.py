@@ -108,13 +108,7 @@ def fit_camera(
         vectors = directions @ matrix.T
         if not (vectors[:, 2] > _LEAST_DEPTH[camera.projection]).all():
             return camera, matrix, np.zeros((3, 3)), math.inf
-        places, moves, by_vector = sensitivity(camera, vectors)
-        columns = np.empty((len(xy), 2, count))
-        columns[:, :, :3] = by_turn(by_vector, vectors)
-        columns[:, :, 3] = moves["f"]
-        if with_k1:
-            columns[:, :, 4] = moves["k1"]
-        jacobian = columns.reshape(-1, count)
+        places, jacobian = _linearised(camera, vectors, count)
         normal = jacobian.T @ jacobian + np.diag(held)
         pull = held * (camera.distortion.k1 - k1_expected)
         try:
@@ -135,6 +129,16 @@ def fit_camera(
     variance = float(np.sum(residual**2)) / freedom
     covariance: FloatArray = np.linalg.inv(normal)[:3, :3].astype(np.float64) * variance
     return camera, matrix, covariance, math.sqrt(variance)
+
+
+def _linearised(camera: Camera, vectors: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Pixels (M, 2) of directions (M, 3) in the camera, and their derivatives (2 M, count) by turn, ln f and k1."""
+    pixels, moves, by_vector = sensitivity(camera, vectors)
+    columns = np.empty((len(pixels), 2, count))
+    columns[:, :, :3] = by_turn(by_vector, vectors)
+    for column, name in enumerate(("f", "k1")[: count - 3], 3):
+        columns[:, :, column] = moves[name]
+    return pixels, columns.reshape(-1, count)
 
 
 def _sane(camera: Camera) -> bool:
