@@ -1,6 +1,6 @@
 """The exposure: when the shutter is open, for how long, and what it makes of rates.
 
-What reaches the focal plane are rates, electrons a second. They become electrons here and nowhere else: still light by
+What reaches the focal plane are rates, electrons per second. They become electrons here alone: still light by
 the duration, a moving source by the time for which it is exposed at each position of its path, and charge that is moved
 under light by the time it stands in each row.
 """
@@ -78,7 +78,7 @@ class Exposure:
         return self.start_s + 0.5 * self.duration_s
 
     def electrons(self, rate_e_s: FloatArray) -> FloatArray:
-        """Electrons of light that stands still, from electrons a second; any shape, a new array."""
+        """Electrons of light that stands still, from electrons per second; any shape, a new array."""
         return np.multiply(rate_e_s, self.duration_s)
 
     def paths(

@@ -1,6 +1,6 @@
 """Frame and truth: what the camera hands on, and, apart from it, what really was.
 
-`Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, place and speed, the
+`Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, position and speed, the
 attitude of its other sensors. `FrameTruth` is a separate object that the tracker never sees.
 """
 
@@ -37,7 +37,7 @@ class Frame:
     gain_e_per_dn: float
     offset_dn: float
     read_noise_e: float
-    """What calibration on the ground has told of the detector."""
+    """What calibration on the ground says of the detector."""
     prior: Attitude | None = None
     """Attitude by the other sensors."""
     prior_deg: float = 0.0

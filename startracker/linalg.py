@@ -16,6 +16,7 @@ __all__ = [
     "cross",
     "factorise",
     "inverse",
+    "log_determinant",
     "solve",
     "substitute",
     "transform",
@@ -74,6 +75,21 @@ def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
         for i in range(size):
             out[i] = math.nan
     return out
+
+
+@kernel
+def log_determinant(matrix: FloatArray) -> float:
+    """ln of the determinant of a positive definite matrix; −inf for any other."""
+    size, total = len(matrix), 0.0
+    factor = np.empty((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+    if not factorise(factor, size):
+        return -math.inf
+    for i in range(size):
+        total += 2.0 * math.log(factor[i, i])
+    return total
 
 
 @kernel

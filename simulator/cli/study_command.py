@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from simulator.cli.checks import at_least
 from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.printed_command import PictureRequest, greyling1995_study
-from simulator.cli.terminal import open_console, progress_bar
+from simulator.cli.terminal import open_console, print_table, progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -109,34 +109,22 @@ def design_study(
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.study.design.files import write_design
-    from simulator.study.design.search import design, verify
+    from simulator.study.design.search import Trade, design, verify
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
     progress, console = open_console(error=True), open_console()
-    asked: dict[str, Any] = {
-        "steps": steps,
-        "least_stars": stars,
-        "least_availability": availability,
-        "path": path,
-    }
+    trade = Trade(over, low, high, steps, stars, availability, boresights, path)
+    asked = {name: getattr(trade, name) for name in ("steps", "least_stars", "least_availability", "path")}
     sha256 = scenario_sha256(loaded, design=(over, low, high), **asked)
     amounts = {"boresights": boresights, "verification trials": verify_trials}
     identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
     checked = None
     with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
         with progress.status("computing") as status:
-            result = design(
-                loaded,
-                over,
-                low,
-                high,
-                count=boresights,
-                progress=lambda done: status.update(f"computing: {done} values of {over}"),
-                **asked,
-            )
+            result = design(loaded, trade, lambda done: status.update(f"computing: {done} values of {over}"))
         _print_design(result, console)
         if verify_trials and result.best is not None:
             with progress.status(f"verifying: {verify_trials} trials"):
@@ -213,17 +201,6 @@ for _name, _function in STUDIES.items():
     study_app.command(_name)(_function)
 
 
-def _table(console: Console, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if i else "left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
-
-
 def _exclusion_text(body: str, angle_deg: float, of_baffle: bool) -> str:
     """An exclusion angle and where it comes from."""
     from simulator.scenario.fields import all_keys
@@ -259,7 +236,7 @@ def _print_coverage(result: Coverage, of_baffle: Sequence[str], console: Console
         (f"at least {k}", f"{100 * summary['availability'][k]:.2f} %", f"{100 * share:.2f} %")
         for k, share in summary["availability_where_allowed"].items()
     ]
-    _table(console, f"share of the {what}", ("stars", "available", "where not excluded"), rows)
+    print_table(console, f"share of the {what}", ("stars", "available", "where not excluded"), rows)
 
 
 def _print_design(result: Design, console: Console) -> None:
@@ -292,7 +269,7 @@ def _print_design(result: Design, console: Console) -> None:
         "",
     )
     specified = ", ".join(f"{axis} {deg_text(limit)}" for axis, limit in result.specification_deg.items())
-    _table(
+    print_table(
         console,
         f"{result.name}: 3σ to meet: {specified}; at least {result.least_stars} stars over "
         f"{100 * result.least_availability:g} % of the {'time' if result.over == 'path' else 'sky'}",
@@ -319,7 +296,7 @@ def _print_verification(result: Design, checked: Verification, console: Console)
         specified = deg_text(result.specification_deg[axis])
         rows.append((axis, deg_text(predicted), deg_text(measured), ratio, deg_text(checked.p997_deg[axis]), specified))
     title = f"{checked.trials} trials, {checked.solved} solved, {checked.wrong} wrong"
-    _table(console, title, ("3σ", "predicted", "measured", "ratio", "99.7 % below", "specified"), rows)
+    print_table(console, title, ("3σ", "predicted", "measured", "ratio", "99.7 % below", "specified"), rows)
     name, unit, _ = PARAMETERS[result.parameter]
     value = result.best.value if result.best else math.nan
     if checked.contradictions:

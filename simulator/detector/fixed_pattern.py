@@ -24,7 +24,7 @@ class FixedPattern:
     prnu: Map | float
     """Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off."""
     dark_e_s: Map | float
-    """Mean dark current of each pixel, electrons a second; a scalar where all pixels are alike."""
+    """Mean dark current of each pixel, electrons per second; a scalar where all pixels are alike."""
     dead: NDArray[np.bool_] | None = None
     """(H, W): Dead pixels and columns; None where there are none."""
     hot: NDArray[np.bool_] | None = None
@@ -114,7 +114,7 @@ def _unit_mean_lognormal(sigma: float, shape: tuple[int, int], rng: np.random.Ge
 def _check_countable(dark_e_s: float, detector: DetectorParameters) -> None:
     if not dark_e_s <= LARGEST_MEAN:
         raise InputError(
-            f"the dark current comes to {dark_e_s:.3g} electrons a second and pixel at detector.temperature_c = "
+            f"the dark current comes to {dark_e_s:.3g} electrons per second and pixel at detector.temperature_c = "
             f"{detector.temperature_c:g}; lower dark_current_e_s, hot_pixel_dark_e_s, dsnu or temperature_c, or "
             "raise dark_doubling_c"
         )

@@ -155,6 +155,6 @@ def _nonuniformity(bright: Pair, dark: Pair) -> Measured:
     variance = max(pattern.value - below.value, 0.0)
     error = math.hypot(pattern.error, below.error)
     value = math.sqrt(variance) / signal
-    # near zero the error of the variance is all there is to tell
+    # near zero the error of the variance is all that is known
     spread = error / (2.0 * math.sqrt(variance)) if variance > error else math.sqrt(error)
     return Measured(value, math.hypot(spread, value * math.hypot(high.error, low.error)) / signal)

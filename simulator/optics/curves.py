@@ -139,7 +139,7 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
 
 
 def _parse(text: str, where: str) -> Curve:
-    """Points of a CSV text; the first fault is told with its line."""
+    """Points of a CSV text; the first fault is reported with its line."""
     points: list[tuple[float, float]] = []
     header = False
     for number, line in enumerate(text.splitlines(), start=1):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from startracker.errors import InputError
 
@@ -64,3 +64,21 @@ class ScenarioError(InputError):
 
     def __reduce__(self) -> tuple[Any, ...]:  # the default would hand the text to __init__ when it crosses processes
         return type(self), (self.problems,)
+
+
+class Violation(NamedTuple):
+    """A rule that does not hold: the key at fault, why, and whether ``allow_unphysical`` lets it pass."""
+
+    key: str
+    message: str
+    overridable: bool
+
+
+def impossible(key: str, message: str) -> Violation:
+    """A contradiction, which nothing allows."""
+    return Violation(key, message, overridable=False)
+
+
+def unphysical(key: str, message: str) -> Violation:
+    """A value that cannot be, which ``allow_unphysical`` lets pass."""
+    return Violation(key, message, overridable=True)

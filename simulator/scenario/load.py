@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,16 +17,14 @@ from typing import Any, Self
 from pydantic import PrivateAttr, model_validator
 
 from simulator.scenario import physics
-from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
-from simulator.scenario.errors import Location, Problem, ScenarioError
+from simulator.scenario.document import REPORTED, Table, Value, parse_document, show_value
+from simulator.scenario.errors import Location, Problem, ScenarioError, Violation
 from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
+from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
 from simulator.scenario.overrides import apply_overrides, merge, set_option
 from simulator.scenario.schema import ScenarioModel
 from startracker.errors import InputWarning
 from startracker.identification_settings import unread_keys
-
-FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
-"""Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
 
 _NOISELESS: dict[str, Any] = {
     "sky.background": False,
@@ -69,10 +66,10 @@ class Scenario(ScenarioModel):
             raise ValueError(str(ScenarioError(refused)))
         return self
 
-    def _violations(self) -> list[physics.Violation]:
+    def _violations(self) -> list[Violation]:
         return physics.violations(flatten(self))
 
-    def _refuses(self, violation: physics.Violation) -> bool:
+    def _refuses(self, violation: Violation) -> bool:
         return not (violation.overridable and self.allow_unphysical)
 
     def __eq__(self, other: object) -> bool:
@@ -111,7 +108,7 @@ class Scenario(ScenarioModel):
         """
         file = find_scenario(path)
         problems: list[Problem] = []
-        tree = _read_chain(file, str(path) if file == Path(path) else str(file), problems)
+        tree = read_chain(file, str(path) if file == Path(path) else str(file), problems)
         if tree is None:
             raise ScenarioError(problems)
         scenario = _build(cls, tree, overrides, problems, names=names, seed=seed, trials=trials)
@@ -125,7 +122,7 @@ class Scenario(ScenarioModel):
         """Read a scenario from text, as `load` does from a file; other files are looked up from the working folder."""
         problems: list[Problem] = []
         tree = parse_document(text, name, problems)
-        tree = _with_base(tree, name, problems, ()) if tree else None
+        tree = with_base(tree, name, problems, ()) if tree else None
         if tree is None:
             raise ScenarioError(problems)
         return _build(cls, tree, overrides, problems, names=names)
@@ -196,85 +193,6 @@ class Scenario(ScenarioModel):
 _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 
 
-def find_scenario(path: str | Path) -> Path:
-    """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
-    return _file_or_shipped(Path(path), str(path))
-
-
-def _file_or_shipped(file: Path, written: str) -> Path:
-    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
-    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
-    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
-        here = Path(__file__).resolve().parent
-        for folder in (here / "shipped", here.parents[1] / "scenarios"):
-            shipped = folder / f"{written}.yaml"
-            if shipped.is_file():
-                return shipped
-    return file
-
-
-def _read_chain(
-    file: Path,
-    name: str,
-    problems: list[Problem],
-    chain: tuple[tuple[str, str], ...] = (),
-    named_at: Location | None = None,
-) -> Table | None:
-    """Tree of a file laid over its base; None, with the reason among `problems`, where one of them cannot be read."""
-    text = read_text(file, name, named_at, "base" if named_at else "")
-    if isinstance(text, Problem):
-        problems.append(text)
-        return None
-    tree = parse_document(text, name, problems)
-    return _with_base(tree, name, problems, (*chain, (os.path.realpath(file), name))) if tree else None
-
-
-def _with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tuple[str, str], ...]) -> Table | None:
-    folder = os.path.dirname(name) if chain else ""
-    tree = _absolute_files(tree, folder)
-    entry = tree.entries.pop("base", None)
-    if entry is None:
-        return tree
-    base = entry.node.data if isinstance(entry.node, Value) else {}
-    if base is REPORTED:
-        return None
-    if not isinstance(base, str) or not base:
-        problems.append(Problem(entry.location, "base", f"must be the name of a scenario file, not {show_value(base)}"))
-        return None
-    beside = os.path.normpath(os.path.join(folder, base))
-    base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
-    real = os.path.realpath(base_name) if "\0" not in base_name else base_name
-    known = [seen for seen, _ in chain]
-    if real in known:
-        circle = " → ".join([n for _, n in chain[known.index(real) :]] + [base_name])
-        problems.append(Problem(entry.location, "base", f"the files are based on each other in a circle: {circle}"))
-        return None
-    below = _read_chain(Path(base_name), base_name, problems, chain, entry.location)
-    return merge(below, tree) if below else None
-
-
-def _absolute_files(tree: Table, folder: str) -> Table:
-    """Names of CSV files made absolute, so that they are still found from elsewhere: from a base, or once resolved."""
-    for path in FILE_KEYS:
-        tables, keys = [tree], path.split(".")
-        for key in keys[:-1]:
-            inner = tables[-1].entries.get(key)
-            if inner and isinstance(inner.node, Table):
-                tables.append(inner.node)
-        entry = tables[-1].entries.get(keys[-1]) if len(tables) == len(keys) else None
-        if entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data):
-            file = os.path.abspath(os.path.join(folder, entry.node.data))
-            layer = Table(tables[-1].location, {keys[-1]: Entry(entry.location, Value(file, entry.node.location))})
-            for table, key in zip(tables[-2::-1], keys[-2::-1], strict=True):
-                layer = Table(table.location, {key: Entry(table.entries[key].location, layer)})
-            tree = merge(tree, layer)
-    return tree
-
-
-def _is_file_name(value: Any) -> bool:
-    return isinstance(value, str) and (value.lower().endswith(".csv") or "/" in value or os.sep in value)
-
-
 def _build(
     cls: type[Scenario],
     tree: Table,
@@ -290,7 +208,7 @@ def _build(
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
-    tree = merge(tree, _absolute_files(options, ""))
+    tree = merge(tree, absolute_files(options, ""))
     flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
     allowed = flat.get("allow_unphysical", False)
     for violation in physics.violations(flat):
@@ -314,7 +232,7 @@ def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:
     return [Problem(_location_of(tree, key), key, message) for key in keys if flat[key] != _KEYS[key].default]
 
 
-def _advice(violation: physics.Violation) -> str:
+def _advice(violation: Violation) -> str:
     return violation.message + (physics.ALLOW if violation.overridable else "")
 
 
@@ -361,7 +279,7 @@ def _check_table(
             else:
                 flat[key.path] = value
         elif key.default is MISSING:
-            if name in misspelt:  # reported already, as what was written in its place
+            if name in misspelt:  # reported already, as what was written instead of it
                 continue
             problems.append(Problem(location, key.path, "required key is missing"))
         else:

@@ -86,8 +86,8 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     """Whether an accepted attitude is wrong.
 
     It is when a star is misidentified, or when the error contradicts the stated covariance (`WRONG_NEES`) and is larger
-    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy but honest attitude wrong, the
-    first one alone an accurate attitude whose covariance is a little too small.
+    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy attitude with a correct
+    covariance wrong, the first one alone an accurate attitude whose covariance is a little too small.
 
     Parameters
     ----------

@@ -25,6 +25,7 @@ from startracker.settings import CentroidSettings
 __all__ = ["SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _LARGEST_HALF_PX = 8
 _WIDTHS = 2.5
@@ -146,17 +147,32 @@ def _fit(
     psf, starts = _start(frame, spots, moments, sigmas)
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
-    table, misfit = fits[:, :MEASURED].copy(), fits[:, 6] / fits[:, 7]
-    table[:, 3:] *= np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)[:, None]
-    failed = np.flatnonzero(~np.isfinite(table.sum(axis=1)))
-    # a star measured by its moment counts as apart from its group
-    table[failed], group[failed] = moments[failed], len(table) + failed
+    table = _accepted(fits, moments, group)
     common = None
     if frame.settings.psf is None:
         half = int(starts.half.min())
         common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
     return found if common is None or not common.any() else replace(found, common_px2=common)
+
+
+@kernel
+def _accepted(fits: FloatArray, moments: FloatArray, group: IntArray) -> FloatArray:
+    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large; by moments where a fit failed, and
+    such a star counts as apart from its group."""
+    out = np.empty((len(fits), MEASURED))
+    for n in range(len(fits)):
+        misfit, factor, finite = fits[n, 6] / fits[n, 7], 1.0, True
+        if misfit > 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7]):
+            factor = misfit
+        for k in range(MEASURED):
+            out[n, k] = fits[n, k] * (factor if k > 2 else 1.0)
+            finite = finite and math.isfinite(out[n, k])
+        if not finite:
+            group[n] = len(fits) + n
+            for k in range(MEASURED):
+                out[n, k] = moments[n, k]
+    return out
 
 
 def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]) -> tuple[PsfModel, Starts]:

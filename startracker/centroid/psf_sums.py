@@ -165,19 +165,23 @@ def normal_equations(
     """
     for a in range(0, len(right), 3):
         f, x, y = slopes[a], slopes[a + 1], slopes[a + 2]
-        rf, rx, ry = 0.0, 0.0, 0.0
-        for b in range(0, a + 3, 3):
+        rf, rx, ry, ff, xf, xx, yf, yx, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(len(weights)):
+            wf, wx, wy = weights[n] * f[n], weights[n] * x[n], weights[n] * y[n]
+            rf, rx, ry = rf + wf * residuals[n], rx + wx * residuals[n], ry + wy * residuals[n]
+            ff, xf, xx = ff + wf * f[n], xf + wx * f[n], xx + wx * x[n]
+            yf, yx, yy = yf + wy * f[n], yx + wy * x[n], yy + wy * y[n]
+        right[a], right[a + 1], right[a + 2] = rf, rx, ry
+        normal[a, a], normal[a + 1, a], normal[a + 1, a + 1] = ff, xf, xx
+        normal[a + 2, a], normal[a + 2, a + 1], normal[a + 2, a + 2] = yf, yx, yy
+        for b in range(0, a, 3):
             g, u, v = slopes[b], slopes[b + 1], slopes[b + 2]
-            ff, fu, fv, xf, xu, xv, yf, yu, yv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            fg, fu, fv, xg, xu, xv, yg, yu, yv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for n in range(len(weights)):
                 wf, wx, wy = weights[n] * f[n], weights[n] * x[n], weights[n] * y[n]
-                ff, fu, fv = ff + wf * g[n], fu + wf * u[n], fv + wf * v[n]
-                xf, xu, xv = xf + wx * g[n], xu + wx * u[n], xv + wx * v[n]
-                yf, yu, yv = yf + wy * g[n], yu + wy * u[n], yv + wy * v[n]
-            normal[a, b], normal[a, b + 1], normal[a, b + 2] = ff, fu, fv
-            normal[a + 1, b], normal[a + 1, b + 1], normal[a + 1, b + 2] = xf, xu, xv
-            normal[a + 2, b], normal[a + 2, b + 1], normal[a + 2, b + 2] = yf, yu, yv
-        for n in range(len(weights)):
-            weighted = weights[n] * residuals[n]
-            rf, rx, ry = rf + f[n] * weighted, rx + x[n] * weighted, ry + y[n] * weighted
-        right[a], right[a + 1], right[a + 2] = rf, rx, ry
+                fg, fu, fv = fg + wf * g[n], fu + wf * u[n], fv + wf * v[n]
+                xg, xu, xv = xg + wx * g[n], xu + wx * u[n], xv + wx * v[n]
+                yg, yu, yv = yg + wy * g[n], yu + wy * u[n], yv + wy * v[n]
+            normal[a, b], normal[a, b + 1], normal[a, b + 2] = fg, fu, fv
+            normal[a + 1, b], normal[a + 1, b + 1], normal[a + 1, b + 2] = xg, xu, xv
+            normal[a + 2, b], normal[a + 2, b + 1], normal[a + 2, b + 2] = yg, yu, yv

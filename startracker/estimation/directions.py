@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from startracker.kernels import kernel
 from startracker.linalg import cross, inverse, transform, turned
 
-__all__ = ["fit_pairs", "fit_turn", "focal_slopes", "normal_equations", "pair_rotation"]
+__all__ = ["fit_pairs", "fit_turn", "focal_slopes", "normal_equations", "pair_frame", "pair_rotation"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

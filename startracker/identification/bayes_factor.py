@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from startracker.kernels import kernel
+from startracker.linalg import log_determinant
 from startracker.sorting import median, order_of
 
 FloatArray = NDArray[np.float64]
@@ -210,27 +211,6 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
             total += math.exp(value - highest)
     average: float = highest + math.log(total) - counts.log_total[in_field]
     return average
-
-
-@kernel
-def log_determinant(matrix: FloatArray) -> float:
-    """ln of the determinant of a symmetric positive definite matrix (Cholesky); −inf where it is not."""
-    n = matrix.shape[0]
-    lower = np.zeros((n, n))
-    total = 0.0
-    for i in range(n):
-        for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not rest > 0.0:
-                    return -math.inf
-                lower[i, i] = math.sqrt(rest)
-                total += math.log(rest)
-            else:
-                lower[i, j] = rest / lower[j, j]
-    return total
 
 
 class Matched(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
@@ -22,7 +23,6 @@ from startracker.identification.search_state import Stars
 from startracker.identification.verification import (
     MOST_EXTRA,
     Verified,
-    focal_slopes,
     match_nearest,
     verify_attitude,
 )

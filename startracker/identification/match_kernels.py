@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.kernels import triple_product
 from startracker.kernels import kernel, kernel_with
+from startracker.linalg import triple_product
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

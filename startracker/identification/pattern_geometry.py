@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.kernels import pair_rotation, triple_product
+from startracker.estimation.directions import pair_rotation
 from startracker.identification.pattern_table import chord
-from startracker.identification.verification import solve_symmetric, turned
 from startracker.kernels import kernel
+from startracker.linalg import solve, triple_product, turned
 
 __all__ = ["correspondence", "pattern_attitude"]
 
@@ -104,6 +104,6 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
             right[0] += p[1] * e[2] - p[2] * e[1]
             right[1] += p[2] * e[0] - p[0] * e[2]
             right[2] += p[0] * e[1] - p[1] * e[0]
-        change = solve_symmetric(normal, right)
+        change = solve(normal, right)
         matrix = turned(matrix, change[0], change[1], change[2])
     return matrix

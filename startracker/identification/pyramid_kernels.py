@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.estimation.kernels import pair_rotation, triple_product
+from startracker.estimation.directions import pair_rotation
 from startracker.identification.kvector import KVector, find_range
 from startracker.kernels import kernel
+from startracker.linalg import triple_product
 
 __all__ = ["MOST_FINDS", "GuidePairs", "Seen", "search_pyramids", "smart_triples"]
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.kernels import triple_product
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_with
+from startracker.linalg import triple_product
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -1,9 +1,4 @@
-"""Kernel that checks an attitude against every observed star: match, refit, weigh.
-
-The fit is Gauss–Newton in the rotation vector δ (and ε = Δ ln f, where the focal length is free): with b the observed
-and p = R g the predicted unit vectors, b − p = δ × p − ε ∂b/∂ln f. For a pinhole ∂b/∂ln f = b_z (e_z − b_z b), of
-length sin θ cos θ.
-"""
+"""Kernel that checks an attitude against every observed star: match, refit by `estimation.directions`, weigh."""
 
 from __future__ import annotations
 
@@ -16,10 +11,12 @@ from numpy.typing import NDArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
+from startracker.estimation.directions import normal_equations
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
 from startracker.kernels import kernel
+from startracker.linalg import solve, turned
 from startracker.sorting import sort
 
 FloatArray = NDArray[np.float64]
@@ -35,59 +32,6 @@ _NARROWING = 3.0
 _NARROWEST = 0.8
 _ROUNDS = 5
 _RAN_AWAY_RAD = 0.2
-
-
-@kernel
-def focal_slopes(vectors: FloatArray) -> FloatArray:
-    """∂b/∂ln f (N, 3) of unit vectors (N, 3) in the frame of a pinhole camera."""
-    out = np.empty_like(vectors)
-    for i in range(len(vectors)):
-        z = vectors[i, 2]
-        out[i, 0], out[i, 1], out[i, 2] = -z * z * vectors[i, 0], -z * z * vectors[i, 1], z * (1.0 - z * z)
-    return out
-
-
-@kernel
-def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
-    """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    s, c = 1.0, 0.0
-    if angle > 0.0:
-        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
-    out = np.empty((3, 3))
-    for k in range(3):
-        p, q, r = matrix[0, k], matrix[1, k], matrix[2, k]
-        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
-        out[0, k] = p + s * u + c * (y * w - z * v)
-        out[1, k] = q + s * v + c * (z * u - x * w)
-        out[2, k] = r + s * w + c * (x * v - y * u)
-    return out
-
-
-@kernel
-def solve_symmetric(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solution (n,) of a small positive definite system by Gaussian elimination; NaN where there is none."""
-    n = len(right)
-    a, x = np.empty((n, n)), np.empty(n)
-    for i in range(n):
-        x[i] = right[i]
-        for j in range(n):
-            a[i, j] = matrix[i, j]
-    for i in range(n):
-        if not a[i, i] > 1e-300:
-            for k in range(n):
-                x[k] = math.nan
-            return x
-        for j in range(i + 1, n):
-            factor = a[j, i] / a[i, i]
-            for k in range(i, n):
-                a[j, k] -= factor * a[i, k]
-            x[j] -= factor * x[i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= a[i, k] * x[k]
-        x[i] /= a[i, i]
-    return x
 
 
 @kernel
@@ -158,41 +102,6 @@ def match_nearest(
         owner[at], index[i], distance[i] = i, at, away
         count += 1
     return count
-
-
-@kernel
-def fit_step(
-    observed: FloatArray, slopes: FloatArray, predicted: FloatArray, index: IntArray, sigma: FloatArray, unknowns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (unknowns, unknowns) and right-hand side of one Gauss–Newton step over the matched stars."""
-    normal = np.zeros((unknowns, unknowns))
-    right = np.zeros(unknowns)
-    for i in range(len(observed)):
-        if index[i] < 0:
-            continue
-        w = 1.0 / sigma[i] ** 2
-        px, py, pz = predicted[index[i], 0], predicted[index[i], 1], predicted[index[i], 2]
-        ex, ey, ez = observed[i, 0] - px, observed[i, 1] - py, observed[i, 2] - pz
-        normal[0, 0] += w * (1.0 - px * px)
-        normal[1, 1] += w * (1.0 - py * py)
-        normal[2, 2] += w * (1.0 - pz * pz)
-        normal[0, 1] -= w * px * py
-        normal[0, 2] -= w * px * pz
-        normal[1, 2] -= w * py * pz
-        right[0] += w * (py * ez - pz * ey)
-        right[1] += w * (pz * ex - px * ez)
-        right[2] += w * (px * ey - py * ex)
-        if unknowns == 4:
-            dx, dy, dz = slopes[i, 0], slopes[i, 1], slopes[i, 2]
-            normal[0, 3] -= w * (py * dz - pz * dy)
-            normal[1, 3] -= w * (pz * dx - px * dz)
-            normal[2, 3] -= w * (px * dy - py * dx)
-            normal[3, 3] += w * (dx * dx + dy * dy + dz * dz)
-            right[3] -= w * (dx * ex + dy * ey + dz * ez)
-    for i in range(unknowns):
-        for j in range(i):
-            normal[i, j] = normal[j, i]
-    return normal, right
 
 
 class Verified(NamedTuple):
@@ -304,7 +213,7 @@ def _settle(
             return count, matrix, focal, round_ + 1
         for i in range(len(last)):
             last[i] = index[i]
-        normal, right = fit_step(observed, stars.slopes, field.predicted, index, sigma, unknowns)
+        normal, right = normal_equations(observed, stars.slopes, field.predicted, index, sigma, unknowns)
         for i in range(unknowns):
             right[i] /= step * step
             for j in range(unknowns):
@@ -312,7 +221,7 @@ def _settle(
         if unknowns == 4:
             normal[3, 3] += 1.0 / FOCAL_SIGMA**2
             right[3] -= focal / FOCAL_SIGMA**2
-        change = solve_symmetric(normal, right)
+        change = solve(normal, right)
         if not math.isfinite(change[0]) or abs(change[0]) + abs(change[1]) + abs(change[2]) > _RAN_AWAY_RAD:
             return 0, matrix, focal, round_ + 1
         matrix = turned(matrix, change[0], change[1], change[2])
@@ -335,7 +244,7 @@ def _weigh(
             for axis in range(3):
                 square += (observed[i, axis] - field.predicted[index[i], axis]) ** 2
             distance[i] = math.sqrt(square)
-    information, _ = fit_step(observed, stars.slopes, field.predicted, index, stars.sigma, unknowns)
+    information, _ = normal_equations(observed, stars.slopes, field.predicted, index, stars.sigma, unknowns)
     ratios = log_magnitude_ratios(stars.magnitude, index, field.v_mag)
     matched = Matched(distance, index, stars.sigma, ratios)
     value, fitting = log_bayes_factor(matched, information, len(field.guide), area, FOCAL_SIGMA, stars.counts)

@@ -10,6 +10,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification import Observed, Prior, adaptive
 from startracker.identification.adaptive import first_triangles, nearest_stars
 from startracker.identification.bayes_factor import count_table
@@ -17,7 +18,6 @@ from startracker.identification.other_stars import least_hits
 from startracker.identification.pairs import separation
 from startracker.identification.search_state import Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import PAIR_SIGMAS, triangles_alike
-from startracker.identification.verification import focal_slopes
 from startracker.settings import AdaptiveSettings
 from startracker.solution import Status
 

@@ -10,6 +10,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.candidate_search import Effort, Verifier
@@ -19,7 +20,6 @@ from startracker.identification.pairs import separation
 from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
 from startracker.identification.search_plan import Setting, crowding_price, evidence_of_matches, fewest_matches, plan
 from startracker.identification.search_state import Guides, Limits, Pairs, Stars
-from startracker.identification.verification import focal_slopes
 from startracker.settings import AdaptiveSettings
 
 CAMERA = Camera.from_fov(20.0, 512, 512)

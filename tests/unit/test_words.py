@@ -34,10 +34,11 @@ TERMS = {
 """Word that is not used here, as a regular expression, and what the field says."""
 
 ALLOWED = (
-    r"\bin[ -]place(?: of)?\b",  # an array modified in place; one thing in place of another
+    r"\b[Ii]n(?:to)?[ -]place(?: of)?\b",  # an array modified in place; one thing in place of another
     r"tak(?:es?|ing) place\b",
     r"(?:decimal|binary) places?\b",
     r"blemish(?:ed)?_\w+",  # settings and columns of the rules of operation, which users meet
+    r"\"blemishes\"|\.blemishes\b",  # a key of sequence.json, and the map that it counts
     r"reject_hits\b",  # a setting of detection
 )
 """Phrases in which such a word is right."""
@@ -46,7 +47,7 @@ NOT_YET = (
     "CHANGELOG.md",
     "benchmarks",
     "docs/theses.md",
-    "simulator",
+    "simulator/theses",
     "startracker/_version.py",
     "startracker/calibration",
     "startracker/centroid",

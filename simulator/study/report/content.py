@@ -344,8 +344,8 @@ def _added_across(entry: Mapping[str, Any]) -> float:
     return sum(math.copysign(rms * rms, rms) for rms in added)
 
 
-def _largest(budget: Mapping[str, Any] | None, most: int = 3) -> str:
-    """The largest effects across the boresight with an interval above zero, as shares of the mean square error."""
+def _largest(budget: Mapping[str, Any] | None) -> str:
+    """The three largest effects across the boresight with an interval above 0, as shares of the mean square error."""
     if budget is None:
         return ""
     whole = sum(budget["rms_deg"][axis] ** 2 for axis in CAMERA_AXES[:2])
@@ -354,4 +354,4 @@ def _largest(budget: Mapping[str, Any] | None, most: int = 3) -> str:
         for entry in budget["effects"]
         if all((entry["axes"][axis]["added_rms_interval95_deg"][0] or 0.0) > 0.0 for axis in CAMERA_AXES[:2])
     ]
-    return ", ".join(f"{name} {100 * share:.0f} %" for share, name in sorted(sure, reverse=True)[:most])
+    return ", ".join(f"{name} {100 * share:.0f} %" for share, name in sorted(sure, reverse=True)[:3])

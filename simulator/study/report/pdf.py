@@ -215,7 +215,7 @@ class _Paper:
 
     @staticmethod
     def _draw(sheet: Figure, panel: Panel, left: float, top: float, width: float, height: float) -> None:
-        """Axes in their place on the sheet, with room about them for their labels, in letters of the sheet's size."""
+        """Axes at their position on the sheet, with room for their labels, in letters of the sheet's size."""
         from matplotlib import rc_context
 
         before, below = 0.52, 0.58 if panel.wide else 0.4

@@ -26,6 +26,7 @@ from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
     attitude_errors_deg,
     build_tracker,
+    in_field,
     misidentified,
     normalised_error_squared,
 )
@@ -332,12 +333,10 @@ class SequenceRunner:
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
-        sources = truth.sources
-        inside = frame.camera.contains(sources.xy)
-        star = sources.kind == "star"
+        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         return {
-            "stars_in_field": int(np.sum(inside & star & (sources.v_mag <= self.scenario.tracker.magnitude_limit))),
-            "bodies_in_field": int(np.sum(inside & ~star)),
+            "stars_in_field": stars,
+            "bodies_in_field": bodies,
             "excluded": ", ".join(truth.excluded),
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
         }

@@ -211,7 +211,7 @@ def run_sweep(
     force : bool
         Compute everything again, and replace what stands in `out`, whatever it is.
     progress : callable, optional
-        Told of every block of trials.
+        Called for every block of trials.
 
     Raises
     ------
