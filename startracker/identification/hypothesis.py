@@ -34,8 +34,10 @@ from startracker.trace import Steps
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SCALES = (1.0, 3.0, 10.0)
+SCALES: tuple[float, ...] = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
+_WIDEST = 0.01
+"""Largest error assumed, of the field's half diagonal (3.6 px of 512), unless more is stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +152,12 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
     stars = np.flatnonzero(found.guide_of >= 0)
     pairs = np.stack([stars, found.guide_of[stars]], axis=1)
     return Hypothesis(found.matrix, pairs, found.log_b, found.scale, found.in_field, math.exp(found.focal))
+
+
+def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
+    """Those of `SCALES` that leave the errors a small share of the field's half diagonal; at least the first."""
+    largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
+    return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
 
 
 def too_few(observed: Observed, least: int) -> Identification:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_with
 from startracker.linalg import triple_product
 
 FloatArray = NDArray[np.float64]
@@ -103,10 +103,10 @@ class _Group(NamedTuple):
     order: IntArray
 
 
-@kernel
-def _agree(w: Windows, i: int, a: int, j: int, b: int) -> bool:
+@kernel_with(inline="always")
+def _agree(w: Windows, brighter: float, i: int, a: int, j: int, b: int) -> bool:
     """Whether the brightnesses of two couples agree, and a prior lets both through."""
-    fits: bool = abs(w.magnitude[i] - w.magnitude[j] - (w.v_mag[a] - w.v_mag[b])) <= w.tolerance_mag
+    fits: bool = abs(brighter - (w.v_mag[a] - w.v_mag[b])) <= w.tolerance_mag
     return fits and (len(w.allowed) == 0 or (w.allowed[i, a] and w.allowed[j, b]))
 
 
@@ -115,12 +115,12 @@ def mark(w: Windows, partners: WordArray) -> None:
     """Set, for each couple (N, G), the bits of the observed stars that support it."""
     one = np.uint64(1)
     for p in range(len(w.i)):
-        i, j = w.i[p], w.j[p]
+        i, j, brighter = w.i[p], w.j[p], w.magnitude[w.i[p]] - w.magnitude[w.j[p]]
         bit_i, bit_j = one << np.uint64(i), one << np.uint64(j)
         for k in range(w.low[p], w.high[p]):
             for turn in range(2):
                 a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
-                if _agree(w, i, a, j, b):
+                if _agree(w, brighter, i, a, j, b):
                     partners[i, a] |= bit_j
                     partners[j, b] |= bit_i
 
@@ -147,12 +147,12 @@ def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray
     start, filled, members = np.zeros(count + 1, np.int64), np.zeros(count, np.int64), np.empty(0, np.int64)
     for sweep in range(2):  # first count, then fill
         for p in range(len(w.i)):
-            i, j = w.i[p], w.j[p]
+            i, j, brighter = w.i[p], w.j[p], w.magnitude[w.i[p]] - w.magnitude[w.j[p]]
             for k in range(w.low[p], w.high[p]):
                 for turn in range(2):
                     a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
                     kernel, other = group[i, a], group[j, b]
-                    if kernel < 0 or other < 0 or not _agree(w, i, a, j, b):
+                    if kernel < 0 or other < 0 or not _agree(w, brighter, i, a, j, b):
                         continue
                     if sweep == 1:
                         members[start[kernel] + filled[kernel]] = j * width + b

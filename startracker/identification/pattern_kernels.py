@@ -185,6 +185,24 @@ def _hits(
 
 
 @kernel
+def _guides(slot: int, table: PatternTable, sky: SkyView, out: FloatArray) -> None:
+    """Directions (4, 3) of a pattern's guide stars."""
+    for i in range(4):
+        star = table.members[table.stars[slot, i]]
+        for axis in range(3):
+            out[i, axis] = sky.directions[star, axis]
+
+
+@kernel
+def _is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool:
+    """Whether an attitude is one of those (K, 3, 3), within a rotation of some cosine."""
+    closest = -1.0
+    for m in range(len(known)):
+        closest = max(closest, _cosine_between(matrix, known[m]))
+    return closest > least_cosine
+
+
+@kernel
 def search_patterns(
     vectors: FloatArray,
     sigma: FloatArray,
@@ -218,7 +236,7 @@ def search_patterns(
         for j in range(i):
             edge[i, j] = edge[j, i] = chord(vectors[i], vectors[j])
     edges, order, found = np.empty(6), np.empty(4, np.int64), np.empty(512, np.int64)
-    mine, theirs = np.empty((4, 3)), np.empty((4, 3))
+    mine, theirs, zoomed, ordered = np.empty((4, 3)), np.empty((4, 3)), np.empty((4, 3)), np.empty((4, 3))
     gate = _GATE_SIGMAS * plan.multiple * sigma
     count, patterns, work = 0, 0, plan.work
     while stars[3] < most and work > 0.0:
@@ -235,29 +253,22 @@ def search_patterns(
         work -= _PROBE_COST * looked + _CHECK_COST * candidates
         mine[0], mine[1], mine[2], mine[3] = vectors[a], vectors[b], vectors[c], vectors[d]
         for k in range(candidates):
-            slot = found[k]
-            for i in range(4):
-                theirs[i] = sky.directions[table.members[table.stars[slot, i]]]
+            _guides(found[k], table, sky, theirs)
             limit = SIGMAS * error + DRIFT * edges[5]
             scale = correspondence(mine, theirs, limit, _SURE_SHAPE * error * edges[5], order)
             if scale == 0.0 or abs(scale - 1.0) > plan.focal_range + tolerance:
                 continue
             work -= _HITS_COST
-            focal = 1.0
-            if abs(scale - 1.0) > _FOCAL_SIGMAS * error / (2.0 * edges[5]):
-                focal = scale
+            focal = scale if abs(scale - 1.0) > _FOCAL_SIGMAS * error / (2.0 * edges[5]) else 1.0
             seen = vectors if focal == 1.0 else _zoomed(vectors, focal)
             for i, star in enumerate((a, b, c, d)):
-                mine[i] = seen[star]
-                theirs[i] = sky.directions[table.members[table.stars[slot, order[i]]]]
-            matrix = pattern_attitude(mine, theirs)
-            mine[0], mine[1], mine[2], mine[3] = vectors[a], vectors[b], vectors[c], vectors[d]
+                for axis in range(3):
+                    zoomed[i, axis] = seen[star, axis]
+                    ordered[i, axis] = theirs[order[i], axis]
+            matrix = pattern_attitude(zoomed, ordered)
             if plan.prior_cosine > -1.5 and _cosine_between(matrix, plan.prior) < plan.prior_cosine:
                 continue
-            seen_before = False
-            for m in range(len(known)):
-                seen_before = seen_before or _cosine_between(matrix, known[m]) > math.cos(8.0 * gate[d])
-            if seen_before:
+            if _is_known(matrix, known, math.cos(8.0 * gate[d])):
                 continue
             hits, others = _hits(matrix, seen, gate, a, b, c, d, sky)
             score = _log_chance(hits, others, 0.25 * gate[d] ** 2 * len(sky.directions))
@@ -272,7 +283,11 @@ def search_patterns(
 @kernel
 def _cosine_between(matrix: FloatArray, other: FloatArray) -> float:
     """Cosine of the rotation between two attitudes."""
-    return 0.5 * (np.sum(matrix * other) - 1.0)
+    trace = 0.0
+    for i in range(3):
+        for j in range(3):
+            trace += matrix[i, j] * other[i, j]
+    return 0.5 * (trace - 1.0)
 
 
 @kernel

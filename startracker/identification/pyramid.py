@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.identification.hypothesis import SCALES, Bench, too_few
+from startracker.identification.hypothesis import SCALES, Bench, too_few, tried_scales
 from startracker.identification.kvector import KVector, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
@@ -34,8 +34,6 @@ _MOST_TRIPLED = 64
 _STEP_WORK = 10
 """Operations of a step."""
 _MOST_CHECKED = 12  # confirmed triangles checked in a round at one scale
-_WIDEST = 0.01
-"""Errors are not assumed larger than this share of the field's half diagonal (3.6 px of 512), unless stated so."""
 _INDEXES: WeakKeyDictionary[PairList, KVector] = WeakKeyDictionary()
 
 
@@ -69,17 +67,11 @@ def pyramid(
     if len(observed) < least:
         return too_few(observed, least)
     bench = Bench(settings, prior, len(observed))
-    pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
-    index = _INDEXES.get(pairs)
-    if index is None:
-        index = _INDEXES[pairs] = k_vector(pairs.separation_rad.astype(np.float64))
     n = min(len(observed), settings.max_stars, _MOST_TRIPLED)
     triples = smart_triples(n)
-    table = GuidePairs(pairs.first, pairs.second, index, np.full(len(guide), -1, dtype=np.int64))
-    view = guide.view
-    scales: tuple[float, ...] = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
-    largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
-    scales = tuple(scale for scale in scales if scale <= largest) or scales[:1]
+    table, view = _guide_pairs(guide, prior), guide.view
+    fixed = settings.separation_tolerance_deg is not None
+    scales = SCALES[-1:] if fixed else tried_scales(observed, guide)
     seen = {scale: _seen(observed, n, settings, scale) for scale in scales}
     for most, confirming, budget in _ROUNDS:
         stop, needed = min(most, len(triples)), max(1, min(confirming, len(observed) - 3))
@@ -108,6 +100,15 @@ def pyramid(
         if verdict.status is Status.SOLVED or bench.cut_short:
             break
     return verdict
+
+
+def _guide_pairs(guide: GuideDatabase, prior: Prior | None) -> GuidePairs:
+    """Pairs of the whole sky, or about a prior attitude."""
+    pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
+    index = _INDEXES.get(pairs)
+    if index is None:
+        index = _INDEXES[pairs] = k_vector(pairs.separation_rad.astype(np.float64))
+    return GuidePairs(pairs.first, pairs.second, index, np.full(len(guide), -1, dtype=np.int64))
 
 
 def _seen(observed: Observed, n: int, settings: PyramidSettings, scale: float) -> Seen:

@@ -25,7 +25,7 @@ from startracker.estimation.wahba import fit_rotation
 from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
-from startracker.identification.hypothesis import SCALES, Bench, too_few
+from startracker.identification.hypothesis import SCALES, Bench, too_few, tried_scales
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
@@ -42,8 +42,6 @@ _MOST_TRIPLED = 64
 """Stars that make triads at most, whatever the settings."""
 _MOST_GROUPS = 12
 """Groups checked at one scale."""
-_WIDEST = 0.01
-"""Errors are not assumed larger than this share of the field's half diagonal, unless stated so."""
 _LOWEST = 0.2
 """Cosine from the boresight below which a star is not laid in the tangent plane."""
 _COMBINE_PX = 4.0
@@ -113,9 +111,7 @@ def _identify(
     # x as the columns run, y up; one pixel is its angle at the boresight
     xy = vectors[:, :2] / vectors[:, 2:] * [1.0, -1.0] / guide.camera.pixel_rad
     fixed = settings.separation_tolerance_deg
-    scales: tuple[float, ...] = SCALES if fixed is None else SCALES[-1:]
-    largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
-    scales = tuple(scale for scale in scales if scale <= largest) or scales[:1]
+    scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
     verdict = bench.judge(observed)
