@@ -82,6 +82,8 @@ class FoundStars:
         Of a centroid; None: `variance_px2` on both axes.
     common_px2 : (2, 2), optional
         Covariance of an error that all centroids share (`Centroids.common_px2`).
+    misfit : float, optional
+        How far the star images are from those that were fitted (`Centroids.misfit`).
     trailed : bool
         Whether these are the middles of trails.
     other : callable, optional
@@ -99,6 +101,7 @@ class FoundStars:
     saturated: int = 0
     covariance_px2: FloatArray | None = None
     common_px2: FloatArray | None = None
+    misfit: float | None = None
     trailed: bool = False
     other: Callable[[], FoundStars | None] | None = None
 
@@ -280,6 +283,7 @@ class _Looks:
             saturated=int(np.count_nonzero(stars.saturated)),
             covariance_px2=stars.covariance,
             common_px2=stars.common_px2,
+            misfit=stars.misfit,
             trailed=trailed,
         )
 

@@ -21,6 +21,7 @@ from startracker.estimation.pose import (
     few_stars_factor,
     fit_pose,
     pixel_slopes,
+    probability_as_assumed,
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
@@ -85,6 +86,7 @@ def refine(
     directions: FloatArray | None = None,
     covariance_px2: FloatArray | None = None,
     common_px2: FloatArray | None = None,
+    misfit: float | None = None,
     observer: Observer | None = None,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
@@ -113,6 +115,8 @@ def refine(
         Of each centroid, where the two axes differ, as of streaks.
     common_px2 : (2, 2), optional
         Of an error that all centroids share, which turns the attitude and no residual shows.
+    misfit : float, optional
+        How far the star images are from those that were fitted to them (`Centroids.misfit`).
     observer : Observer, optional
         What the guide stars are seen by. Without it the covariance has the motion of the stars since the catalogue's
         epoch and the aberration of light in it.
@@ -148,7 +152,8 @@ def refine(
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
     if known and covariance_px2 is not None:
         stated = covariance_px2 + floor**2 * np.eye(2)
-    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer)
+    as_assumed = probability_as_assumed(misfit)
+    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -189,6 +194,7 @@ class _Field:
     guide: GuideDatabase
     free_focal: bool
     observer: Observer | None
+    as_assumed: float
 
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the fit before, until these stay the same."""
@@ -216,7 +222,9 @@ class _Field:
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
         stated, first, models = self.stated[stars], 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         if self.known:
-            pose = fit_pose(residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first, models)
+            pose = fit_pose(
+                residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first, models, self.as_assumed
+            )
         else:
             scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
             for _ in range(2):

@@ -233,7 +233,7 @@ class StarTracker:
             stars = look() if callable(look) else look
             if stars is None:
                 continue
-            errors = stars.covariance_px2, stars.common_px2
+            errors = stars.covariance_px2, stars.common_px2, stars.misfit
             tried = self._solve(stars.xy, stars.flux, stars.variance_px2, prior, observer, guide, clock, *errors)
             looks.append((stars, tried))
             if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):
@@ -262,6 +262,7 @@ class StarTracker:
         clock: Clock,
         covariance_px2: FloatArray | None = None,
         common_px2: FloatArray | None = None,
+        misfit: float | None = None,
     ) -> Solution:
         tried: Sequence[Step] = ()
         free_fit: Solution | None = None
@@ -329,6 +330,7 @@ class StarTracker:
                 directions=known,
                 covariance_px2=covariance_px2,
                 common_px2=common_px2,
+                misfit=misfit,
                 observer=observer,
             )
         except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one

@@ -12,7 +12,7 @@ from startracker.centroid.moments import Prepared, collect, measure_moments, pre
 from startracker.centroid.psf_kernel import fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
-from startracker.centroid.result import Centroids
+from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import correct_skewness
 from startracker.centroid.window import MEASURED
 from startracker.detection.background import Background
@@ -23,7 +23,7 @@ from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
-__all__ = ["SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
+__all__ = ["MISFIT_SIGMA", "SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,7 +36,8 @@ _CEILING_SHARE = 0.9
 SYSTEMATIC_PX = 0.001
 """Floor of a position's standard deviation, twice the error of the table's interpolation; less than a moment's, as a
 star image that is not the assumed one shows in the residuals of the fit, and counts there."""
-_MISFIT_SIGMA = 4.0
+MISFIT_SIGMA = 4.0
+"""Excess of a fit's χ² over its mean, in standard deviations, from which the covariance is as many times as large."""
 _ASTRAY_PX = 1.5
 
 
@@ -160,7 +161,7 @@ def _fit(
         return Centroids.none()
     moments, sigmas = measure_moments(frame, spots)
     psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
-    table, group = _fit_found(
+    table, group, excess = _fit_found(
         frame.image,
         frame.level,
         frame.noise,
@@ -188,7 +189,8 @@ def _fit(
             frame.settings.flat_field_error,
         )
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
-    return found if common is None or not common.any() else replace(found, common_px2=common)
+    misfit = misfit_of_brightest(table[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
+    return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
 
 
 def _fit_found(
@@ -206,19 +208,20 @@ def _fit_found(
     inverse_gain: float,
     flat_error: float,
     reweigh: bool,
-) -> tuple[FloatArray, IntArray]:
-    """Measurements (N, 6) by fits, or by moments where these fail, and the number of each star's group."""
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Measurements (N, 6) by fits, or by moments where these fail, the number of each star's group, and the excess of
+    χ² of its fit, in standard deviations."""
     x, y = start[:, 0].copy(), start[:, 1].copy()
     group = group_stars(x, y, halves + apart)
     fits = fit_stars(
         image, level, noise, table, axes, oversampling, group, x, y, halves, ceilings, inverse_gain, flat_error, reweigh
     )
-    out, misfit = fits[:, :MEASURED].copy(), fits[:, 6] / fits[:, 7]
-    out[:, 3:] *= np.where(misfit > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / fits[:, 7]), misfit, 1.0)[:, None]
+    out, excess = fits[:, :MEASURED].copy(), (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
+    out[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
     failed = np.flatnonzero(~np.isfinite(out).all(axis=1))
     # a star measured by its moment counts as apart from its group
     out[failed], group[failed] = moments[failed], len(x) + failed
-    return out, group
+    return out, group, excess
 
 
 def _start(

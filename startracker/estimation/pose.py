@@ -50,16 +50,22 @@ from startracker.kernels import kernel
 from startracker.sorting import median
 
 __all__ = ["TRUSTED", "UNKNOWN_FLOOR_PX", "Pose", "displacements", "few_stars_factor", "fit_pose", "pixel_slopes"]
+__all__ += ["probability_as_assumed"]
 
 FloatArray = NDArray[np.float64]
 
 TRUSTED = 20.0
 """Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
-SYSTEMATIC = np.concatenate((np.zeros(1), 0.4 * 2.0 ** np.arange(9)))
+_OCTAVES = 0.5 * np.arange(19)
+SYSTEMATIC = np.concatenate((np.zeros(1), 0.2 * 2.0**_OCTAVES))
 """Values of τ in units of the median stated error."""
-_FALLING = 0.75 ** np.arange(9)
-_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.array([0.5]), 0.5 * _FALLING / _FALLING.sum())))
-"""As probable as not, and a large one less than a small one: of three stars it is hardly known."""
+_FALLING = 0.75**_OCTAVES
+_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.ones(1), _FALLING / _FALLING.sum())))
+"""Of each given that there is none, or one: a large one is less probable, as of three stars it is hardly known."""
+_AS_ASSUMED = 0.5
+"""Probability beforehand that there is none."""
+_WRONG_MISFIT = 20.0
+"""Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
 """Relative error of a calibrated focal length, and of a shear, where there is one."""
 FREE_FOCAL_SIGMA = 1e-2
@@ -112,6 +118,26 @@ def few_stars_factor(freedom: int) -> float:
     (ν = 3) its 99 % quantile is 7.8 times as large.
     """
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
+
+
+def probability_as_assumed(misfit: float | None) -> float:
+    """Probability that star images are as assumed, so that there is no τ, by the misfit of the brightest.
+
+    Where they are, the misfit is a normal deviate; where not, exponentially distributed, plus the same noise.
+
+    Parameters
+    ----------
+    misfit : float or None
+        `startracker.centroid.result.misfit_of_brightest`; None: not known.
+    """
+    if misfit is None:
+        return _AS_ASSUMED
+    misfit = max(misfit, -5.0)  # noise may be stated too large
+    clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
+    beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
+    wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
+    part = _AS_ASSUMED * clean
+    return min(max(part / max(part + (1.0 - _AS_ASSUMED) * wrong, 1e-300), 1e-6), 1.0 - 1e-6)
 
 
 @kernel
@@ -193,6 +219,7 @@ def fit_pose(
     trusted: float,
     first: int,
     models: int,
+    as_assumed: float = _AS_ASSUMED,
 ) -> Pose:
     """Average of all models of the module's docstring over their evidence.
 
@@ -215,9 +242,11 @@ def fit_pose(
         First model: 0 where the camera may be as calibrated; 1 where the focal length is always fitted.
     models : int
         Number of models: 3, or 2 where the caller's columns make shears as they are.
+    as_assumed : float
+        Probability beforehand that there is no τ (`probability_as_assumed`).
     """
     columns, known = _columns(slopes, extra, offset), extra.shape[2]
-    given = residual, columns, covariance, extra_sigma, trusted, first, models, known
+    given = residual, columns, covariance, extra_sigma, trusted, first, models, known, as_assumed
     pose = _fit_models(*given, np.eye(2))
     if trusted > 0.0 and pose.systematic_px2 > 0.0:
         shape = _shape_of_systematic(residual, columns, pose)
@@ -265,12 +294,15 @@ def _fit_models(
     first: int,
     models: int,
     known: int,
+    as_assumed: float,
     shape: FloatArray,
 ) -> Pose:
     """`fit_pose` with the systematic error's covariance τ² `shape`."""
     trace = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
     unit = median(trace.copy())  # which it sorts
-    fits = _fit_each_model(residual, columns, covariance, extra_sigma, trusted, first, models, known, unit, shape)
+    fits = _fit_each_model(
+        residual, columns, covariance, extra_sigma, trusted, first, models, known, unit, as_assumed, shape
+    )
     pose: Pose = _averaged(*fits, trace, unit, known)
     return pose
 
@@ -286,6 +318,7 @@ def _fit_each_model(
     models: int,
     known: int,
     unit: float,
+    as_assumed: float,
     shape: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """All models, with the systematic error's covariance τ² `shape`: logarithms of their weights and scales
@@ -343,14 +376,16 @@ def _fit_each_model(
                 chi2 -= mean[t, m, i] * right[i]
             power, chi2 = trusted + freedom, max(chi2, 1e-12)
             if trusted > 0.0:
-                scale[t, m] = (trusted + chi2) / power
+                # the covariance of a t distribution is larger than its squared scale
+                scale[t, m] = (trusted + chi2) / (power - 2.0)
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
             for i in range(size):
                 for j in range(size):
                     every[t, m, i, j] = inverse[i, j]
             log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
-            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] - 0.5 * log_data
+            probable = as_assumed if t == 0 else 1.0 - as_assumed
+            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] + math.log(probable) - 0.5 * log_data
     return weight, scale, mean, every, plain
 
 

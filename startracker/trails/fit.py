@@ -17,6 +17,7 @@ __all__ += ["best_stretch", "fit_trail", "measure_trails", "residual_of"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 X, Y, FLUX, SKY, ANGLE, HALF, SIGMA = range(7)
 """Parameters of a trail: middle, px; light and level beside it, DN; direction, rad; half length and width, px."""
@@ -181,7 +182,7 @@ def _light(pixels: FloatArray, p: FloatArray, normal: FloatArray, right: FloatAr
 @kernel
 def fit_trail(
     residual: FloatImage, noise: Plane, start: FloatArray, size: int, slack: float, inverse_gain: float
-) -> tuple[FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, float, int]:
     """Least-squares fit of a trail (Levenberg 1944, Marquardt 1963).
 
     Parameters
@@ -201,7 +202,8 @@ def fit_trail(
 
     Returns
     -------
-    parameters (7,), covariance of those fitted (size, size), χ² a degree of freedom (infinite: no fit)
+    parameters (7,), covariance of those fitted (size, size), χ² a degree of freedom (infinite: no fit), degrees of
+    freedom
     """
     p, trial = start.copy(), start.copy()
     pixels = _window(residual, noise, p, slack)
@@ -209,11 +211,11 @@ def fit_trail(
     new_normal, new_right, step = np.zeros((LINE, LINE)), np.zeros(LINE), np.zeros(LINE)
     none = np.zeros((size, size))
     if pixels.shape[1] <= size:
-        return p, none, np.inf
+        return p, none, np.inf, 0
     if not p[FLUX] > 0.0:
         _light(pixels, p, normal, right)
         if not p[FLUX] > 0.0:
-            return p, none, np.inf
+            return p, none, np.inf, 0
     chi2, count = np.inf, 0
     for outlier, steps in ((np.inf, _FIRST_STEPS if size == PLACE else _STEPS), (_OUTLIER, _STEPS)):
         chi2, count = _normal_equations(pixels, p, size, inverse_gain, outlier, normal, right)
@@ -223,7 +225,7 @@ def fit_trail(
             for i in range(size):
                 factor[i, i] *= 1.0 + damping
             if not factorise(factor, size):
-                return p, none, np.inf
+                return p, none, np.inf, 0
             substitute(factor, size, step)
             gain = 0.0
             for i in range(size):
@@ -248,11 +250,11 @@ def fit_trail(
             break
     factor[:] = normal
     if count <= size or not factorise(factor, size):
-        return p, none, np.inf
+        return p, none, np.inf, 0
     covariance = np.eye(size)
     for i in range(size):
         substitute(factor, size, covariance[i])
-    return p, covariance, chi2 / (count - size)
+    return p, covariance, chi2 / (count - size), count - size
 
 
 @kernel
@@ -321,7 +323,7 @@ def _overlap(p: FloatArray, other: FloatArray) -> bool:
 @kernel
 def measure_trails(
     residual: FloatImage, noise: Plane, starts: FloatArray, inverse_gain: float, threshold: float, most: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Fits of trails, each with the light of the others subtracted; the residual is left without them.
 
     Parameters
@@ -335,9 +337,10 @@ def measure_trails(
 
     Returns
     -------
-    parameters (M, 7), covariances (M, 3, 3) of x, y and flux, χ² a degree of freedom (M,)
+    parameters (M, 7), covariances (M, 3, 3) of x, y and flux, χ² a degree of freedom (M,), degrees of freedom (M,)
     """
-    found, covariances, chi2s = np.empty_like(starts), np.empty((len(starts), 3, 3)), np.empty(len(starts))
+    found, covariances = np.empty_like(starts), np.empty((len(starts), 3, 3))
+    chi2s, freedoms = np.empty(len(starts)), np.empty(len(starts), np.int64)
     count = 0
     for n in range(len(starts)):
         if count == most:
@@ -348,21 +351,21 @@ def measure_trails(
         shift, _ = best_stretch(residual, noise, start, start[HALF] + away, length, length)
         start[X] += shift * math.cos(start[ANGLE])
         start[Y] += shift * math.sin(start[ANGLE])
-        p, covariance, chi2 = fit_trail(residual, noise, start, PLACE, 2.0, inverse_gain)
+        p, covariance, chi2, freedom = fit_trail(residual, noise, start, PLACE, 2.0, inverse_gain)
         for side in (-1.0, 1.0):
             # a search of clipped light finds bright trails to within some widths only
             if chi2 > _GOOD_CHI2:
                 aside, off = start.copy(), side * _ASIDE_SIGMAS * start[SIGMA]
                 aside[X] -= off * math.sin(start[ANGLE])
                 aside[Y] += off * math.cos(start[ANGLE])
-                other, other_covariance, other_chi2 = fit_trail(residual, noise, aside, PLACE, 2.0, inverse_gain)
-                if other_chi2 < chi2:
-                    p, covariance, chi2 = other, other_covariance, other_chi2
+                other = fit_trail(residual, noise, aside, PLACE, 2.0, inverse_gain)
+                if other[2] < chi2:
+                    p, covariance, chi2, freedom = other
         strong = chi2 < np.inf and p[FLUX] >= threshold * math.sqrt(covariance[FLUX, FLUX])
         if not strong or math.hypot(p[X] - starts[n, X], p[Y] - starts[n, Y]) > 0.5 * p[HALF]:
             continue
         _subtract(residual, p, 1.0)
-        found[count], covariances[count], chi2s[count] = p, covariance[:3, :3], chi2
+        found[count], covariances[count], chi2s[count], freedoms[count] = p, covariance[:3, :3], chi2, freedom
         count += 1
     for sweep in range(_SWEEPS):
         for n in range(count):
@@ -373,8 +376,9 @@ def measure_trails(
             if not (crowded or (bright and sweep == 0)):
                 continue
             _subtract(residual, found[n], -1.0)
-            p, covariance, chi2 = fit_trail(residual, noise, found[n], SHAPE if bright else PLACE, 2.0, inverse_gain)
+            size = SHAPE if bright else PLACE
+            p, covariance, chi2, freedom = fit_trail(residual, noise, found[n], size, 2.0, inverse_gain)
             if chi2 < np.inf:
-                found[n], covariances[n], chi2s[n] = p, covariance[:3, :3], chi2
+                found[n], covariances[n], chi2s[n], freedoms[n] = p, covariance[:3, :3], chi2, freedom
             _subtract(residual, found[n], 1.0)
-    return found[:count], covariances[:count], chi2s[:count]
+    return found[:count], covariances[:count], chi2s[:count], freedoms[:count]

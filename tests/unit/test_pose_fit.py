@@ -43,8 +43,9 @@ def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, firs
             chi2 = r @ big @ r - mean @ h.T @ big @ r
             log = np.linalg.slogdet(big)[1] + np.log(precision[3:]).sum() - np.linalg.slogdet(normal)[1]
             log -= (trusted + freedom) * np.log(trusted + chi2)
-            weight.append(0.5 * log + pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t])
-            factor = (trusted + chi2) / (trusted + freedom)
+            prior = pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t] + np.log(pose._AS_ASSUMED)
+            weight.append(0.5 * log + prior)
+            factor = (trusted + chi2) / (trusted + freedom - (2.0 if trusted else 0.0))
             if not trusted:
                 factor = max(factor, pose.UNKNOWN_FLOOR_PX**2 / unit)
             means.append(mean[:3])
@@ -99,7 +100,7 @@ def test_a_systematic_error_along_one_direction_is_told_so():
     assert along == pytest.approx(0.2, rel=0.2)
     assert across < 0.08  # 0.15 with a round one
     columns = pose._columns(given[1], given[4], given[2])
-    iso = pose._fit_models(given[0], columns, given[3], given[5], 20.0, 0, 3, 0, np.eye(2))
+    iso = pose._fit_models(given[0], columns, given[3], given[5], 20.0, 0, 3, 0, 0.5, np.eye(2))
     shape = pose._shape_of_systematic(given[0], columns, iso)
     assert np.trace(shape) == pytest.approx(2.0)
     turn, covariance = twin(*given, 20.0, 0, 3, (shape[0, 0], shape[0, 1], shape[1, 1]))
