@@ -28,7 +28,7 @@ from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
 from startracker.trace import Step, Steps
-from startracker.trails import Trails, find_trails
+from startracker.trails import Trails, find_trails, mid_exposure
 
 __all__ = ["Clock", "FoundStars", "find_stars"]
 
@@ -265,10 +265,10 @@ class _Looks:
         if trails is None:  # then short ones are measured as the detector found them
             return self.points(self.spots) if self.spots.are_streaks else None
         stars = trails.centroids
-        xy = stars.xy - _bow(stars.xy, camera, trails, self._middle)
+        xy, common = mid_exposure(trails, camera)
         length = float(np.hypot(*trails.motion[:2]))
         text = f"{len(stars)} trails of one motion, {length:.1f} px in the middle of the image"
-        return self._found(stars, partial(Step, "detection", text), xy, True)
+        return self._found(replace(stars, common_px2=common), partial(Step, "detection", text), xy, True)
 
     def _found(
         self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], xy: FloatArray, trailed: bool
@@ -293,29 +293,3 @@ def _lines(spots: Spots | None) -> FloatArray:
     if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])
-
-
-def _bow(xy: FloatArray, camera: Camera, trails: Trails, middle: FloatArray) -> FloatArray:
-    """How far the middle of a trail lies from where its star stood at mid-exposure (N, 2), pixels.
-
-    The image of a steady turn neither runs evenly nor straight: along the trail the middle is that of its ends, across
-    it the mean of an arc, which lies at two thirds of its height.
-    """
-    a, b, c = trails.motion
-    here = camera.unproject(xy)
-    half = 0.5 * np.array([-b / camera.fy, a / camera.fx, c])
-    angle = float(np.linalg.norm(half))
-    if angle < 1e-12:
-        return np.zeros_like(xy)
-    axis = half / angle
-    ends = []
-    for turn in (angle, -angle):
-        along = (here @ axis)[:, None] * axis
-        turned = (here - along) * math.cos(turn) + np.cross(axis, here) * math.sin(turn) + along
-        ends.append(camera.project(turned))
-    off = 0.5 * (ends[0] + ends[1]) - xy
-    direction = motion_at(xy - middle, trails.motion)
-    direction /= np.maximum(np.hypot(*direction.T), 1e-12)[:, None]
-    along = (off * direction).sum(axis=1)[:, None] * direction
-    bow = along + (off - along) / 3.0
-    return np.where(np.isfinite(bow), bow, 0.0)

@@ -71,10 +71,16 @@ class Trails:
     motion : (3,)
         (a, b, c): during the exposure what is at (x, y) from the image's middle moved by (a − c y, b + c x), pixels;
         forwards or backwards is not known.
+    lengths : (N, 2)
+        Of the trails along x and y, px.
+    fitted_alone : bool (N,)
+        Whether a trail's length and direction were fitted to itself, not taken from the motion.
     """
 
     centroids: Centroids
     motion: FloatArray
+    lengths: FloatArray
+    fitted_alone: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,9 +267,8 @@ def _measure(
     starts[:, :2], starts[:, SIGMA] = centres, sigma
     starts[:, ANGLE], starts[:, HALF] = np.arctan2(trails[:, 1], trails[:, 0]), 0.5 * np.hypot(*trails.T)
     threshold = settings.threshold_sigma
-    table, covariance, chi2, freedom = measure_trails(
-        frame.residual, frame.noise, starts, frame.inverse_gain, threshold, most
-    )
+    fits = measure_trails(frame.residual, frame.noise, starts, frame.inverse_gain, threshold, most)
+    table, covariance, chi2 = fits.table, fits.covariance, fits.chi2
     snr = table[:, FLUX] / np.sqrt(covariance[:, FLUX, FLUX])
     good = agrees(_lengths(table), motion_at(table[:, :2] - frame.middle, motion)) & (snr > threshold)
     good &= _within(frame, table, table[:, SIGMA]) & (chi2 < _WORST_CHI2 * (1.0 + (_MODEL_ERROR * snr) ** 2))
@@ -271,7 +276,7 @@ def _measure(
     kept = kept[np.argsort(-table[kept, FLUX], kind="stable")][:most]
     if not len(kept):
         return None
-    table, excess = table[kept], (chi2[kept] - 1.0) / np.sqrt(2.0 / freedom[kept])
+    table, excess = table[kept], (chi2[kept] - 1.0) / np.sqrt(2.0 / fits.freedom[kept])
     wider = np.where(excess > MISFIT_SIGMA, chi2[kept], 1.0)
     fitted = covariance[kept, :2, :2] * wider[:, None, None]
     stated = fitted + _ends_covariance(frame, table, fitted) + SYSTEMATIC_PX**2 * np.eye(2)
@@ -279,7 +284,7 @@ def _measure(
     saturated = ~np.isfinite(frame.residual[nearest[:, 1], nearest[:, 0]])
     misfit = misfit_of_brightest(table[:, FLUX], np.where(saturated, np.nan, excess))
     centroids = Centroids(table[:, :2].copy(), table[:, FLUX].copy(), stated, saturated, misfit=misfit)
-    return Trails(centroids, motion)
+    return Trails(centroids, motion, _lengths(table), fits.alone[kept])
 
 
 def _ends_covariance(frame: _Frame, table: FloatArray, fitted: FloatArray) -> FloatArray:

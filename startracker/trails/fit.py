@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,28 @@ _BRIGHT_SNR = 30.0
 _SWEEPS = 2
 _GOOD_CHI2, _ASIDE_SIGMAS = 2.0, 2.5
 """χ² a degree of freedom above which a fit is begun again so many widths beside its first start."""
+
+
+class Measured(NamedTuple):
+    """Fits of M trails.
+
+    Parameters
+    ----------
+    table : (M, 7)
+        Parameters.
+    covariance : (M, 3, 3)
+        Of x, y and flux.
+    chi2, freedom : (M,)
+        χ² a degree of freedom, and these.
+    alone : bool (M,)
+        Whether direction and length are those of the trail, not of the frame's motion.
+    """
+
+    table: FloatArray
+    covariance: FloatArray
+    chi2: FloatArray
+    freedom: IntArray
+    alone: NDArray[np.bool_]
 
 
 @kernel
@@ -323,7 +346,7 @@ def _overlap(p: FloatArray, other: FloatArray) -> bool:
 @kernel
 def measure_trails(
     residual: FloatImage, noise: Plane, starts: FloatArray, inverse_gain: float, threshold: float, most: int
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+) -> Measured:
     """Fits of trails, each with the light of the others subtracted; the residual is left without them.
 
     Parameters
@@ -334,13 +357,10 @@ def measure_trails(
         Least signal-to-noise ratio.
     most : int
         Trails wanted.
-
-    Returns
-    -------
-    parameters (M, 7), covariances (M, 3, 3) of x, y and flux, χ² a degree of freedom (M,), degrees of freedom (M,)
     """
     found, covariances = np.empty_like(starts), np.empty((len(starts), 3, 3))
     chi2s, freedoms = np.empty(len(starts)), np.empty(len(starts), np.int64)
+    alone = np.zeros(len(starts), np.bool_)
     count = 0
     for n in range(len(starts)):
         if count == most:
@@ -380,5 +400,6 @@ def measure_trails(
             p, covariance, chi2, freedom = fit_trail(residual, noise, found[n], size, 2.0, inverse_gain)
             if chi2 < np.inf:
                 found[n], covariances[n], chi2s[n], freedoms[n] = p, covariance[:3, :3], chi2, freedom
+                alone[n] = bright
             _subtract(residual, found[n], 1.0)
-    return found[:count], covariances[:count], chi2s[:count], freedoms[:count]
+    return Measured(found[:count], covariances[:count], chi2s[:count], freedoms[:count], alone[:count])
