@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.integer_lists import PATTERNS, Answer, Camera, Pattern, errors_px, pattern_list, scene
 from simulator.randomness import stream
-from simulator.study.exported_c.attacks import PATTERNS, Answer, Camera, Pattern, errors_px, pattern_list, scene
 from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.yee1999.catalogue import sub_catalog

@@ -1,52 +1,31 @@
-"""From a scenario to physics: the one module that knows both the scenario's keys and the parameters of the physics.
+"""From a scenario to physics: the one module that knows both the scenario's keys and the objects of the physics.
 
-Physics takes plain frozen parameters; here names become objects, files are read, and each section of a scenario becomes
-the parameters of its stage.
+Physics takes plain frozen parameters, of which a scenario's sections are made; here names become objects and files are
+read.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import Any, TypeVar
+from dataclasses import fields, replace
 
 from simulator.detector import Detector, build_fixed_pattern
-from simulator.detector.parameters import CosmicRays, DetectorParameters, Intensifier, Video
+from simulator.detector.parameters import DetectorParameters
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
 from simulator.mission.orbit import Orbit
 from simulator.mission.orbit import build_orbit as orbit_of_parameters
-from simulator.mission.parameters import (
-    Gyro,
-    OrbitParameters,
-    PointingParameters,
-    RatePoint,
-    SequenceMotion,
-    Slew,
-    Spin,
-)
+from simulator.mission.parameters import SequenceMotion
 from simulator.mission.pointing import mounting_of
 from simulator.optics.curves import load_curve
-from simulator.optics.ghosts import Ghost
-from simulator.optics.illumination import Vignetting
-from simulator.optics.jitter import Jitter, load_spectrum
+from simulator.optics.jitter import load_spectrum
 from simulator.optics.psf import Lens
-from simulator.optics.psf_model import FieldAberrations, PsfModel, Zernike
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
-from simulator.optics.tether import Tether
 from simulator.optics.thermal import true_camera
 from simulator.scenario import Scenario
-from simulator.scenario.schema import (
-    DetectorSection,
-    GyroSection,
-    PointingSection,
-    PsfSection,
-    SequenceSection,
-    SkySection,
-)
+from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
-from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -59,21 +38,9 @@ __all__ = [
     "build_orbit",
     "build_scenes",
     "detector_parameters",
-    "gyro_parameters",
-    "pointing_parameters",
-    "psf_model",
     "sequence_motion",
     "shutter_of",
-    "sky_parameters",
 ]
-
-T = TypeVar("T")
-
-
-def _plain(kind: type[T], section: Any, **other: Any) -> T:
-    """Parameters whose names are keys of a section; `other` those that are not taken as they stand."""
-    names = (column.name for column in fields(kind) if column.name not in other)  # type: ignore[arg-type]
-    return kind(**{name: getattr(section, name) for name in names}, **other)
 
 
 def build_camera(scenario: Scenario) -> Camera:
@@ -118,12 +85,12 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         camera=camera,
         true_camera=true_camera(camera, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c),
         photometer=photometer,
-        psfs=PsfSet(psf_model(optics.psf), lens, (detector.width, detector.height), photometer.bin_weights),
-        sky=sky_parameters(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
+        psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
+        sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
         aperture_mm=optics.aperture_mm,
         pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,
-        vignetting=_plain(Vignetting, optics.vignetting),
-        ghosts=tuple(_plain(Ghost, ghost) for ghost in optics.ghosts),
+        vignetting=optics.vignetting,
+        ghosts=optics.ghosts,
         baffle=build_baffle(
             baffle.pst,
             baffle.sun_exclusion_deg,
@@ -131,7 +98,7 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
             baffle.earth_exclusion_deg,
             scenario.base_dir,
         ),
-        tether=_plain(Tether, scenario.tether),
+        tether=scenario.tether,
     )
 
 
@@ -149,26 +116,24 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
-    jitter = _plain(Jitter, scenario.pointing.jitter)
     parameters = SceneParameters(
         seed=scenario.seed,
         sampling=scenario.study.sampling,
-        pointing=pointing_parameters(scenario.pointing),
-        jitter=jitter,
-        spectrum=load_spectrum(jitter, scenario.base_dir),
-        sky=sky_parameters(scenario.sky),
+        pointing=scenario.pointing,
+        spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
+        sky=scenario.sky,
     )
     return SceneBuilder(parameters, build_orbit(scenario))
 
 
 def build_orbit(scenario: Scenario) -> Orbit:
     """Orbit of a scenario."""
-    return orbit_of_parameters(_plain(OrbitParameters, scenario.orbit), scenario.epoch)
+    return orbit_of_parameters(scenario.orbit, scenario.epoch)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:
     """Body → camera of a scenario."""
-    return mounting_of(pointing_parameters(scenario.pointing))
+    return mounting_of(scenario.pointing)
 
 
 def build_detector(scenario: Scenario) -> Detector:
@@ -179,13 +144,8 @@ def build_detector(scenario: Scenario) -> Detector:
 
 def detector_parameters(section: DetectorSection) -> DetectorParameters:
     """A detector without its exposure."""
-    return _plain(
-        DetectorParameters,
-        section,
-        intensifier=_plain(Intensifier, section.intensifier),
-        cosmic_rays=_plain(CosmicRays, section.cosmic_rays),
-        video=_plain(Video, section.video),
-    )
+    names = {field.name for field in fields(DetectorParameters)} - {"pitch_um"}
+    return DetectorParameters(**{name: getattr(section, name) for name in names}, pitch_um=section.pitch_um)
 
 
 def shutter_of(section: DetectorSection) -> Shutter:
@@ -198,36 +158,6 @@ def shutter_of(section: DetectorSection) -> Shutter:
     )
 
 
-def psf_model(section: PsfSection) -> PsfModel:
-    """Shape of a star's image."""
-    return _plain(
-        PsfModel,
-        section,
-        zernike_waves=_plain(Zernike, section.zernike_waves),
-        field=_plain(FieldAberrations, section.field),
-    )
-
-
-def sky_parameters(section: SkySection, **other: Any) -> Sky:
-    """What is in the sky; `other` in place of the section's own values."""
-    return _plain(Sky, section, **other)
-
-
-def pointing_parameters(section: PointingSection) -> PointingParameters:
-    """Mounting, and what the body holds."""
-    return _plain(PointingParameters, section, spin=_plain(Spin, section.spin))
-
-
 def sequence_motion(section: SequenceSection) -> SequenceMotion:
     """Rate profile and slew of a sequence."""
-    return _plain(
-        SequenceMotion,
-        section,
-        rates=tuple(_plain(RatePoint, point) for point in section.rates),
-        slew=_plain(Slew, section.slew),
-    )
-
-
-def gyro_parameters(section: GyroSection) -> Gyro:
-    """Noise of the gyro."""
-    return _plain(Gyro, section)
+    return SequenceMotion(section.start_s, section.step_s, section.rates, section.slew)

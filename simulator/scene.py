@@ -25,7 +25,7 @@ from simulator.mission.pointing import (
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
-from simulator.optics.jitter import Jitter, JitterPath, Spectrum, draw_jitter
+from simulator.optics.jitter import JitterPath, Spectrum, draw_jitter
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination
 from simulator.sky.colours import spectral_coordinates
@@ -108,14 +108,13 @@ class SceneParameters:
         Of the run.
     sampling : str
         When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`).
-    pointing, jitter, spectrum, sky
-        Mounting and what the body holds; how the camera shakes, and by which spectrum; what is seen.
+    pointing, spectrum, sky
+        Mounting, what the body holds and how the camera shakes; by which spectrum; what is seen.
     """
 
     seed: int
     sampling: str
     pointing: PointingParameters
-    jitter: Jitter
     spectrum: Spectrum
     sky: Sky
 
@@ -247,13 +246,13 @@ class SceneBuilder:
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
         """One realisation of the jitter, None where there is none."""
         given = self.parameters
-        return draw_jitter(given.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
+        return draw_jitter(given.pointing.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
 
     def _shaken(
         self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
     ) -> tuple[Pointing, JitterPath | None]:
         """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
-        if self.parameters.jitter.is_off:
+        if self.parameters.pointing.jitter.is_off:
             return pointing, None
         jitter = jitter or self.draw_jitter(streams("jitter"))
         if jitter is None:

@@ -1,6 +1,6 @@
-"""A star tracker: images of the night sky to attitudes, with nothing else needed.
+"""Star tracker: attitudes from images of the night sky. It does not need the simulator.
 
-Names load when they are first used, so that importing the package costs little.
+Names are loaded on first use, which keeps the import fast.
 """
 
 from __future__ import annotations

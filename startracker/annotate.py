@@ -1,8 +1,8 @@
 """A solved image as a picture: stars by name, grid, constellations, compass, scale.
 
-The sky is dark and stretched with an arcsinh, so that faint and bright stars are seen at once. Colours are those of
-Okabe & Ito (2008), told apart by the colour-blind (the grid's green is lighter); shapes differ as well. Sizes are
-shares of the picture, so that 512 and 4000 pixels read alike. Matplotlib loads when the first picture is drawn.
+The image is shown with an arcsinh stretch, so that faint and bright stars are both visible. The colours are those of
+Okabe & Ito (2008), which colour-blind readers can distinguish (the grid's green is lighter); the symbols differ as
+well. Sizes are fractions of the picture's size. Matplotlib is imported when the first picture is drawn.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SAMPLES = 500_000
 
 
 def annotated_picture(image: NDArray[Any], solution: Solution, form: str = "png", **options: Any) -> bytes:
-    """Bytes of a PNG, SVG or PDF file with the figure of `annotate`; the same bytes for the same figure."""
+    """PNG, SVG or PDF file of the figure of `annotate`, as bytes; deterministic."""
     figure = annotate(image, solution, **options)
     fast = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
     return figure_bytes(figure, form, facecolor=_BACKGROUND, **fast)
@@ -56,29 +56,29 @@ def annotate(
     catalog: str | StarCatalog = "hipparcos",
     observer: Observer | None = None,
 ) -> Figure:
-    """Figure of an image with what was found in it.
+    """Figure of an image with its detections and identified stars.
 
     Parameters
     ----------
     image : array, shape (H, W)
-        As it was solved.
+        The image that was solved.
     solution : Solution
-        Solved or not: where it is not, detections and the reason are shown.
+        If it is not solved, the detections and the reason are shown.
     names : int
-        Most stars to name; a name that would cover another is left out.
+        Maximum number of stars to label; labels that would overlap another are left out.
     grid : bool
-        Lines of right ascension and declination with their values.
+        Draw lines of right ascension and declination.
     constellations : bool
-        Stick figures.
+        Draw constellation lines.
     catalog : str or StarCatalog
-        Where names, figures and stars that should be there but are not come from.
+        Source of names, constellation lines and of the stars that were expected but not detected.
     observer : Observer, optional
-        The one that was given to the solve.
+        The observer that was passed to the solve.
 
     Returns
     -------
     Figure
-        Matplotlib's, with a canvas of its own; nothing of pyplot's state is touched.
+        Matplotlib figure with its own canvas; pyplot's state is not changed.
     """
     from matplotlib import rc_context
 
@@ -104,7 +104,7 @@ def annotate(
 
 
 def stretch(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Image (H, W) as grey from 0 (sky) to 1, arcsinh of the signal above the median in units of the noise."""
+    """Image (H, W) as grey levels from 0 (sky) to 1: arcsinh of the signal above the median in units of the noise."""
     values = np.asarray(image, dtype=np.float32)
     step = max(1, math.isqrt(values.size // _SAMPLES))
     finite = values[::step, ::step]
@@ -120,11 +120,11 @@ def stretch(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 class _Sky:
-    """Catalogue stars on the image: those that the solution matched and those that it did not."""
+    """Catalogue stars in the field, matched and unmatched."""
 
     def __init__(self, solution: Solution, catalog: StarCatalog, observer: Observer | None) -> None:
         self.solution, self.catalog, self.observer = solution, catalog, observer
-        if observer is None:  # as the tracker takes them then
+        if observer is None:  # as in the tracker
             self.directions, _ = catalog.space_motion()
         else:
             self.directions = catalog.directions(observer.epoch_jyear, observer.position_au)
@@ -132,7 +132,7 @@ class _Sky:
                 self.directions = aberrate(self.directions, observer.velocity_km_s)
 
     def project(self, directions: FloatArray) -> FloatArray:
-        """Pixels (N, 2); NaN beyond the image's corners."""
+        """Pixels (N, 2) of directions; NaN farther from the boresight than the image's corners."""
         solution = self.solution
         assert solution.attitude is not None
         assert solution.camera is not None
@@ -144,17 +144,17 @@ class _Sky:
         return pixels
 
     def missing(self) -> FloatArray:
-        """Pixels (N, 2) of catalogue stars as bright as most matched ones that no detection stands for."""
+        """Pixels (N, 2) of catalogue stars as bright as most matched stars that have no detection."""
         solution = self.solution
         assert solution.camera is not None
         limit = float(np.quantile(solution.stars.v_mag, _MISSING_SHARE))
         bright = np.flatnonzero(self.catalog.v_mag <= limit)
-        places = self.project(self.directions[bright])
-        places = places[np.isfinite(places).all(axis=1)]
-        places = places[solution.camera.contains(places, -1.0)]
-        reach = max(6.0, 0.006 * solution.camera.width)  # a double's companion is not missing
-        far = np.array([np.hypot(*(solution.centroids - place).T).min(initial=np.inf) > reach for place in places])
-        return np.asarray(places[far.astype(bool)])
+        pixels = self.project(self.directions[bright])
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        pixels = pixels[solution.camera.contains(pixels, -1.0)]
+        radius_px = max(6.0, 0.006 * solution.camera.width)  # the companion of a detected double is not missing
+        far = np.array([np.hypot(*(solution.centroids - xy).T).min(initial=np.inf) > radius_px for xy in pixels])
+        return np.asarray(pixels[far.astype(bool)])
 
 
 def _canvas(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
@@ -180,7 +180,7 @@ def _canvas(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
 
 
 def _detections(ax: Axes, solution: Solution) -> None:
-    """Detections that no star explains."""
+    """Mark the detections without an identified star."""
     matched = {tuple(xy) for xy in solution.stars.xy}
     others = np.array([xy for xy in solution.centroids if tuple(xy) not in matched]).reshape(-1, 2)
     if len(others):
@@ -190,7 +190,7 @@ def _detections(ax: Axes, solution: Solution) -> None:
 def _stars(ax: Axes, sky: _Sky, labels: Labels, names: int) -> None:
     stars = sky.solution.stars
     faintest = float(stars.v_mag.max(initial=0.0))
-    # diameter in points: a magnitude brighter is 1.3 larger, from 6 at the faint end to 18
+    # diameter in points: 1.3 per magnitude, from 6 for the faintest star to at most 18
     diameter = np.clip(6.0 + 1.3 * (faintest - stars.v_mag), 6.0, 18.0)
     for chosen, style, label in (
         (stars.used, "-", "identified"),
@@ -216,7 +216,7 @@ def _stars(ax: Axes, sky: _Sky, labels: Labels, names: int) -> None:
 
 
 def _prefix(catalog: StarCatalog, number: int) -> str:
-    """Number with its catalogue's abbreviation."""
+    """Catalogue number with the catalogue's abbreviation."""
     if catalog.name == "hipparcos":
         return f"HIP {number}" if number > 0 else f"HR {-number}"
     return f"HR {number}" if catalog.name == "bsc5" else str(number)
@@ -228,33 +228,33 @@ def _figures(ax: Axes, sky: _Sky, labels: Labels) -> None:
     seen: dict[str, list[FloatArray]] = {}
     for (one, other), name in zip(pairs, names, strict=True):
         path = polyline(sky.directions[one], sky.directions[other])
-        places = sky.project(path)
-        if np.isfinite(places).all(axis=1).any():
-            ax.plot(*places.T, color=FIGURES, lw=0.9, alpha=0.8, label=label, zorder=2)
+        pixels = sky.project(path)
+        if np.isfinite(pixels).all(axis=1).any():
+            ax.plot(*pixels.T, color=FIGURES, lw=0.9, alpha=0.8, label=label, zorder=2)
             label = None
-            seen.setdefault(str(name), []).append(places)
+            seen.setdefault(str(name), []).append(pixels)
     camera = sky.solution.camera
     assert camera is not None
     for name, lines in seen.items():
-        places = np.concatenate(lines)
-        places = places[np.isfinite(places).all(axis=1)]
-        places = places[camera.contains(places)]
-        if len(places):
-            labels.beside(places.mean(axis=0), 0.0, name, FIGURES, 8.0)
+        pixels = np.concatenate(lines)
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        pixels = pixels[camera.contains(pixels)]
+        if len(pixels):
+            labels.beside(pixels.mean(axis=0), 0.0, name, FIGURES, 8.0)
 
 
 def _grid(ax: Axes, solution: Solution, labels: Labels) -> None:
-    for places, text in grid_lines(solution):
-        ax.plot(*places.T, color=GRID, lw=0.5, alpha=0.6, zorder=1)
-        inside = np.flatnonzero(solution.camera.contains(places, -2.0)) if solution.camera else np.empty(0, int)
+    for pixels, text in grid_lines(solution):
+        ax.plot(*pixels.T, color=GRID, lw=0.5, alpha=0.6, zorder=1)
+        inside = np.flatnonzero(solution.camera.contains(pixels, -2.0)) if solution.camera else np.empty(0, int)
         if len(inside):
-            labels.at_border(places[inside], text, GRID)
+            labels.at_border(pixels[inside], text, GRID)
 
 
 def _compass_and_scale(ax: Axes, solution: Solution, labels: Labels) -> None:
     camera = solution.camera
     assert camera is not None
-    # the arrows: directions of north and east at the middle, drawn in the lower right corner
+    # the arrows point north and east at the image centre and are drawn in the lower right corner
     size = 0.055 * max(camera.width, camera.height)
     corner = np.array([camera.width - 1.0 - 1.9 * size, camera.height - 1.0 - 1.9 * size])
     for text, arrow in compass_arrows(solution).items():

@@ -1,4 +1,4 @@
-"""Labels on a picture that keep clear of each other: each takes the first free place around its star, or none."""
+"""Labels that do not overlap: each is written at the first free position around its star, or left out."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _DIRECTIONS = (
     (0.8, -1),
     (-0.8, -1),
 )
-"""Where a label may stand about its star, the first choice first; y up."""
+"""Positions of a label relative to its star in order of preference; y up."""
 _GAP = 2.0
 _BORDER = 20.0
 
 
 class Labels:
-    """Places taken on a picture, in points from the lower left corner of its axes.
+    """Occupied areas of a picture, in points from the lower left corner of its axes.
 
     Parameters
     ----------
     ax : Axes
-        With its limits set; they must not change afterwards.
+        Axes with their limits set; the limits must not change afterwards.
     """
 
     def __init__(self, ax: Axes) -> None:
@@ -50,26 +50,26 @@ class Labels:
         self.taken: list[tuple[float, float, float, float]] = []
         self.renderer = figure.canvas.get_renderer()
 
-    def place(self, xy: FloatArray) -> FloatArray:
-        """Points of a pixel."""
+    def to_points(self, xy: FloatArray) -> FloatArray:
+        """Position of a pixel in points."""
         return np.asarray((self.ax.transData.transform(xy) - self.origin) * self.points)
 
     def occupy(self, xy: FloatArray, diameter: float) -> None:
-        """Keep labels off a mark of some points across."""
-        x, y = self.place(xy)
+        """Reserve the area of a mark with this diameter in points."""
+        x, y = self.to_points(xy)
         half = diameter / 2
         self.taken.append((x - half, y - half, x + half, y + half))
 
     def occupy_box(self, xy: FloatArray, half_x_px: float, half_y_px: float | None = None) -> None:
-        """Keep labels off a rectangle about a pixel, its half sides in pixels."""
+        """Reserve a rectangle around a pixel, half sides in pixels."""
         half = np.array([half_x_px, half_x_px if half_y_px is None else half_y_px])
-        (x0, y1), (x1, y0) = self.place(xy - half), self.place(xy + half)
+        (x0, y1), (x1, y0) = self.to_points(xy - half), self.to_points(xy + half)
         self.taken.append((float(x0), float(y0), float(x1), float(y1)))
 
     def beside(self, xy: FloatArray, diameter: float, text: str, colour: str, size: float) -> bool:
-        """Write beside a mark where nothing is covered; False, and nothing, when there is no such place."""
+        """Write next to a mark without covering anything; returns False, and writes nothing, if there is no room."""
         artist, wide, high = self._measure(text, colour, size)
-        x, y = self.place(xy)
+        x, y = self.to_points(xy)
         reach = diameter / 2 + _GAP
         for side, up in _DIRECTIONS:
             left = x + (reach * side if side > 0 else reach * side - wide if side < 0 else -wide / 2)
@@ -79,10 +79,10 @@ class Labels:
         artist.remove()
         return False
 
-    def at_border(self, places: FloatArray, text: str, colour: str) -> bool:
-        """Write a line's value where the line meets the border, at the left or the lower side first."""
+    def at_border(self, pixels: FloatArray, text: str, colour: str) -> bool:
+        """Write the value of a grid line where it meets the border, preferably the left or lower one."""
         artist, wide, high = self._measure(text, colour, 6.5)
-        ends = [self.place(places[k]) for k in (0, -1)]
+        ends = [self.to_points(pixels[k]) for k in (0, -1)]
         for x, y in sorted(ends, key=lambda end: float(min(end))):
             if min(x, y, *(self.size - (x, y))) > _BORDER:  # the pole, where lines end
                 continue
@@ -94,9 +94,9 @@ class Labels:
         return False
 
     def free(self, xy: FloatArray, text: str, colour: str, size: float) -> None:
-        """Write about a pixel, whatever is there."""
+        """Write centred on a pixel, whether or not it is free."""
         artist, wide, high = self._measure(text, colour, size)
-        x, y = self.place(xy)
+        x, y = self.to_points(xy)
         self._move(artist, x - wide / 2, y - high / 2)
 
     def _measure(self, text: str, colour: str, size: float) -> tuple[Any, float, float]:

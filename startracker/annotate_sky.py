@@ -1,4 +1,4 @@
-"""Geometry of an annotated picture: grid lines, compass, arcs and the title's words; no drawing."""
+"""Geometry of an annotated picture: grid lines, compass, arcs and the title text. Nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _POINTS = 400
 
 
 def nice_step(value_deg: float) -> float:
-    """The largest round step (1, 2, 5, 10, 20, 30 of seconds, minutes, degrees) not above a value."""
+    """Largest round step (1, 2, 5, 10, 20, 30 seconds, minutes or degrees) that does not exceed a value."""
     fitting = [step for step in _DEC_STEPS if step <= value_deg * (1 + 1e-9)]
     return float(fitting[-1]) if fitting else float(_DEC_STEPS[0])
 
@@ -45,25 +45,25 @@ def polyline(one: FloatArray, other: FloatArray, points: int = 33) -> FloatArray
 
 
 def compass_arrows(solution: Solution) -> dict[str, FloatArray]:
-    """Unit vectors on the image, x and y, that point north and east at its middle."""
+    """Unit vectors (x, y) on the image that point north and east at its centre."""
     camera = solution.camera
     assert camera is not None
     middle = np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]])
     ra, dec = solution.radec_of(middle)[0]
-    # a pixel's worth, so that the pole within the field matters only in the middle itself
+    # a step of one pixel: a pole in the field then matters only if it is at the centre
     step = math.degrees(camera.pixel_rad)
     near = max(math.cos(math.radians(dec)), 1e-6)
-    places = solution.pixel_of([ra, ra + step / near], [min(dec + step, 90.0), dec])
-    arrows = places - middle
+    tips = solution.pixel_of([ra, ra + step / near], [min(dec + step, 90.0), dec])
+    arrows = tips - middle
     if dec + step > 90.0:
         arrows[0] = middle[0] - solution.pixel_of(ra, dec - step)[0]
     return {name: arrow / np.hypot(*arrow) for name, arrow in zip(("N", "E"), arrows, strict=True)}
 
 
 def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
-    """Pixels (N, 2) of each line of declination and right ascension that crosses the image, and its value in words.
+    """Pixels (N, 2) of each line of declination and right ascension that crosses the image, and its label.
 
-    Some five lines each across the image; NaN parts a line where it leaves the field.
+    About five lines of each kind; NaN where a line is outside the field.
     """
     camera = solution.camera
     assert camera is not None
@@ -74,7 +74,7 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
     span = math.sqrt(camera.fov_deg * camera.fov_y_deg)
     low, high = float(field[:, 1].min()), float(field[:, 1].max())
     dec_step = _nearest(_DEC_STEPS, span / _LINES)
-    # a pole in the field: all right ascensions are there
+    # with a pole in the field every right ascension occurs
     poles = solution.pixel_of([0.0, 0.0], [90.0, -90.0])
     seen = np.isfinite(poles).all(axis=1) & camera.contains(poles)
     low, high = (-90.0 if seen[1] else low), (90.0 if seen[0] else high)
@@ -100,7 +100,7 @@ def _nearest(steps: tuple[float, ...], value: float) -> float:
 
 
 def ra_text(ra_deg: float, step_deg: float = _SECOND) -> str:
-    """Right ascension in hours, as finely as steps of `step_deg` need: "5h 36m"."""
+    """Right ascension in hours, with the resolution that steps of `step_deg` need: "5h 36m"."""
     seconds = round(ra_deg * 240.0) % 86_400
     hours, minutes, rest = seconds // 3600, seconds // 60 % 60, seconds % 60
     if step_deg * 240.0 >= 3600:
@@ -109,7 +109,7 @@ def ra_text(ra_deg: float, step_deg: float = _SECOND) -> str:
 
 
 def dec_text(dec_deg: float, step_deg: float = _SECOND) -> str:
-    """Declination in degrees, as finely as steps of `step_deg` need: "−0° 46′"."""
+    """Declination in degrees, with the resolution that steps of `step_deg` need: "−0° 46′"."""
     seconds = round(abs(dec_deg) * 3600.0)
     sign = "" if not seconds else "−" if dec_deg < 0 else "+"
     text = f"{sign}{seconds // 3600}°"
@@ -119,7 +119,7 @@ def dec_text(dec_deg: float, step_deg: float = _SECOND) -> str:
 
 
 def field_text(solution: Solution) -> tuple[str, str]:
-    """Title and second line: where the camera looked, and how well that is known."""
+    """Title and subtitle: boresight and roll; field of view, number of identified stars and rms residual."""
     camera = solution.camera
     if not solution.solved or camera is None or solution.attitude is None:
         return f"not solved: {solution.status}", solution.reason
@@ -131,7 +131,7 @@ def field_text(solution: Solution) -> tuple[str, str]:
     rms = f", rms {solution.rmse_arcsec:.1f}″" if solution.rmse_arcsec is not None else ""
     mirrored = ", mirrored" if camera.parity < 0 else ""
     second = (
-        f"field {camera.fov_deg:.2f}° × {camera.fov_y_deg:.2f}°, {scale:.4g}″ a pixel{mirrored}; "
+        f"field {camera.fov_deg:.2f}° × {camera.fov_y_deg:.2f}°, {scale:.4g}″ per pixel{mirrored}; "
         f"{solution.matched} of {len(solution.centroids)} detections identified{rms}"
     )
     return first, second

@@ -1,4 +1,4 @@
-"""Attitude: a unit quaternion between two named frames, and the kernels it stands on.
+"""Attitude: a unit quaternion between two named frames, and the functions it is built on.
 
 Convention: the quaternion is scalar last, (x, y, z, w), and *rotates coordinates* of a vector given in the source
 frame into the target frame, ``v_target = A @ v_source`` with ``A = attitude.as_matrix()``. By default the source is
@@ -34,7 +34,7 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def radec_to_direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
-    """Unit vectors, shape (..., 3), of right ascension and declination in radians."""
+    """Unit vectors, shape (..., 3), from right ascension and declination in radians."""
     ra, dec = np.asarray(ra_rad, dtype=float), np.asarray(dec_rad, dtype=float)
     return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
 
@@ -54,7 +54,7 @@ def quat_to_matrix(quat: FloatArray) -> FloatArray:
 
     Markley & Crassidis 2014, *Fundamentals of Spacecraft Attitude Determination and Control*, eq. 2.125.
     """
-    x, y, z, w = np.asarray(quat, dtype=float).tolist()  # plain floats: a tenth of the time of NumPy's scalars
+    x, y, z, w = np.asarray(quat, dtype=float).tolist()  # Python floats take a tenth of the time of NumPy scalars
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
@@ -65,10 +65,9 @@ def quat_to_matrix(quat: FloatArray) -> FloatArray:
 
 
 def matrix_to_quat(matrix: FloatArray) -> FloatArray:
-    """Unit quaternion (x, y, z, w) with w ≥ 0 of a rotation matrix; well conditioned for every angle.
+    """Unit quaternion (x, y, z, w) with w ≥ 0 of a rotation matrix; well conditioned at every angle.
 
-    Shepperd's method: the largest of the four candidates is divided by, never a small one
-    (Markley & Crassidis 2014, section 2.9.3).
+    Shepperd's method: always divides by the largest of the four candidates (Markley & Crassidis 2014, section 2.9.3).
     """
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=float).tolist()
     trace = a + e + i
@@ -101,7 +100,7 @@ def quat_multiply(second: FloatArray, first: FloatArray) -> FloatArray:
 
 
 def rotation_vector_to_matrix(vector: ArrayLike) -> FloatArray:
-    """Matrix turning *coordinates* when the frame turns by the rotation vector (radians, right-handed, any angle)."""
+    """Matrix that transforms *coordinates* when the frame rotates by the vector (radians, right-handed, any angle)."""
     return quat_to_matrix(_rotation_vector_to_quat(vector))
 
 
@@ -115,14 +114,14 @@ def _rotation_vector_to_quat(vector: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Orientation of one frame against another.
+    """Orientation of one frame relative to another.
 
     Parameters
     ----------
     quat : array_like, shape (4,)
-        Quaternion, scalar last; normalised on creation. `InputError` when it is zero or not finite.
+        Quaternion, scalar last; normalised on creation. `InputError` if it is zero or not finite.
     source, target : str
-        Names of the frames. Composition checks that they join.
+        Names of the frames. Composition checks that they match.
     """
 
     quat: FloatArray
@@ -135,8 +134,8 @@ class Attitude:
         largest = max(abs(x), abs(y), abs(z), abs(w))
         finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
         if not (finite and largest > 0):
-            raise InputError(f"an attitude needs a finite quaternion (x, y, z, w) that is not zero; got {self.quat}")
-        x, y, z, w = x / largest, y / largest, z / largest, w / largest  # so that squares neither overflow nor vanish
+            raise InputError(f"an attitude needs a finite, non-zero quaternion (x, y, z, w); got {self.quat}")
+        x, y, z, w = x / largest, y / largest, z / largest, w / largest  # avoids overflow and underflow of the squares
         length = math.sqrt(x * x + y * y + z * z + w * w)
         if w < 0:
             length = -length
@@ -144,18 +143,18 @@ class Attitude:
         quat.flags.writeable = False
         object.__setattr__(self, "quat", quat)
 
-    # ------------------------------------------------------------------ made from
+    # ------------------------------------------------------------------ construction
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, source: str = "icrs", target: str = "camera") -> Attitude:
-        """Attitude of a proper rotation matrix, ``v_target = matrix @ v_source``."""
+        """Attitude from a proper rotation matrix, ``v_target = matrix @ v_source``."""
         m = np.asarray(matrix, dtype=float)
         if m.shape != (3, 3) or not _is_rotation(m):
-            raise InputError("an attitude matrix must be 3×3, orthogonal and of determinant +1")
+            raise InputError("an attitude matrix must be 3×3 and orthogonal, with determinant +1")
         return cls(matrix_to_quat(m), source, target)
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:
-        """Camera attitude from the boresight's RA and Dec and the roll, all in degrees or as astropy quantities.
+        """Camera attitude from RA and Dec of the boresight and the roll, in degrees or as astropy quantities.
 
         The roll is the position angle of the camera's up axis (−y), east of north.
         """
@@ -173,26 +172,26 @@ class Attitude:
 
     @classmethod
     def from_rotation_vector(cls, vector_rad: ArrayLike, source: str, target: str) -> Attitude:
-        """Attitude of the frame reached by turning the source frame by a rotation vector (radians, or an astropy
-        quantity)."""
+        """Attitude of the frame that results from rotating the source frame by a rotation vector (radians, or an
+        astropy quantity)."""
         return cls(_rotation_vector_to_quat(plain(vector_rad, "rad", "the rotation vector")), source, target)
 
     @classmethod
     def from_rotation(cls, rotation: Any, source: str = "icrs", target: str = "camera") -> Attitude:
-        """Attitude of a SciPy ``Rotation`` that takes coordinates of the source into the target frame.
+        """Attitude from a SciPy ``Rotation`` that transforms coordinates from the source to the target frame.
 
-        ``v_target = rotation.apply(v_source)``, so that ``rotation.as_matrix()`` is `as_matrix`; `InputError` for a
-        stack of rotations.
+        ``v_target = rotation.apply(v_source)``; ``rotation.as_matrix()`` equals `as_matrix`. `InputError` for a stack
+        of rotations.
         """
         return cls(rotation_quat(rotation), source, target)
 
     @classmethod
     def from_skycoord(cls, coordinate: Any, roll_deg: float = 0.0) -> Attitude:
-        """Camera attitude whose boresight is an astropy ``SkyCoord``, in any frame that goes into ICRS; the roll as in
-        `from_radec_roll`."""
+        """Camera attitude whose boresight is an astropy ``SkyCoord`` in any frame that can be transformed to ICRS; roll
+        as in `from_radec_roll`."""
         return cls.from_radec_roll(*skycoord_deg(coordinate, "the boresight"), roll_deg)
 
-    # ------------------------------------------------------------------ given as
+    # ------------------------------------------------------------------ conversion
     def as_quat(self) -> FloatArray:
         """Unit quaternion (x, y, z, w), w ≥ 0; read-only."""
         return self.quat
@@ -210,10 +209,10 @@ class Attitude:
 
     @property
     def skycoord(self) -> Any:
-        """The boresight as an astropy ``SkyCoord``, ICRS; `FrameMismatchError` of an attitude against another frame."""
+        """The boresight as an astropy ``SkyCoord``, ICRS; `FrameMismatchError` if the source is another frame."""
         if self.source != "icrs":
             raise FrameMismatchError(
-                f"{self.source} → {self.target} has no direction in the sky: it starts from no ICRS"
+                f"{self.source} → {self.target} has no direction in the sky: its source frame is not ICRS"
             )
         from astropy.coordinates import SkyCoord
 
@@ -245,7 +244,7 @@ class Attitude:
     def roll_deg(self) -> float:
         """Position angle of the camera's up axis (−y) at the boresight, east of north, degrees in [0, 360).
 
-        At a celestial pole north is the limit along the meridian of `ra_deg`.
+        At a celestial pole, north is the limit along the meridian of `ra_deg`.
         """
         _, (a, b, c), (x, y, z) = self._matrix.tolist()
         ra, across = _right_ascension(x, y), math.hypot(x, y)  # cos Dec; sin Dec is z
@@ -254,29 +253,29 @@ class Attitude:
         roll = math.degrees(math.atan2(east, north)) % 360.0
         return 0.0 if roll >= 360.0 else roll
 
-    # ------------------------------------------------------------------ put together
+    # ------------------------------------------------------------------ composition
     @property
     def inverse(self) -> Attitude:
-        """The way back: target into source."""
+        """The inverse: from target to source."""
         return Attitude(self.quat * _CONJUGATE, self.target, self.source)
 
     def __matmul__(self, other: Attitude) -> Attitude:
-        """``self @ other``: first `other`, then `self`; `FrameMismatchError` when their frames do not join."""
+        """``self @ other``: first `other`, then `self`; `FrameMismatchError` if their frames do not match."""
         if other.target != self.source:
             raise FrameMismatchError(
-                f"cannot join {other.source} → {other.target} with {self.source} → {self.target}: "
+                f"cannot compose {other.source} → {other.target} with {self.source} → {self.target}: "
                 f"'{other.target}' is not '{self.source}'"
             )
         return Attitude(quat_multiply(self.quat, other.quat), other.source, self.target)
 
     def apply(self, vectors: ArrayLike) -> FloatArray:
-        """Vectors of shape (..., 3) from the source into the target frame."""
+        """Transform vectors of shape (..., 3) from the source to the target frame."""
         return np.asarray(vectors, dtype=float) @ self._matrix.T
 
     def rotation_vector_to(self, other: Attitude) -> FloatArray:
-        """Rotation vector (3,), radians, in target axes, that takes this attitude to `other`.
+        """Rotation vector (3,), radians, in target axes, from this attitude to `other`.
 
-        With `self` the truth and `other` an estimate this is the attitude error. Its length is in [0, π].
+        If `self` is the truth and `other` an estimate, this is the attitude error. Its length is in [0, π].
         """
         if (self.source, self.target) != (other.source, other.target):
             raise FrameMismatchError(
@@ -299,7 +298,7 @@ class Attitude:
 
 
 def _is_rotation(matrix: FloatArray) -> bool:
-    """Whether a matrix (3, 3) is orthogonal, within 1e-5 in the lengths of its rows, and of positive determinant."""
+    """Whether a matrix (3, 3) is orthogonal, to 1e-5 in the lengths of its rows, with a positive determinant."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     lengths = (a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i)
     slants = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
@@ -312,4 +311,4 @@ def _right_ascension(x: float, y: float) -> float:
     angle = math.atan2(y, x)
     if angle < 0.0:
         angle += 2.0 * math.pi
-    return 0.0 if angle >= 2.0 * math.pi else angle + 0.0  # of a tiny negative angle 2π itself is left; no −0.0
+    return 0.0 if angle >= 2.0 * math.pi else angle + 0.0  # a tiny negative angle rounds to 2π; also avoids −0.0

@@ -1,4 +1,4 @@
-"""Raw mosaics of colour filters made grey, at full resolution."""
+"""Raw Bayer mosaics to grey images at full resolution."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ _MOST_SAMPLES = 65536
 
 
 def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = True) -> NDArray[np.float32]:
-    """Raw mosaic of colour filters as a grey image of the same size.
+    """Raw Bayer mosaic as a grey image of the same size.
 
-    Every pixel stays where it is and keeps its own light: nothing is interpolated between colours, which would blur
-    stars and correlate the noise. What a mosaic does to a star detector is the checkered sky: red, green and blue
-    differ in level and in noise. With `balance` each of the four sites is brought to the sky level and the noise of
-    the greens: g' = (v − median) × (noise of green / noise of this site) + median of green, medians and the
-    clipped spread being those of the sky. A star's light still falls on filters of several colours, which moves its
-    centroid by up to some tenths of a pixel where its image is sharper than a pair of pixels; halving the
-    resolution by averaging the four sites (`mosaic[0::2, 0::2] + …`) is even-handed to colours.
+    Nothing is interpolated between colours, which would blur stars and correlate the noise. The sky of a mosaic is
+    checkered, as red, green and blue differ in level and noise. With `balance`, each of the four sites is scaled to the
+    sky level and noise of the green pixels: g' = (v − median) × (green noise / noise of this site) + green median,
+    with the median and clipped standard deviation of the sky. A star's light still falls on filters of several colours,
+    which shifts its centroid by up to some tenths of a pixel if its image is narrower than two pixels. Averaging the
+    four sites (`mosaic[0::2, 0::2] + …`) avoids this at half the resolution.
 
     Parameters
     ----------
     mosaic : array_like, shape (H, W)
-        DN as read out.
+        Raw DN.
     pattern : str
         One of RGGB, BGGR, GRBG, GBRG.
     balance : bool
-        False: the values as they are.
+        False leaves the values unchanged.
 
     Returns
     -------
@@ -51,7 +50,7 @@ def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = T
     raw = np.asarray(mosaic)
     if raw.ndim != 2 or min(raw.shape) < 2 or raw.dtype.kind not in "buif":
         raise InputError(
-            f"a Bayer mosaic is one plane of numbers, at least 2×2; got {raw.dtype} of the shape {raw.shape}"
+            f"a Bayer mosaic must be a 2-D array of real numbers, at least 2×2; got {raw.dtype}, shape {raw.shape}"
         )
     grey: NDArray[Any] = np.array(raw, dtype=np.float32)
     if not balance:
@@ -60,14 +59,14 @@ def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = T
     greens = [sites[divmod(k, 2)] for k in range(4) if pattern.upper()[k] == "G"]
     level, noise = np.mean([sky[0] for sky in greens]), np.mean([sky[1] for sky in greens])
     for (row, column), (site_level, site_noise) in sites.items():
-        # a site without noise (black, digitised coarsely) is only shifted
+        # a site without noise (black, or coarsely digitised) is only shifted
         gain = noise / site_noise if noise > 0 and site_noise > 0 else 1.0
         grey[row::2, column::2] = (grey[row::2, column::2] - site_level) * gain + level
     return grey
 
 
 def _sky(values: NDArray[np.float32]) -> tuple[float, float]:
-    """Median and standard deviation of the values within 3σ of it; (0, 0) where none is finite."""
+    """Median and standard deviation of the values within 3σ of the median; (0, 0) if none is finite."""
     flat = values.reshape(-1)
     sample = flat[:: max(1, flat.size // _MOST_SAMPLES)].astype(np.float64)
     sample = sample[np.isfinite(sample)]

@@ -1,4 +1,4 @@
-"""Solving photographs whose focal length is known roughly or not at all; the camera is fitted along."""
+"""Solve photographs with a roughly known or unknown focal length. The camera is fitted with the attitude."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ IntArray = NDArray[np.int64]
 
 _POOR = 20
 _BEYOND_DOUBT = 7.0
-"""How far beyond the limit (in ln of the chance) the search ends at once."""
+"""Margin (in ln of the false-alarm probability) beyond the limit at which the search ends at once."""
 _PATTERN_WORK, _GROW_WORK, _MOST_ROUNDS = 50_000, 500_000, 10
-"""Operations of trying a pattern, and of growing a fit besides those of the match in each round."""
+"""Operations counted for a pattern tried, and for growing a fit in addition to those of the match in each round."""
 _BARREL = -0.06
-"""k1 r² at the corner that stands for a strong barrel, -0.03 to -0.1; beyond -0.148 the image folds."""
+"""k1 r² at the corner that represents strong barrel distortion, -0.03 to -0.1; beyond -0.148 the image folds."""
 
 
 def solve_unknown_fov(
@@ -66,43 +66,43 @@ def solve_unknown_fov(
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
 ) -> Solution:
-    """Attitude, focal length, radial distortion and parity of a photograph of the sky.
+    """Attitude, focal length, radial distortion and parity from a photograph of the sky.
 
     Parameters
     ----------
     source : array_like
-        An image (H, W); or, with `width` and `height` given, centroids (N, 2) in pixels.
+        An image (H, W); or, if `width` and `height` are given, centroids (N, 2) in pixels.
     width, height : int, optional
-        Size of the image that the centroids are from.
+        Size of the image from which the centroids were measured.
     flux : array_like, shape (N,), optional
-        Signal of the centroids; without it their order counts as the order of brightness.
+        Signal of the centroids; if omitted they are taken as sorted by brightness.
     fov_deg : float, optional
-        Field across the width as far as it is known; None: anything from 3° to 72°.
+        Approximate field of view across the width; None: 3° to 72° is searched.
     fov_error : float
-        Relative error of `fov_deg`, at most.
+        Maximum relative error of `fov_deg`.
     parity : int, optional
-        +1 as seen, −1 mirrored; None: both are tried.
+        +1 direct, −1 mirrored; None: both are tried.
     camera : Camera, optional
-        What is known roughly of projection, distortion, focal length (to `fov_error`) and parity, in place of `fov_deg`
-        and `parity`. Needed for a fisheye of 100° and more.
+        Approximate projection, distortion, focal length (to `fov_error`) and parity, instead of `fov_deg` and `parity`.
+        Needed for a fisheye of 100° and more.
     variance_px2 : array_like, shape (N,), optional
-        Variance of the centroids on one axis, for the last fit; an image's are measured.
+        Variance of the given centroids on one axis, for the final fit; for an image it is measured.
     catalog, detector, centroider, detection, centroid, identification
         As for `StarTracker`.
     observer : Observer, optional
         As for `StarTracker.solve`.
     saturation_dn, gain_e_per_dn : float, optional
-        Of the detector, where known.
+        Of the detector, if known.
 
     Returns
     -------
     Solution
-        With the fitted `camera`; `fov_deg` and `parity` are the measured ones. Never raises for what the image shows.
+        With the fitted `camera`, `fov_deg` and `parity`. An image that cannot be solved does not raise.
 
     Raises
     ------
     InputError
-        For an unknown name, a field of view, parity or size that cannot be.
+        For an unknown name or an invalid field of view, parity or size.
     """
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")
@@ -129,8 +129,8 @@ def solve_unknown_fov(
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            told = (*found.steps, *hints(found.status, 0, known_camera=False))
-            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=told)
+            explained = (*found.steps, *hints(found.status, 0, known_camera=False))
+            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
         height, width = np.shape(source)
         xy, signal, steps, saturated = found.xy, found.flux, found.steps, found.saturated
         variance: FloatArray | None = found.variance_px2
@@ -158,7 +158,7 @@ def solve_unknown_fov(
     bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
     solution = search.run(bands, sides)
     clock.lap("identification")
-    knobs = (detection or DetectionSettings()) if found is not None else None
+    detection_used = (detection or DetectionSettings()) if found is not None else None
     steps = (
         *steps,
         search_step(search.trials, bands, sides),
@@ -170,14 +170,14 @@ def solve_unknown_fov(
             known_camera=False,
             fov_known=fov_deg is not None,
             saturated=saturated,
-            settings=knobs,
+            settings=detection_used,
         ),
     )
     return replace(solution, times_ms=clock.times_ms(), steps=steps)
 
 
 def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
-    """Variances of the centroids that are left after cleaning, found again by their place."""
+    """Variances of the centroids that are left after cleaning, matched by position."""
     given = np.asarray(variance_px2, dtype=float).reshape(-1)
     points = np.asarray(source, dtype=float)
     if len(given) != len(points):
@@ -189,7 +189,7 @@ def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -
 
 
 def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float, float], ...]:
-    """Least, assumed and largest field of each search."""
+    """Minimum, nominal and maximum field of view of each search, degrees."""
     if fov_deg is None:
         return FOV_BANDS_DEG
     return ((fov_deg * (1.0 - fov_error), fov_deg, fov_deg * (1.0 + fov_error)),)
@@ -197,7 +197,7 @@ def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float,
 
 @dataclass(eq=False)
 class FreeSearch:
-    """One image's stars and the search for them with the focal length free.
+    """Search for the stars of one image with the focal length free.
 
     Parameters
     ----------
@@ -206,19 +206,19 @@ class FreeSearch:
     flux : (N,), optional
         All positive.
     width, height : int
-        Of the image.
+        Size of the image.
     catalog : str or StarCatalog
     settings : IdentificationSettings
         For the false-alarm rate.
     observer : Observer, optional
     variance_px2 : (N,), optional
-        Of the centroids on one axis, for the last fit.
+        Variance of the centroids on one axis, for the final fit.
     rough : Camera, optional
-        Projection and distortion to begin with; its focal length goes by the band.
+        Initial projection and distortion; the focal length is that of the band.
     trials : int
-        Patterns tried so far.
+        Number of patterns tried so far.
     operations : int
-        Taken so far (`IdentificationSettings.max_operations_free_scale`).
+        Operations counted so far (`IdentificationSettings.max_operations_free_scale`).
     """
 
     xy: FloatArray
@@ -242,14 +242,14 @@ class FreeSearch:
         self._excess = log_excess_density(np.ascontiguousarray(self.xy), area)
 
     def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
-        """Search band by band and side by side until something is accepted beyond doubt, or the limit is reached."""
+        """Search each band and parity until a fit is accepted beyond doubt or the limit of operations is reached."""
         return replace(self._run(bands, sides), operations=self.operations)
 
     def _run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
         xy, needed = self.xy, free_scale.FEWEST_MATCHED
         if len(xy) < needed:
             status = Status.TOO_FEW_STARS if len(xy) else Status.NO_STARS
-            reason = f"{len(xy)} stars seen, {needed} are needed where the focal length is not known"
+            reason = f"{len(xy)} stars detected; {needed} are needed if the focal length is unknown"
             return Solution(status, reason, centroids=xy)
         sky = all_stars(self.catalog).seen_by(self.observer)
         limit = log_limit(self.settings)
@@ -277,34 +277,34 @@ class FreeSearch:
         return self._verdict(best, sky)
 
     def _verdict(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
-        """Answer of the search, accepted or not."""
+        """Result of the completed search, accepted or not."""
         xy, needed = self.xy, free_scale.FEWEST_MATCHED
         if best is None:
-            reason = f"{len(xy)} stars seen; of {self.trials} patterns alike in the sky none brings {needed} to agree"
+            reason = f"{len(xy)} stars detected; none of {self.trials} similar patterns matches {needed} of them"
             return Solution(Status.NO_MATCH, reason, centroids=xy)
         chance = self._log_chance(best)
         if accepts(chance, self.settings):
             return self._answer(best, sky)
-        says = f"the best of {self.trials} patterns explains {len(best.pairs)} of {len(xy)} stars"
+        best_text = f"the best of {self.trials} patterns matches {len(best.pairs)} of {len(xy)} stars"
         if chance < 0.0:
-            reason = f"{says}: by chance with probability {math.exp(chance):.0e}, above the limit"
+            reason = f"{best_text}: false-alarm probability {math.exp(chance):.0e}, above the limit"
             return Solution(Status.AMBIGUOUS, reason, centroids=xy, log_false_alarm=chance)
-        return Solution(Status.NO_MATCH, f"{says}: no better than chance", centroids=xy)
+        return Solution(Status.NO_MATCH, f"{best_text}: no better than chance", centroids=xy)
 
     def _cut_short(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
-        """Answer where the operations are used up."""
+        """Result if the limit of operations is reached."""
         found = self._verdict(best, sky)
         if found.solved:
             return found
         limit = self.settings.max_operations_free_scale
-        reason = f"ended by its limit of operations (max_operations_free_scale {limit:.3g}); until then: {found.reason}"
+        reason = f"limit of operations reached (max_operations_free_scale {limit:.3g}); until then: {found.reason}"
         return replace(found, status=Status.SEARCH_LIMIT, reason=reason)
 
     def _passes(self) -> tuple[tuple[float, float], ...]:
-        """Radial distortion at the corner (k1 r²) to assume, and how wide to search, one after the other.
+        """Radial distortion at the corner (k1 r²) and tolerance factor of each successive pass.
 
-        Shapes change with the distortion, by 2 k1 r² from one direction to the other: a strong one is only met by
-        assuming it. A poor field has few patterns, which must not be lost to noise.
+        Distortion changes the shape of a pattern by 2 k1 r² between the radial and tangential directions, so strong
+        distortion has to be assumed. A field with few stars has few patterns and gets a wider tolerance.
         """
         if self.rough is not None:
             return ((0.0, 1.0), (0.0, 2.0))
@@ -322,7 +322,7 @@ class FreeSearch:
         return replace(camera, distortion=Distortion(k1=corner_k1 / corner2))
 
     def _guide(self, sky: GuideDatabase, depth: int) -> GuideDatabase:
-        """The brightest stars; of a sky that is the same for all frames they are kept."""
+        """The brightest stars; cached if the sky is the same for all frames."""
         if self.observer is not None:
             return sky.brightest(depth)
         return brightest_stars(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
@@ -343,7 +343,7 @@ class FreeSearch:
         guide: GuideDatabase,
     ) -> FreeFit | None:
         xy, (stars, chosen) = self.xy, pattern
-        if not np.isfinite(camera.unproject(xy[stars])).all():  # beyond the fold of the lens that is tried
+        if not np.isfinite(camera.unproject(xy[stars])).all():  # beyond the fold of the assumed lens
             return None
         matrix = free_scale.attitude_of(camera, xy[stars], directions[chosen])
         off = camera.project(directions[chosen] @ matrix.T) - xy[stars]
@@ -359,7 +359,7 @@ class FreeSearch:
         return FreeFit(camera, matrix, pairs, covariance, rms, value) if len(pairs) else None
 
     def _answer(self, fit: FreeFit, sky: GuideDatabase) -> Solution:
-        """Solution of an accepted fit: once more with all stars of the catalogue that bright."""
+        """Solution of an accepted fit, fitted again with all catalogue stars that bright."""
         xy, chance = self.xy, self._log_chance(fit)
         guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, free_scale.field_deg(fit.camera)))
         fit = last_fit(fit, xy, self.variance_px2, guide)

@@ -1,6 +1,6 @@
-"""The calibrated camera: pixel ↔ unit vector.
+"""The calibrated camera: conversion between pixels and unit vectors.
 
-A pixel's centre has integer coordinates, (0, 0) is the centre of the first pixel; points are (x, y) = (column, row).
+Pixel centres have integer coordinates, (0, 0) is the centre of the first pixel; points are (x, y) = (column, row).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole with Brown–Conrady distortion, or a fisheye.
+    """Pinhole camera with Brown–Conrady distortion, or a fisheye.
 
     Parameters
     ----------
@@ -37,18 +37,18 @@ class Camera:
     cx, cy : float
         Principal point in pixels.
     width, height : int
-        Size in pixels; where left out, the principal point is taken for the centre.
+        Size in pixels; if omitted, the principal point is taken as the image centre.
     distortion : Distortion or mapping
-        Coefficients, OpenCV's names: Brown–Conrady's on normalised coordinates for a pinhole, k1 to k4 of the powers
+        Coefficients with OpenCV's names: Brown–Conrady on normalised coordinates for a pinhole, k1 to k4 of the powers
         of the angle for a fisheye (`startracker.fisheye`).
     parity : int
-        +1 for an image seen as the sky is (east to the left of north), −1 for one that a mirror or the reading of the
-        detector has turned over: its columns are reversed before anything else.
+        +1 for a direct image (east to the left of north), −1 for an image mirrored by the optics or the readout: its
+        columns are reversed before anything else.
     projection : str
-        ``pinhole``, ``fisheye`` (Kannala–Brandt as OpenCV has it), or ideal: ``equidistant``, ``equisolid``.
+        ``pinhole``, ``fisheye`` (Kannala–Brandt as in OpenCV), or ideal: ``equidistant``, ``equisolid``.
     row_time_s : float
-        From the start of the exposure of one row to that of the next: of a rolling shutter; 0: all rows at once. A
-        frame's attitude is then that of the middle of the exposure of its middle row.
+        Rolling shutter: delay between the exposure starts of successive rows; 0 for a global shutter. A frame's
+        attitude is that at the middle of the exposure of its middle row.
     """
 
     fx: float
@@ -65,7 +65,7 @@ class Camera:
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
             object.__setattr__(self, "distortion", Distortion(**self.distortion))
-        for name in ("fx", "fy", "cx", "cy"):  # plain numbers, which YAML can hold
+        for name in ("fx", "fy", "cx", "cy"):  # Python floats, which YAML can represent
             object.__setattr__(self, name, float(getattr(self, name)))
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
@@ -77,7 +77,7 @@ class Camera:
         if self.parity not in (1, -1):
             raise InputError(f"parity must be 1 or -1; got {self.parity}")
         if self.width != int(self.width) or self.height != int(self.height):
-            raise InputError(f"an image has whole pixels; got {self.width}×{self.height}")
+            raise InputError(f"the image size must be whole pixels; got {self.width}×{self.height}")
         object.__setattr__(self, "parity", int(self.parity))
         object.__setattr__(self, "width", int(self.width) or round(2 * self.cx + 1))
         object.__setattr__(self, "height", int(self.height) or round(2 * self.cy + 1))
@@ -96,9 +96,9 @@ class Camera:
         for key in (f.name for f in fields(Distortion)):
             if getattr(lens, key) and key not in known:
                 hint = "it has k1, k2, k3, k4" if known else "it has none; projection: fisheye takes k1 to k4"
-                raise InputError(f"a lens of the projection {self.projection} has no coefficient {key}; {hint}")
+                raise InputError(f"the projection {self.projection} has no coefficient {key}; {hint}")
 
-    # ------------------------------------------------------------------ made from
+    # ------------------------------------------------------------------ construction
     @classmethod
     def from_fov(
         cls,
@@ -108,7 +108,8 @@ class Camera:
         distortion: Distortion | None = None,
         projection: str = "pinhole",
     ) -> Camera:
-        """Square pixels, centred; `fov_deg` spans the full width, edge to edge, of the undistorted camera."""
+        """Camera with square pixels and a centred principal point; `fov_deg` is the undistorted field of view across
+        the full width, edge to edge."""
         most = 180 if projection == "pinhole" else 360
         if not 0 < fov_deg < most:
             raise InputError(f"a field of view must be between 0° and {most}°; got {fov_deg}°")
@@ -131,7 +132,7 @@ class Camera:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Camera:
-        """Camera from a YAML file whose keys are this class's parameters; `InputError` names every fault."""
+        """Camera from a YAML file whose keys are the parameters of this class; `InputError` reports every fault."""
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
 
@@ -182,50 +183,51 @@ class Camera:
         return data
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write a file that `from_yaml` reads: beside its place first and then moved there, so that it is whole.
+        """Write a file for `from_yaml`, atomically: a temporary file in the same folder is renamed.
 
         Raises
         ------
         InputError
-            When it cannot be written.
+            If the file cannot be written.
         """
         from ruamel.yaml import YAML
 
-        text, place, temporary = io.StringIO(), Path(path), ""
+        text, target, temporary = io.StringIO(), Path(path), ""
         YAML().dump(self.to_dict(), text)
         try:
-            with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as file:
+            with tempfile.NamedTemporaryFile("wb", dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
                 temporary = file.name
                 file.write(text.getvalue().encode())
             os.chmod(temporary, 0o644)
-            os.replace(temporary, place)
+            os.replace(temporary, target)
         except OSError as error:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
-            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from error
 
-    # ------------------------------------------------------------------ facts
+    # ------------------------------------------------------------------ derived quantities
     @property
     def fov_deg(self) -> float:
-        """Angle seen across the full width, edge to edge, along the principal point's row, distortion included."""
+        """Field of view across the full width, edge to edge, along the row of the principal point, with distortion."""
         return self._seen_deg([[-0.5, self.cy], [self.width - 0.5, self.cy]], self.undistorted_fov_deg)
 
     @property
     def fov_y_deg(self) -> float:
-        """Field of view down the full height, as `fov_deg`."""
+        """Field of view over the full height, as `fov_deg`."""
         undistorted = self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
         return self._seen_deg([[self.cx, -0.5], [self.cx, self.height - 0.5]], undistorted)
 
     @property
     def undistorted_fov_deg(self) -> float:
-        """Field of view across the width that the focal length alone gives, as `from_fov` takes it.
+        """Field of view across the width from the focal length alone, as in `from_fov`.
 
-        The distortion of a pinhole is left out; a fisheye's polynomial is its projection and is in.
+        The distortion of a pinhole is excluded; the polynomial of a fisheye is its projection and is included.
         """
         return self._span_deg((self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx)
 
     def _seen_deg(self, edges: list[list[float]], undistorted_deg: float) -> float:
-        """Angle between the directions of two pixels; the undistorted one where the lens model folds before them."""
+        """Angle between the directions of two pixels; the undistorted angle if they lie beyond the fold of the lens
+        model."""
         if self.projection != "pinhole" or self.distortion == Distortion():
             return undistorted_deg
         one, other = self.unproject(edges)
@@ -233,14 +235,14 @@ class Camera:
         return angle if math.isfinite(angle) else undistorted_deg
 
     def _span_deg(self, low: float, high: float) -> float:
-        """Angle between two edges at these distances, in focal lengths, on either side of the principal point."""
+        """Angle between two edges at these distances in focal lengths on either side of the principal point."""
         if self.projection == "pinhole":
             return math.degrees(math.atan(low) + math.atan(high))
         angles = [math.copysign(self._angle_rad(abs(edge)), edge) for edge in (low, high)]
         return math.degrees(angles[0] + angles[1])
 
     def _angle_rad(self, radius: float) -> float:
-        """Angle off the axis of a radius on a fisheye's image; outside the image circle that of its edge."""
+        """Off-axis angle of a radius on a fisheye image; outside the image circle that of its edge."""
         image = self.image_map
         edge = np.array([[radius, 0.0]])
         vector = fisheye_unproject(edge, image[LENS:], bool(image[EQUISOLID]), self.limit_rad)[0]
@@ -248,7 +250,8 @@ class Camera:
 
     @property
     def limit_rad(self) -> float:
-        """Largest angle from the boresight at which the camera sees: 89.9° for a pinhole, the edge of a fisheye."""
+        """Largest angle from the boresight that the camera can image: 89.9° for a pinhole, the edge of the image circle
+        for a fisheye."""
         return float(self.image_map[LIMIT_RAD])
 
     @functools.cached_property
@@ -259,7 +262,7 @@ class Camera:
         radius = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
         if self.projection != "pinhole":
             return max(self._angle_rad(float(r)) for r in radius)
-        # a corner past the fold of the lens model has no direction: the pinhole's stands in
+        # a corner beyond the fold of the lens model has no direction: use the undistorted pinhole
         cosine = self.unproject(corners)[:, 2]
         angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(radius))
         return float(angle.max())
@@ -271,7 +274,7 @@ class Camera:
 
     @functools.cached_property
     def image_map(self) -> ImageMap:
-        """The two maps below as kernels take them."""
+        """The parameters of `project` and `unproject` as compiled kernels take them."""
         lens, pinhole = self.distortion, self.projection == "pinhole"
         powers = (lens.k1, lens.k2, lens.k3, lens.k4)
         return image_map(
@@ -283,13 +286,13 @@ class Camera:
             lens.as_array() if pinhole else np.array(powers),
         )
 
-    # ------------------------------------------------------------------ the two maps
+    # ------------------------------------------------------------------ projection
     def project(self, vectors: ArrayLike) -> FloatArray:
-        """Pixels (N, 2) of camera-frame vectors (N, 3); NaN for what the camera cannot see.
+        """Pixels (N, 2) of camera-frame vectors (N, 3); NaN for directions outside the camera's limit.
 
-        A pinhole sees less than 90° from the boresight, a fisheye up to the edge of its image circle (`limit_rad`).
-        The pinhole's distortion polynomial is valid near the field alone; far outside it can fold back into the
-        image, so select by angle first (`half_diagonal_rad`).
+        The limit is below 90° from the boresight for a pinhole and the edge of the image circle for a fisheye
+        (`limit_rad`). A pinhole's distortion polynomial is only valid near the field; far outside it can fold back into
+        the image, so select by angle first (`half_diagonal_rad`).
         """
         v = np.asarray(vectors, dtype=float)
         if v.ndim < 2:
@@ -297,15 +300,15 @@ class Camera:
         return np.asarray(to_pixels(v, self.image_map))
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
-        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be undone, and
-        outside a fisheye's image circle."""
+        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be inverted and
+        outside the image circle of a fisheye."""
         p = np.asarray(xy, dtype=float)
         if p.ndim < 2:
             p = p[None]
         return np.asarray(to_directions(p, self.image_map))
 
     def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Whether pixels (N, 2) lie on the image, grown by a margin."""
+        """Whether pixels (N, 2) lie on the image, enlarged by a margin."""
         return (
             (xy[:, 0] >= -0.5 - margin_px)
             & (xy[:, 0] < self.width - 0.5 + margin_px)

@@ -1,4 +1,4 @@
-"""Brown–Conrady lens distortion in OpenCV's form, forward and back.
+"""Brown–Conrady lens distortion in OpenCV's form, and its inverse.
 
 With normalised coordinates (x, y) = (X/Z, Y/Z) and r² = x² + y²:
 
@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Distortion:
-    """Coefficients on normalised coordinates, named and ordered as OpenCV does; all zero is a perfect pinhole.
+    """Coefficients on normalised coordinates with OpenCV's names and order; all zero for a perfect pinhole.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
 
 @kernel
 def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
-    """Distorted normalised coordinates, shape (N, 2), of undistorted ones, shape (N, 2)."""
+    """Distorted from undistorted normalised coordinates, both of shape (N, 2)."""
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
         out[i, 0], out[i, 1] = _distort_point(xy[i, 0], xy[i, 1], k)
@@ -83,7 +83,7 @@ def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
 
 @kernel
 def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
-    """Pixels (N, 2) of vectors (N, 3) in camera axes through a pinhole and its distortion `k`; NaN where z ≤ 1e-9."""
+    """Pixels (N, 2) of vectors (N, 3) in camera axes for a pinhole with distortion `k`; NaN where z ≤ 1e-9."""
     out = np.empty((len(vectors), 2))
     for i in range(len(vectors)):
         z = vectors[i, 2]
@@ -97,7 +97,7 @@ def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx
 
 @kernel
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
-    """Newton's method from (x, y); false when it meets the fold of the lens model or does not settle."""
+    """Newton's method from (x, y); false if it reaches the fold of the lens model or does not converge."""
     for _ in range(50):
         r2 = x * x + y * y
         top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -112,7 +112,7 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
         jxy = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
         jyy = radial + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
         det = jxx * jyy - jxy * jxy
-        if not det > 0.0:  # past the fold of the lens model, or NaN
+        if not det > 0.0:  # beyond the fold of the lens model, or NaN
             return x, y, False
         dx = (jyy * fx - jxy * fy) / det
         dy = (jxx * fy - jxy * fx) / det
@@ -125,7 +125,7 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
 
 @kernel
 def _fold_radius2(k: FloatArray) -> float:
-    """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops rising; there the lens model ends."""
+    """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops increasing: the model ends there."""
     for step in range(1, 513):
         r2 = (step / 64.0) ** 2
         top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -140,11 +140,11 @@ def _fold_radius2(k: FloatArray) -> float:
 
 @kernel
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
-    """Undistorted normalised coordinates, shape (N, 2), of distorted ones; NaN where the lens model cannot be inverted.
+    """Undistorted from distorted normalised coordinates, shape (N, 2); NaN where the lens model cannot be inverted.
 
-    Newton's method with the analytic Jacobian, from the distorted point; quadratic convergence, so that forward and
-    inverse agree to rounding (1e-13) wherever the distortion is one to one. Where that start lies past the fold of a
-    strong lens, the point is followed out from the centre in small steps; a root past the fold is none.
+    Newton's method with the analytic Jacobian, started at the distorted point; forward and inverse agree to rounding
+    (1e-13) wherever the distortion is one to one. If the start lies beyond the fold of a strong lens, the solution is
+    continued from the centre in small steps; a root beyond the fold is rejected.
     """
     steps = 32
     fold2 = _fold_radius2(k)
@@ -167,7 +167,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
 
 @kernel
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
-    """Unit vectors (N, 3) in camera axes of pixels (N, 2): `project_pinhole` undone; NaN as in `undistort`."""
+    """Unit vectors (N, 3) in camera axes of pixels (N, 2): inverse of `project_pinhole`; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))
     for i in range(len(xy)):
         normalised[i, 0], normalised[i, 1] = (xy[i, 0] - cx) / fx, (xy[i, 1] - cy) / fy

@@ -1,7 +1,7 @@
-"""The stages' results in words: what `Solution.steps` and ``boresight solve --explain`` tell.
+"""Text explanations of the stages' results, for `Solution.steps` and ``boresight solve --explain``.
 
-Each function takes what its stage gave; the words are made when someone reads them (`startracker.trace.Steps`), maps
-looked at on a lattice of about a thousand pixels: the explanation is always there and hardly paid for.
+The text is only formatted when it is read (`startracker.trace.Steps`), and maps are sampled on a lattice of about a
+thousand pixels, so that the explanation is always available at little cost.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ _FEW_STARS = 6
 
 
 def _steps(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Steps of a lattice of about 32 × 32 places."""
+    """Steps of a lattice of about 32 × 32 samples."""
     return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
 
 
 def _extent(values: FloatArray) -> tuple[float, float, float]:
-    """Least, median, largest."""
+    """Minimum, median and maximum."""
     ordered = np.sort(values, axis=None)
     last = len(ordered) - 1
     return float(ordered[0]), 0.5 * (float(ordered[last // 2]) + float(ordered[(last + 1) // 2])), float(ordered[last])
 
 
 def image_sample(image: NDArray[Any]) -> NDArray[Any]:
-    """Values on a lattice: what `image_step` needs of an image that may have changed by the time it is told of."""
+    """Copy of the values on a lattice, for `image_step`: the caller may change the image before the text is read."""
     rows, columns = _steps(image.shape)
     return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
 
 
 def image_step(shape: tuple[int, ...], sample: NDArray[Any], saturated_share: float, saturation_dn: float) -> Step:
-    """Size, type, range and saturation of an image of the shape (H, W) with such a sample."""
+    """Size, type, range and saturation of an image of shape (H, W), from a sample of its values."""
     height, width = shape
     text = f"{width}×{height} pixels, {sample.dtype}"
     sample = sample[np.isfinite(sample)]
@@ -75,15 +75,15 @@ def image_step(shape: tuple[int, ...], sample: NDArray[Any], saturated_share: fl
 
 
 def background_step(background: Background) -> Step:
-    """Background and noise over the image: least, median, largest."""
+    """Minimum, median and maximum of background and noise over the image."""
     steps = _steps(background.shape)
     level = _extent(sample_plane(background.level_plane, *steps))
     noise = _extent(sample_plane(background.noise_plane, *steps))
-    return Step("background", f"level {_range(level)} DN, noise of a pixel {_range(noise)} DN (min / median / max)")
+    return Step("background", f"level {_range(level)} DN, noise per pixel {_range(noise)} DN (min / median / max)")
 
 
 def detection_steps(spots: Spots, settings: DetectionSettings, background: Background) -> tuple[Step, ...]:
-    """Threshold, candidates kept, and those rejected by reason, where the detector counts them."""
+    """Threshold, number of candidates kept and, if the detector counts them, number rejected for each reason."""
     noise = _extent(sample_plane(background.noise_plane, *_steps(background.shape)))[1]
     first = f"threshold {settings.threshold_sigma:g} σ ({settings.threshold_sigma * noise:.3g} DN above the background)"
     rejected: Mapping[str, int] = getattr(spots, "rejected", {})
@@ -104,7 +104,7 @@ def detection_steps(spots: Spots, settings: DetectionSettings, background: Backg
 
 
 def centroid_step(centroids: Centroids) -> Step:
-    """Number of centroids, span of magnitudes, standard errors."""
+    """Number of centroids, range of magnitudes, standard errors."""
     if not len(centroids):
         return Step("centroids", "none")
     sigma = np.sqrt(np.trace(centroids.covariance, axis1=1, axis2=2) / 2.0)
@@ -112,12 +112,12 @@ def centroid_step(centroids: Centroids) -> Step:
     return Step(
         "centroids",
         f"{len(centroids)} over {_magnitudes(centroids.flux)}, standard error {low:.2g} / {middle:.2g} / {high:.2g} px"
-        " on one axis (min / median / max)",
+        " per axis (min / median / max)",
     )
 
 
 def listed_step(given: int, xy: FloatArray, flux: FloatArray | None) -> Step:
-    """Centroids that came as a list: how many are fit for use."""
+    """Number of given centroids and how many of them are usable."""
     left_out = given - len(xy)
     text = f"{given} given"
     if left_out:
@@ -129,18 +129,18 @@ def listed_step(given: int, xy: FloatArray, flux: FloatArray | None) -> Step:
 def identification_steps(
     texts: Sequence[str], reason: str, stars: int, magnitude: float, camera: Camera
 ) -> tuple[Step, ...]:
-    """What identification had before it, tried, and concluded.
+    """Input, attempts and result of identification.
 
     Parameters
     ----------
     texts : sequence of str
-        The identifier's own account.
+        Explanations from the identifier.
     reason : str
-        Its verdict.
+        Reason of its result.
     stars, magnitude : int, float
-        Guide stars and the faintest one's V.
+        Number of guide stars and V of the faintest.
     camera : Camera
-        For the stars to be expected in the field.
+        For the number of stars expected in the field.
     """
     area = math.radians(camera.fov_deg) * math.radians(camera.fov_y_deg)
     expected = stars * min(area / (4.0 * math.pi), 1.0)
@@ -149,16 +149,16 @@ def identification_steps(
 
 
 def search_step(trials: int, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Step:
-    """What a search with the focal length free went through."""
+    """Range and number of patterns of a search with the focal length free."""
     low, high = min(band[0] for band in bands), max(band[2] for band in bands)
-    seen = "as seen and mirrored" if len(sides) > 1 else "as seen" if sides[0] > 0 else "mirrored"
+    seen = "direct and mirrored" if len(sides) > 1 else "direct" if sides[0] > 0 else "mirrored"
     return Step(
-        "identification", f"field of view sought from {low:.3g}° to {high:.3g}°, {seen}; {trials} patterns tried"
+        "identification", f"field of view searched from {low:.3g}° to {high:.3g}°, {seen}; {trials} patterns tried"
     )
 
 
 def attitude_steps(solution: Solution) -> tuple[Step, ...]:
-    """Stars used, those left out, residuals and standard errors of a solved field."""
+    """Stars used and rejected, residuals and standard errors of a solved field."""
     stars, camera = solution.stars.fitted, solution.camera
     if not solution.solved or camera is None:
         return ()
@@ -173,9 +173,9 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
         )
     ]
     if named:
-        steps.append(Step("attitude", f"{named} stars named and not used: off by more than their errors explain"))
+        steps.append(Step("attitude", f"{named} identified stars not used: residual larger than their error explains"))
     if left:
-        steps.append(Step("attitude", f"{left} detections not used: no guide star near enough"))
+        steps.append(Step("attitude", f"{left} detections not used: no guide star close enough"))
     if solution.covariance is not None:
         x, y, z = np.sqrt(np.diag(solution.covariance)) / ARCSEC_RAD
         steps.append(Step("attitude", f"standard errors {x:.2g}″ and {y:.2g}″ across the boresight, {z:.2g}″ about it"))
@@ -191,57 +191,57 @@ def hints(
     saturated: int = 0,
     settings: DetectionSettings | None = None,
 ) -> tuple[Step, ...]:
-    """What to do next about a field that was not solved.
+    """Suggestions for a field that was not solved.
 
     Parameters
     ----------
     status : Status
     stars : int
-        Centroids that identification had.
+        Number of centroids passed to identification.
     known_camera : bool
         Whether the focal length was given as exact.
     fov_known : bool
-        Whether it was given roughly.
+        Whether it was given approximately.
     saturated : int
-        Saturated star images among them.
+        Number of saturated star images among them.
     settings : DetectionSettings, optional
-        Of the detection, where there was one.
+        Settings of the detection, if there was one.
     """
     if status is Status.SOLVED:
         return ()
-    says: list[str] = []
+    texts: list[str] = []
     if status is Status.BAD_IMAGE:
-        says.append("give a two-dimensional image of the size that the camera has")
+        texts.append("give a two-dimensional image of the size that the camera has")
     elif status is Status.SATURATED:
-        says.append("expose for less time, or keep Sun, Moon and lamps out of the field")
+        texts.append("shorten the exposure, or keep Sun, Moon and artificial lights out of the field")
     elif stars < _FEW_STARS:
         if settings is not None:
-            says.append(
+            texts.append(
                 f"few stars: lower detection.threshold_sigma (now {settings.threshold_sigma:g}), or expose longer"
             )
         else:
-            says.append("few stars: give more centroids")
+            texts.append("few stars: give more centroids")
         if not known_camera:
-            says.append("with the camera known (--camera) three or four stars can do")
+            texts.append("with a calibrated camera (--camera) three or four stars can be enough")
     else:
         if known_camera:
-            says.append("check the camera: its focal length (--fov is fitted, --camera taken as exact) and parity")
-            says.append("stars fainter than the guide stars count as false: raise --magnitude-limit for long exposures")
+            texts.append("check the camera: its focal length (--fov is fitted, --camera taken as exact) and parity")
+            texts.append("stars fainter than the guide stars count as false: raise --magnitude-limit if exposed long")
         elif fov_known:
-            says.append("check --fov: it must be right to 5 %; without it every field from 3° to 72° is tried")
+            texts.append("check --fov: it must be correct to 5 %; without it fields from 3° to 72° are searched")
         else:
-            says.append("field not known: give --fov, which narrows the search")
+            texts.append("unknown field of view: give --fov, which narrows the search")
         if settings is not None and stars >= settings.max_stars:
-            says.append("many detections: raise detection.threshold_sigma, if trees, clouds or noise are among them")
+            texts.append("many detections: raise detection.threshold_sigma, if trees, clouds or noise are among them")
         if status is Status.SEARCH_LIMIT:
-            says.append("the search was ended: raise identification.max_operations, or give fewer, better centroids")
+            texts.append("search limit reached: raise identification.max_operations, or give fewer, better centroids")
         if saturated > stars // 2:
-            says.append("most stars are saturated, which spoils their places: expose for less time")
-    return tuple(Step("hint", text) for text in says)
+            texts.append("most stars are saturated, which biases their centroids: shorten the exposure")
+    return tuple(Step("hint", text) for text in texts)
 
 
 def as_text(steps: Iterable[Step]) -> str:
-    """Steps as lines, the stage's name before its first one."""
+    """Steps as lines of text, with the stage's name before its first line."""
     steps = tuple(steps)
     width = max((len(step.stage) for step in steps), default=0)
     lines, last = [], ""

@@ -1,10 +1,10 @@
-"""Fisheye projections: image radius by angle off the axis, forward and back, to 90° and beyond.
+"""Fisheye projections: image radius as a function of off-axis angle, and its inverse, to 90° and beyond.
 
 With θ the angle from the boresight and r the radius on the image in focal lengths:
 
     fisheye      r = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)      OpenCV's ``cv2.fisheye``
     equidistant  r = θ                                           the same with k = 0; FITS calls it ARC
-    equisolid    r = 2 sin(θ/2)                                  equal areas of the sky on equal areas; FITS' ZEA
+    equisolid    r = 2 sin(θ/2)                                  equal-area; FITS calls it ZEA
 
 Source: J. Kannala & S. S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
 fish-eye lenses", IEEE Trans. PAMI 28 (2006) 1335; the coefficients are OpenCV's. Ideal projections: K. Miyamoto,
@@ -24,19 +24,19 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
-"""Names a camera's `projection` may have; the last two take no coefficients."""
+"""Values of a camera's `projection`; the last two take no coefficients."""
 
 _BOUND_RAD = math.pi * (1.0 - 1e-9)
-"""The direction straight back has no place of its own on the image."""
+"""The direction opposite to the boresight maps to a circle, not to a point."""
 
 
 @lru_cache(maxsize=64)
 def limit_rad(coefficients: tuple[float, float, float, float]) -> float:
-    """Angle up to which the image radius rises with θ: there the lens model ends; π at the most.
+    """Angle up to which the image radius increases with θ, where the lens model ends; at most π.
 
     The first positive root of dr/dθ = 1 + 3 k1 θ² + 5 k2 θ⁴ + 7 k3 θ⁶ + 9 k4 θ⁸.
     """
-    # in (θ/π)², so that a coefficient too small to matter can be told and dropped
+    # in (θ/π)², so that negligible coefficients can be recognised and dropped
     slope = [(2 * n + 1) * coefficients[n - 1] * math.pi ** (2 * n) for n in (4, 3, 2, 1)] + [1.0]
     roots = np.roots([c if abs(c) > 1e-17 else 0.0 for c in slope])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots.real))) & (roots.real > 0.0)]
@@ -55,8 +55,8 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
     """Angle of a radius, NaN beyond the largest.
 
-    Newton's steps; the bracket is halved where they leave it, or are not half as long as the step before: between two
-    bends of the curve they can go to and fro for ever.
+    Newton's method, safeguarded by bisection if a step leaves the bracket or is not half as long as the previous one:
+    between two inflections of the curve Newton's method can oscillate for ever.
     """
     if equisolid:
         return 2.0 * math.asin(0.5 * radius) if radius <= 2.0 * math.sin(0.5 * limit) else math.nan
@@ -89,7 +89,7 @@ def fisheye_project(vectors: FloatArray, k: FloatArray, equisolid: bool, limit: 
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         side = np.hypot(x, y)
         theta = np.arctan2(side, z)
-        if not theta <= limit or (side == 0.0 and z == 0.0):  # too far off, or no direction at all
+        if not theta <= limit or (side == 0.0 and z == 0.0):  # beyond the limit, or a zero vector
             out[i, 0], out[i, 1] = np.nan, np.nan
         else:
             scale = _radius(theta, k, equisolid) / side if side > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""From an image to stars with centroids: what comes before identification."""
+"""From an image to star centroids: the stages before identification."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ __all__ = ["Clock", "FoundStars", "find_stars"]
 FloatArray = NDArray[np.float64]
 
 _WHITE_SHARE = 0.5
-"""Share of saturated pixels above which nothing is looked for."""
+"""Fraction of saturated pixels above which no stars are searched for."""
 _FEWEST_STREAKS = 4
 
 
 @dataclass
 class Clock:
-    """Milliseconds of each stage."""
+    """Time taken by each stage, milliseconds."""
 
     laps: dict[str, float] = field(default_factory=dict)
     start: float = field(default_factory=time.perf_counter)
     last: float = field(default_factory=time.perf_counter)
 
     def lap(self, name: str) -> None:
-        """The time since the last lap goes to a stage."""
+        """Assign the time since the last lap to a stage."""
         now = time.perf_counter()
         self.laps[name] = (now - self.last) * 1e3
         self.last = now
@@ -60,7 +60,7 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class FoundStars:
-    """Stars of an image, brightest first, or why there are none.
+    """Stars of an image, brightest first, or the reason why there are none.
 
     Parameters
     ----------
@@ -69,25 +69,26 @@ class FoundStars:
     flux : (N,)
         DN.
     variance_px2 : (N,)
-        Of a centroid, on one axis.
+        Variance of each centroid on one axis.
     status, reason : Status or None, str
-        Set where the image cannot be used.
+        Set if the image cannot be used.
     saturated_share, saturation_dn : float
-        Share of pixels at saturation, and that level.
+        Fraction of saturated pixels, and the saturation level.
     steps : sequence of Step
-        What was found, in words.
+        Explanation of what was found.
     saturated : int
-        Saturated star images.
+        Number of saturated star images.
     covariance_px2 : (N, 2, 2), optional
-        Of a centroid; None: `variance_px2` on both axes.
+        Covariance of each centroid; None: `variance_px2` on both axes.
     common_px2 : (2, 2), optional
-        Covariance of an error that all centroids share (`Centroids.common_px2`).
+        Covariance of an error common to all centroids (`Centroids.common_px2`).
     misfit : float, optional
         How far the star images are from those that were fitted (`Centroids.misfit`).
     trailed : bool
-        Whether these are the middles of trails.
+        Whether the centroids are midpoints of trails.
     other : callable, optional
-        Gives the stars under the other hypothesis, trails for points or points for trails, or None where it has none.
+        Returns the stars under the other hypothesis (trails instead of points, or points instead of trails), or None if
+        there are none.
     """
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -127,15 +128,15 @@ def find_stars(
     detect, measure
         Methods of `startracker.detection` and `startracker.centroid`.
     clock : Clock
-        Takes the times.
+        Records the times.
     camera : Camera, optional
-        Where given, the image must have its shape, and trails are fitted (`startracker.trails`), their middles
-        corrected for the camera's projection. Without it `measure` takes short trails as the detector finds them.
+        If given, the image must have its shape, and trails are fitted (`startracker.trails`) with their midpoints
+        corrected for the camera's projection. Otherwise `measure` takes short trails as the detector finds them.
 
     Returns
     -------
     FoundStars
-        Never raises for what the image shows.
+        An image that cannot be used gives a status; it does not raise.
     """
     shape = None if camera is None else (camera.height, camera.width)
     found, fault = survey(image, shape, saturation_dn)
@@ -146,7 +147,7 @@ def find_stars(
         partial(image_step, found.pixels.shape, image_sample(found.pixels), share, level)
     ]
     if found.masked:
-        text = f"{found.masked} pixels left out: no light gives such values beside the others"
+        text = f"{found.masked} pixels masked: their values cannot be caused by light"
         steps.append(partial(Step, "image", text))
     if share > _WHITE_SHARE:
         return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
@@ -168,7 +169,7 @@ def find_stars(
 def _detect(
     found: Survey, detect: Detector, detection: DetectionSettings, saturation_dn: float | None, clock: Clock
 ) -> tuple[Image, Background, Spots]:
-    """Pixels, without hot pixels where these are a crowd, their background and the candidates."""
+    """Pixels (many hot pixels are masked), their background and the candidates."""
     pixels = found.pixels
     background = _background(pixels, detection)
     clock.lap("background")
@@ -184,14 +185,14 @@ def _detect(
 
 
 def _background(pixels: Image, detection: DetectionSettings) -> Background:
-    """Background of a frame; where its tiles are too coarse for what is in them, one that follows it."""
+    """Background of a frame in tiles, or on a finer scale where the tiles are too coarse."""
     background = estimate(pixels, detection.background_tile_px)
     return follow_structure(pixels, detection.background_tile_px) if has_structure(pixels, background) else background
 
 
 @dataclass(frozen=True, eq=False)
 class _Looks:
-    """The stars of one frame as points and as trails; each is measured only when it is asked for."""
+    """The stars of one frame as points and as trails; each is only measured on demand."""
 
     survey: Survey
     pixels: Image
@@ -205,7 +206,7 @@ class _Looks:
     gain_e_per_dn: float | None
 
     def decided(self, camera: Camera) -> FoundStars:
-        """Stars of the likelier hypothesis; the other's as `FoundStars.other`."""
+        """Stars of the more likely hypothesis; the other one as `FoundStars.other`."""
         spots = self.spots
         first: Callable[[], FoundStars | None] = partial(self.points, spots)
         second: Callable[[], FoundStars | None] = partial(self.as_trails, camera)
@@ -217,7 +218,7 @@ class _Looks:
         return replace(found or self.points(spots), other=second)
 
     def _left_out_trails(self) -> bool:
-        """Whether the detector left out so many trails that they may be the stars."""
+        """Whether the detector rejected so many trails that they may be the stars."""
         streaks = self.spots.rejected.get("streak", 0)
         return self.spots.other is None and streaks >= max(_FEWEST_STREAKS, len(self.spots) // 4)
 
@@ -234,7 +235,7 @@ class _Looks:
         return 0.5 * (np.array(self.pixels.shape[::-1], dtype=float) - 1.0)
 
     def points(self, spots: Spots) -> FoundStars:
-        """Centroids of candidates by the method of the user's choice."""
+        """Centroids of the candidates by the chosen method."""
         found = self.measure(self.pixels, self.background, spots, self.centroid, self.gain_e_per_dn)
         self.clock.lap("centroid")
         step = partial(detection_steps, spots, self.detection, self.background)
@@ -242,9 +243,9 @@ class _Looks:
 
     @cached_property
     def trails(self) -> Trails | None:
-        """Trails of the frame, or None where no motion is common to them."""
+        """Trails of the frame, or None if they share no common motion."""
         known = self.spots if self.spots.are_streaks else self.spots.other
-        if known is None and self.spots.direction_rad is None:  # not every detector looks for them
+        if known is None and self.spots.direction_rad is None:  # not every detector searches for them
             known = find_trailed(fill_gaps(self.pixels), self.background, self.detection, self.saturation_dn)
         found = find_trails(
             self.pixels, self.background, self.detection, self.saturation_dn, self.gain_e_per_dn, _lines(known),
@@ -254,20 +255,20 @@ class _Looks:
         return found
 
     def as_trails(self, camera: Camera) -> FoundStars | None:
-        """Where the stars of the trails stood at mid-exposure; None where there are no trails.
+        """Positions of the trailed stars at mid-exposure; None if there are no trails.
 
         Parameters
         ----------
         camera : Camera
-            Its projection tells how the path of a star bends.
+            Its projection gives the curvature of the trails.
         """
         trails = self.trails
-        if trails is None:  # then short ones are measured as the detector found them
+        if trails is None:  # short trails are then measured as the detector found them
             return self.points(self.spots) if self.spots.are_streaks else None
         stars = trails.centroids
         xy, common = mid_exposure(trails, camera)
         length = float(np.hypot(*trails.motion[:2]))
-        text = f"{len(stars)} trails of one motion, {length:.1f} px in the middle of the image"
+        text = f"{len(stars)} trails with a common motion, {length:.1f} px at the image centre"
         return self._found(replace(stars, common_px2=common), partial(Step, "detection", text), xy, True)
 
     def _found(
@@ -289,7 +290,7 @@ class _Looks:
 
 
 def _lines(spots: Spots | None) -> FloatArray:
-    """Middle x and y and half the length along x and y (N, 4) of trails that the detector found."""
+    """Midpoint x and y and half length along x and y (N, 4) of the trails that the detector found."""
     if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])

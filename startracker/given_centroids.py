@@ -1,4 +1,4 @@
-"""Centroids that come from elsewhere, made fit for use."""
+"""Checks of centroids that are given by the caller."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["SAME_STAR_PX", "clean_centroids", "stated_variance"]
 FloatArray = NDArray[np.float64]
 
 SAME_STAR_PX = 0.75
-"""Two centroids closer than this are one star found twice."""
+"""Two centroids closer than this are taken as the same star, detected twice."""
 
 
 def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
-    """Centroids (N, 2) fit for use, brightest first, and their flux: finite, on the image, no star twice.
+    """Usable centroids (N, 2), brightest first, and their flux: finite, on the image, without duplicates.
 
-    A flux that is not a positive number counts as the faintest of all.
+    A star whose flux is not a positive number is taken as the faintest.
     """
     try:
         points = np.asarray(plain(xy), dtype=float)
@@ -41,7 +41,7 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
         good = np.isfinite(signal) & (signal > 0)
         if good.any():
             signal = np.where(good, signal, signal[good].min() * 0.5)
-            # position breaks ties, so that the order of the rows means nothing
+            # ties are broken by position, so that the order of the input does not matter
             order = np.lexsort((points[:, 0], points[:, 1], -signal))
             points, signal = points[order], signal[order]
         else:
@@ -51,8 +51,8 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
 
 
 def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray) -> FloatArray | None:
-    """Variance (M,), pixels², of the centroids `kept` (M, 2) by `clean_centroids` of those given, from their stated
-    standard errors: one of each, or one for all; None where none is stated.
+    """Variance (M,), pixels², of the centroids `kept` (M, 2) by `clean_centroids`, from the given standard errors (one
+    per centroid, or one for all); None if none are given.
 
     Raises
     ------
@@ -70,17 +70,17 @@ def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray)
         raise InputError(f"there are {len(points)} centroids, but sigma_px has the shape {sigma.shape}")
     if sigma.size and not (np.isfinite(sigma) & (sigma > 0.0)).all():
         raise InputError("sigma_px must be positive and finite, pixels")
-    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}  # the first of equal ones
+    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}  # the first of equal centroids
     chosen = [row[x, y] for x, y in kept.tolist()]
     return np.asarray(np.broadcast_to(sigma, len(points))[chosen] ** 2)
 
 
 @kernel
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
-    """Points (N,) without another before them that is nearer than `SAME_STAR_PX` on both axes."""
+    """Mask (N,) of points without an earlier point within `SAME_STAR_PX` on both axes."""
     alone = np.ones(len(points), np.bool_)
     order = np.argsort(points[:, 0])
-    for first in range(len(points)):  # from left to right: what is near on x follows
+    for first in range(len(points)):  # sorted by x, so that neighbours in x follow
         i = order[first]
         for second in range(first + 1, len(points)):
             j = order[second]

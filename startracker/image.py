@@ -1,4 +1,4 @@
-"""Reading images: PNG, TIFF, JPEG and what else Pillow knows, and FITS; every fault is one clear line."""
+"""Read images: FITS, PNG, TIFF, JPEG and other formats that Pillow reads; every error is one line."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     7: lambda a: np.rot90(np.swapaxes(a, 0, 1), 2),
     8: np.rot90,
 }
-"""What makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is upright already."""
+"""Operation that makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is upright already."""
 _UNDOES = {6: 8, 8: 6}
-"""The orientation whose turn undoes that of another; all others undo themselves."""
+"""Orientation whose operation is the inverse of another's; the others are their own inverse."""
 _HINT = "give a PNG, TIFF, JPEG or FITS image"
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedImage:
-    """An image as the tracker takes it.
+    """An image as it is passed to the tracker.
 
     Parameters
     ----------
     image : float32 array, shape (H, W)
-        DN; colour channels averaged; NaN where a FITS file has blank pixels.
+        DN; colour channels averaged; NaN for blank pixels of a FITS file.
     saturation_dn : float, optional
-        Largest value the file's number type can hold; None where it sets no limit.
+        Largest value of the file's integer type; None if it sets no limit.
     header : dict
-        What the file says of itself (FITS keywords; Pillow's format and mode).
+        Metadata of the file (FITS keywords; Pillow's format and mode).
     notes : tuple of str
-        What the user should know: channels averaged, an EXIF orientation applied or not.
+        Notes for the user: channels averaged, EXIF orientation applied or not.
     """
 
     image: NDArray[np.float32]
@@ -60,25 +60,24 @@ class LoadedImage:
 def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = True) -> LoadedImage:
     """Read an image file.
 
-    Colour is averaged over its channels (transparency left out), palettes are looked up; 16 bits a channel stay 16
-    bits.
+    Colour channels are averaged (without transparency), palettes are resolved; 16 bits per channel stay 16 bits.
 
     Parameters
     ----------
     path : str or Path
-        PNG, TIFF, JPEG and what else Pillow knows; FITS.
+        FITS, PNG, TIFF, JPEG or another format that Pillow reads.
     bayer : str, optional
-        The file holds a raw colour mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is made grey
+        The file holds a raw Bayer mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is converted to grey
         (`startracker.bayer.bayer_to_grey`).
     upright : bool
-        Turn the picture as its EXIF orientation says, as viewers show it; pixel coordinates are those of the upright
-        picture. False keeps the sensor's own rows and columns, for which a calibrated camera or a map of bad pixels
-        is made; a raw mosaic always keeps them, as its pattern goes with them.
+        Apply the EXIF orientation, as viewers do; pixel coordinates are those of the upright picture. False keeps the
+        rows and columns of the sensor, to which a calibrated camera or a bad-pixel map refers; a raw mosaic always
+        keeps them, as its pattern depends on them.
 
     Raises
     ------
     InputError
-        Missing, unreadable, damaged, truncated, empty, or no image: one line with the file's name and what to do.
+        If the file is missing, unreadable, damaged, truncated, empty, or not an image.
     """
     file = Path(path)
     if file.is_dir():
@@ -89,17 +88,17 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
     except ValueError as error:  # a NUL in the name
-        raise InputError(f"{str(file)!r}: is no file name; {_HINT}") from error
+        raise InputError(f"{str(file)!r}: is not a file name; {_HINT}") from error
     if not start:
         raise InputError(f"{file}: is empty (0 bytes); {_HINT}")
     is_fits = start.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
     loaded = _read_fits(file) if is_fits else _read_picture(file, upright and bayer is None)
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
-            raise InputError(f"{file}: has colour channels, so it is no raw mosaic; leave bayer out")
+            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; leave bayer out")
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
-        # the gains differ by colour: the least level at which any pixel is full
+        # the gains differ by colour: take the lowest level at which any pixel saturates
         full = None
         if loaded.saturation_dn is not None:
             top = bayer_to_grey(
@@ -120,7 +119,7 @@ def _read_picture(file: Path, upright: bool) -> LoadedImage:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
-            # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of its upright picture
+            # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of the upright picture
             data = file.read_bytes()
             with Image.open(io.BytesIO(data)) as picture:
                 width, height = picture.size
@@ -133,7 +132,7 @@ def _read_picture(file: Path, upright: bool) -> LoadedImage:
                 array, notes = _channels(picture)
                 if deep:
                     array = _deep_colour(data, array)
-                turned = picture.format == "TIFF"  # Pillow and OpenCV turn these themselves
+                turned = picture.format == "TIFF"  # Pillow and OpenCV apply the orientation of these
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -170,7 +169,7 @@ def _channels(picture: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
 
 
 def _has_deep_colour(picture: Any, data: bytes) -> bool:
-    """Whether a picture has colours of 16 bits a channel, of which Pillow keeps eight: PNG and TIFF."""
+    """Whether a PNG or TIFF picture has 16 bits per colour channel, of which Pillow keeps eight."""
     if picture.mode not in ("RGB", "RGBA", "RGBX"):
         return False
     if picture.format == "PNG":
@@ -179,7 +178,7 @@ def _has_deep_colour(picture: Any, data: bytes) -> bool:
 
 
 def _deep_colour(data: bytes, array: NDArray[Any]) -> NDArray[Any]:
-    """Red, green and blue (H, W, 3) at 16 bits, by OpenCV; `array`, as Pillow has it, where OpenCV cannot read it."""
+    """Red, green and blue (H, W, 3) at 16 bits, read with OpenCV; Pillow's `array` if OpenCV cannot read it."""
     import cv2
 
     decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -210,7 +209,7 @@ def _read_fits(file: Path) -> LoadedImage:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a header's small sins; truncation shows when the data are read
+            warnings.simplefilter("ignore")  # minor header violations; truncation is detected when the data are read
             with fits.open(file, memmap=False) as units:
                 for unit in units:
                     if not unit.is_image or unit.header.get("NAXIS", 0) < 2:

@@ -1,6 +1,6 @@
-"""A camera's map between pixels and directions as kernels take it, whatever its projection.
+"""A camera's mapping between pixels and directions for compiled kernels, for every projection.
 
-One array of numbers, as kernels are handed one sooner than ten arguments.
+The parameters are one array, which is passed to a kernel faster than ten arguments.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ FloatArray = NDArray[np.float64]
 ImageMap = NDArray[np.float64]
 
 FX, FY, CX, CY, WIDTH, HEIGHT, PINHOLE, EQUISOLID, LIMIT_RAD, LENS = range(10)
-"""Focal lengths, the first below zero where the image is mirrored, principal point and size, pixels; 1 or 0 for a
-pinhole, and for an equisolid fisheye; the largest angle that is seen; from `LENS` on the coefficients of the lens."""
+"""Indices: focal lengths (the first negative for a mirrored image), principal point and size, pixels; 1 for a pinhole,
+else 0; 1 for an equisolid fisheye, else 0; limiting angle; from `LENS` on the lens coefficients."""
 
 
 def image_map(
@@ -30,14 +30,14 @@ def image_map(
     limit_rad: float,
     lens: FloatArray,
 ) -> ImageMap:
-    """Map of a camera; `lens`: distortion of a pinhole, or powers of a fisheye's angle."""
+    """Image map of a camera; `lens`: distortion of a pinhole, or coefficients of a fisheye."""
     kind = (projection == "pinhole", projection == "equisolid")
     return np.array([*focal_px, *centre_px, *size_px, *kind, limit_rad, *lens])
 
 
 @kernel
 def to_pixels(vectors: FloatArray, image: ImageMap) -> FloatArray:
-    """Pixels (N, 2) of vectors (N, 3) in camera axes; NaN for what the camera cannot see."""
+    """Pixels (N, 2) of vectors (N, 3) in camera axes; NaN outside the camera's limit."""
     fx, fy, cx, cy = image[FX], image[FY], image[CX], image[CY]
     if image[PINHOLE] == 1.0:
         out: FloatArray = project_pinhole(vectors, image[LENS:], fx, fy, cx, cy)
@@ -50,7 +50,7 @@ def to_pixels(vectors: FloatArray, image: ImageMap) -> FloatArray:
 
 @kernel
 def to_directions(xy: FloatArray, image: ImageMap) -> FloatArray:
-    """Unit vectors (N, 3) in camera axes of pixels (N, 2): `to_pixels` undone; NaN where there are none."""
+    """Unit vectors (N, 3) in camera axes of pixels (N, 2): inverse of `to_pixels`; NaN where there is none."""
     fx, fy, cx, cy = image[FX], image[FY], image[CX], image[CY]
     if image[PINHOLE] == 1.0:
         ahead: FloatArray = unproject_pinhole(xy, image[LENS:], fx, fy, cx, cy)

@@ -1,6 +1,6 @@
-"""Objects of astropy and SciPy at the public edges: ``Quantity``, ``Time``, ``SkyCoord`` and ``Rotation``.
+"""Objects of astropy and SciPy in the public interface: ``Quantity``, ``Time``, ``SkyCoord`` and ``Rotation``.
 
-They are known by what they can do, so that nothing is imported for them; plain numbers pass as they are.
+They are recognised by their attributes, so that nothing needs to be imported; plain numbers are passed through.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ __all__ = ["is_rotation", "is_time", "julian_year", "plain", "rotation_quat", "s
 
 
 def plain(given: Any, unit: str, name: str) -> Any:
-    """Numbers in a unit, of an astropy ``Quantity`` (or ``Angle``) in any unit that can be converted to it.
+    """Value in a unit of an astropy ``Quantity`` (or ``Angle``); anything else is returned unchanged.
 
     Raises
     ------
     InputError
-        When it cannot be converted.
+        If it cannot be converted.
     """
     if not (hasattr(given, "to_value") and hasattr(given, "unit")):
         return given
@@ -37,12 +37,12 @@ def is_time(given: Any) -> bool:
 
 
 def julian_year(given: Any) -> Any:
-    """Julian epoch, TT, of an astropy ``Time``."""
+    """Julian epoch, TT, of an astropy ``Time``; anything else is returned unchanged."""
     return float(given.tt.jyear) if is_time(given) and np.ndim(given.tt.jyear) == 0 else given
 
 
 def skycoord_deg(given: Any, name: str) -> tuple[float, float]:
-    """Right ascension and declination, degrees, ICRS, of an astropy ``SkyCoord`` of a single direction.
+    """ICRS right ascension and declination, degrees, of a scalar astropy ``SkyCoord``.
 
     Raises
     ------
@@ -61,8 +61,8 @@ def is_rotation(given: Any) -> bool:
 
 
 def rotation_quat(given: Any) -> NDArray[np.float64]:
-    """Quaternion (x, y, z, w) in the convention of `Attitude`, of a single SciPy ``Rotation`` that takes coordinates of
-    the source into the target: v_target = rotation.apply(v_source). SciPy's own quaternion is its conjugate.
+    """Quaternion (x, y, z, w), in the convention of `Attitude`, of a single SciPy ``Rotation`` with
+    v_target = rotation.apply(v_source). It is the conjugate of SciPy's quaternion.
 
     Raises
     ------

@@ -1,7 +1,6 @@
-"""The parameters of a camera that stars can tell, and how the image moves with each of them.
+"""Camera parameters that can be estimated from stars, and the derivatives of the image with respect to them.
 
-Pinhole with Brown–Conrady distortion, or fisheye (Kannala–Brandt): the maps are those of `startracker.camera`, here
-with their derivatives.
+Pinhole with Brown–Conrady distortion, or fisheye (Kannala–Brandt), as in `startracker.camera`.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ PARAMETERS = {
     "pinhole": ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "p1", "p2"),
     "fisheye": ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "k4"),
 }
-"""What is fitted, in this order: ln √(fx fy), ln (fy/fx), principal point (px), distortion coefficients."""
+"""Fitted parameters, in this order: ln √(fx fy), ln (fy/fx), principal point (px), distortion coefficients."""
 
 _CENTRE_SHARE, _ASPECT_SIGMA, _RADIAL_SHARE, _TANGENTIAL_SHARE = 0.03, 0.01, 0.2, 0.01
 
 
 def prior_of(name: str, camera: Camera) -> tuple[float, float]:
-    """Expected value and standard error of a parameter before any star is seen; no limit on the focal length.
+    """Prior mean and standard deviation of a parameter; infinite for the focal length.
 
-    The principal point within 3 % of the image's width of its middle, pixels square to 1 %, the radial terms 20 % and
-    the tangential ones 1 % of the radius at the corner. They hold what a field cannot tell: through an undistorted
-    lens a shift of the principal point is all but a turn of the camera.
+    Principal point: 3 % of the image width from the centre; aspect ratio: 1 %; radial terms: 20 %, tangential ones: 1 %
+    of the radius at the corner. The priors constrain what a field cannot determine: without distortion a shift of the
+    principal point is nearly equivalent to a rotation of the camera.
     """
     if name == "f":
         return 0.0, math.inf
@@ -58,7 +57,7 @@ def prior_of(name: str, camera: Camera) -> tuple[float, float]:
 
 
 def value_of(name: str, camera: Camera) -> float:
-    """Present value of a parameter."""
+    """Current value of a parameter."""
     if name == "f":
         return 0.5 * math.log(camera.fx * camera.fy)
     if name == "aspect":
@@ -67,7 +66,7 @@ def value_of(name: str, camera: Camera) -> float:
 
 
 def change_lens(camera: Camera, change: dict[str, float]) -> Camera:
-    """The camera with its parameters moved by `change`."""
+    """The camera with `change` added to its parameters."""
     lens = replace(
         camera.distortion,
         **{k: getattr(camera.distortion, k) + v for k, v in change.items() if k[0] in "kp"},
@@ -91,7 +90,7 @@ def plain(camera: Camera) -> Camera:
 
 
 def only(camera: Camera, names: tuple[str, ...]) -> Camera:
-    """The camera with every parameter but `names` at its plain value, the focal length kept."""
+    """The camera with all parameters except `names` at their values in `plain`; the focal length is kept."""
     start = plain(camera)
     lens = {k: getattr(camera.distortion, k) for k in names if k[0] in "kp"}
     if "aspect" in names:
@@ -105,7 +104,7 @@ def only(camera: Camera, names: tuple[str, ...]) -> Camera:
 
 
 def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
-    """Pixels of stars, and how they move.
+    """Pixels of stars and their derivatives.
 
     Parameters
     ----------
@@ -116,7 +115,8 @@ def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[s
 
     Returns
     -------
-    pixels (M, 2); derivative (M, 2) by each of `PARAMETERS`; derivative (M, 2, 3) by the vector.
+    pixels (M, 2); derivative (M, 2) with respect to each of `PARAMETERS`; derivative (M, 2, 3) with respect to the
+    vector.
     """
     image, by_lens, by_vector = (_pinhole if camera.projection == "pinhole" else _fisheye)(camera, vectors)
     focal = np.array([camera.parity * camera.fx, camera.fy])
@@ -129,9 +129,8 @@ def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[s
 
 
 def by_turn(by_vector: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Derivative (M, 2, 3) of pixels by a small rotation vector of the camera, from that by the vectors (M, 3).
-
-    When the frame turns by δ the coordinates become v + v × δ.
+    """Derivative (M, 2, 3) of pixels with respect to a small rotation vector of the camera, from the derivative with
+    respect to the vectors (M, 3): when the frame rotates by δ, the coordinates become v + v × δ.
     """
     x, y, z = vectors.T
     a, b, c = by_vector[:, :, 0], by_vector[:, :, 1], by_vector[:, :, 2]
@@ -184,7 +183,7 @@ def _fisheye(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[str,
 
 
 def _corner(camera: Camera) -> float:
-    """Radius of the farthest corner, focal lengths."""
+    """Radius of the farthest corner in focal lengths."""
     return math.hypot(
         max(camera.cx, camera.width - 1 - camera.cx) / camera.fx,
         max(camera.cy, camera.height - 1 - camera.cy) / camera.fy,
@@ -192,9 +191,9 @@ def _corner(camera: Camera) -> float:
 
 
 def is_one_to_one(camera: Camera) -> bool:
-    """Whether the image radius still rises with the angle out to the corner, so that the model can be undone there.
+    """Whether the image radius increases with the angle out to the corner, so that the model can be inverted there.
 
-    A pinhole needs r (1 + k1 r² + k2 r⁴ + k3 r⁶) to reach the corner before it turns back; a fisheye's image circle
+    For a pinhole r (1 + k1 r² + k2 r⁴ + k3 r⁶) must reach the corner before its maximum; the image circle of a fisheye
     may be smaller than the image.
     """
     corner, lens = _corner(camera), camera.distortion

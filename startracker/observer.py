@@ -1,4 +1,4 @@
-"""What the spacecraft knows of itself when the frame is taken: when it was, where it is, how fast it goes."""
+"""Observer: epoch, position and velocity of the spacecraft when the frame was taken."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from startracker.interop import julian_year, plain
 FloatArray = NDArray[np.float64]
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
-"""Speed of the Earth about the Sun, and of a satellite in a low orbit about the Earth."""
+"""Orbital speed of the Earth, and of a satellite in a low Earth orbit."""
 _OBLIQUITY_RAD = np.radians(23.4393)
 _ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
-"""Beyond anything launched: the fastest probe passed the Sun at 192 km/s, the farthest is at 170 au."""
+"""Beyond any spacecraft: the fastest passed the Sun at 192 km/s, the farthest is at 170 au."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +30,16 @@ class Observer:
     Parameters
     ----------
     epoch_jyear : float or astropy Time
-        Julian epoch (TT) of mid-exposure; stars are moved to it. Kept as a number.
+        Julian epoch (TT) of mid-exposure, for space motion. Stored as a float.
     velocity_km_s : array or astropy Quantity, shape (3,)
-        Barycentric velocity, ICRS; the tracker takes the aberration of light from it. Kept in km/s.
+        Barycentric velocity, ICRS, for the aberration of light. Stored in km/s.
     position_au : array or astropy Quantity, shape (3,)
-        Barycentric position, ICRS; annual parallax. Kept in au.
+        Barycentric position, ICRS, for the annual parallax. Stored in au.
 
     Raises
     ------
     InputError
-        For what is no epoch, velocity or position, or is none that an observer may have.
+        For an invalid or impossible epoch, velocity or position.
     """
 
     epoch_jyear: float = 2000.0
@@ -67,7 +67,7 @@ class Observer:
         return Time(self.epoch_jyear, format="jyear", scale="tt")
 
     def _check(self, name: str, most: float, unit: str, other: str) -> None:
-        """Make an array of one of the vectors, and refuse what no observer has.
+        """Convert one of the vectors to an array and check its length.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Observer:
 
 
 def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
-    """Directions (N, 3) as a moving observer sees them: the full special-relativistic aberration.
+    """Apparent directions (N, 3) for a moving observer: full special-relativistic aberration.
 
     u' = [u/γ + β (1 + (u·β) / (1 + 1/γ))] / (1 + u·β), with β = v/c
     (Explanatory Supplement to the Astronomical Almanac, 3rd ed., eq. 7.40; ERFA's ``eraAb`` without its
@@ -106,11 +106,11 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
 
 
 def unknown_aberration(matrix: FloatArray) -> FloatArray:
-    """Covariance (3, 3), rad², of an attitude (3, 3) ICRS to camera whose observer's velocity is not known.
+    """Covariance (3, 3), rad², that an unknown observer velocity adds to an attitude matrix (3, 3), ICRS to camera.
 
-    To first order in β the aberration turns the field about the boresight b by θ = b × β, up to 20.5″ by the Earth's
-    motion, which has any direction in the ecliptic: the covariance of β is (β_E²/2) (I − n nᵀ), n being the pole of the
-    ecliptic. An orbit about the Earth adds (β_o²/3) I.
+    To first order in β, aberration rotates the field around the boresight b by θ = b × β, up to 20.5″ from the Earth's
+    motion. Its direction in the ecliptic is unknown: the covariance of β is (β_E²/2) (I − n nᵀ), with the ecliptic pole
+    n. An Earth orbit adds (β_o²/3) I.
     """
     pole = matrix @ _ECLIPTIC_POLE
     earth, orbit = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
@@ -120,12 +120,12 @@ def unknown_aberration(matrix: FloatArray) -> FloatArray:
 
 
 def observer_of(observer: Observer | None, time: Any) -> Observer | None:
-    """The observer of an image: as given, or one of whom only the time is known; None where neither is.
+    """The observer of an image: as given, or with only its epoch known; None if neither is given.
 
     Raises
     ------
     InputError
-        Where both are given, as an observer has an epoch.
+        If both are given, as an observer has an epoch.
     """
     if time is None:
         return observer

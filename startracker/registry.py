@@ -1,4 +1,4 @@
-"""Algorithms by name: the built-in ones in a plain dict, others through entry points."""
+"""Algorithms by name: built-in ones from a dict, others from entry points."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ T = TypeVar("T")
 
 
 def lookup(kind: str, methods: Mapping[str, T], name: str) -> T:
-    """Algorithm `name` of a kind.
+    """Look up an algorithm by name.
 
     Parameters
     ----------
     kind : str
-        Plural noun, for example ``"identifiers"``; a package that offers others registers them in the entry-point
-        group ``boresight.<kind>``.
+        Plural noun, for example ``"identifiers"``; other packages register theirs in the entry-point group
+        ``boresight.<kind>``.
     methods : mapping
-        The built-in ones.
+        The built-in algorithms.
     name : str
-        What the user wrote.
+        Name given by the user.
 
     Raises
     ------
     InputError
-        When there is none of that name; lists those there are.
+        For an unknown name; the message lists the known ones.
     """
     if name in methods:
         return methods[name]

@@ -1,4 +1,4 @@
-"""Limits of settings, and the check that refuses what is beyond them."""
+"""Range checks of settings."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ POSITIVE, COUNT, FROM_0 = (ABOVE_0, math.inf), (1, math.inf), (0.0, math.inf)
 
 
 def check_settings(settings: Any, **limits: tuple[float, float]) -> None:
-    """Refuse a knob that is no number within its limits, both included, or infinite where no limit is; None is let be.
+    """Check that settings are numbers within their limits (inclusive); None is accepted.
 
     Raises
     ------
     InputError
-        With the knob's name, what it is and what it must be.
+        With the setting's name, its value and its limits.
     """
     for name, (least, most) in limits.items():
         value = getattr(settings, name)

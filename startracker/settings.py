@@ -1,7 +1,7 @@
-"""Settings of the tracker's stages: every knob with its unit, its default and its meaning, in one place.
+"""Settings of the tracker's stages: every parameter with its unit, default and meaning.
 
-The simulator's scenario schema validates these same classes, so that a scenario, the Python interface and the
-documentation can never name different knobs.
+The simulator's scenario schema validates these same classes, so that scenarios and the Python interface have the same
+parameters.
 """
 
 from __future__ import annotations
@@ -38,38 +38,39 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DetectionSettings:
-    """How star images are found.
+    """Settings of star detection.
 
     Parameters
     ----------
     threshold_sigma : float
-        A pixel belongs to a star candidate above background + this many times the noise.
+        Threshold of star candidates above the background, in units of the noise.
     min_pixels, max_pixels : int
         Size limits of a candidate (Greyling 1995, section 4.2: 7 to 36).
     max_axis_ratio : float
-        Ratio of the second moments along the two principal axes above which a candidate is a streak or an edge;
-        Greyling's 0.7 to 1.3 (1995, section 4.2) is 1.3. Generous by default, as smear elongates true stars.
+        Ratio of the second moments along the two principal axes above which a candidate is classified as a streak or an
+        edge. Greyling's 0.7 to 1.3 (1995, section 4.2) corresponds to 1.3. The default is larger because smear
+        elongates star images.
     max_stars : int
-        Brightest candidates kept.
+        Number of candidates kept, the brightest first.
     background_tile_px : int
         Size of the tiles in which the local background and its noise are estimated.
     search_step_px : int
-        Region growing's search pattern: every third pixel (Greyling 1995, Fig. 4.6).
+        Region growing: step of the search pattern, every third pixel in Greyling 1995, Fig. 4.6.
     matched_filter : bool
-        Search the image correlated with the star image instead of single pixels: finds fainter stars, and sharp ones
-        of one or two pixels, for which `min_pixels` then does not count.
+        Correlate the image with the star image before thresholding. This finds fainter stars and stars of one or two
+        pixels, for which `min_pixels` does not apply.
     psf_sigma_px : float or None
-        Width of a star image, pixels, for the matched filter; None: 0.8, which suits 0.4 to 1.3.
+        Width of the star image, pixels, for the matched filter; None: 0.8, which is suitable for 0.4 to 1.3.
     reject_hits : bool
-        Leave out what is sharper than the frame's star images can be: hot pixels, tracks of particles.
+        Reject candidates that are sharper than the frame's star images: hot pixels, cosmic-ray events.
     isolation : float
-        Where there is something on all sides of a star (branches, clouds), the star must be this many times as high.
-        0: not asked for.
+        If there is structure on all sides of a star (branches, clouds), its peak must exceed that structure by this
+        factor. 0 disables the test.
     cluster_radius_px : float or None
-        Yee's τ: clustering's largest distance of a pixel from its cluster's centre; None: from the frame.
+        Clustering: maximum distance of a pixel from its cluster's centre, Yee's τ; None: from the frame.
     threshold_dn : float or None
-        Clustering and round regions: pixels above this many DN, whatever the background, as Greyling 1995 and Yee
-        1999 do; None: `threshold_sigma`.
+        Clustering and round regions: absolute threshold in DN, independent of the background, as in Greyling 1995 and
+        Yee 1999; None: `threshold_sigma`.
     """
 
     threshold_sigma: float = 5.0
@@ -107,21 +108,22 @@ class DetectionSettings:
 
 @dataclass(frozen=True)
 class CentroidSettings:
-    """How a candidate's position is measured.
+    """Settings of centroiding.
 
     Parameters
     ----------
     window_px : int
-        Odd side of the window around the brightest pixel (Greyling 1995: 5).
+        Side of the window around the brightest pixel, odd (Greyling 1995: 5).
     bias_correction : bool
-        Take off the moment's known bias at each sub-pixel phase (Greyling 1995, Table 4.1), for `psf_sigma_px`.
+        Subtract the moment's known bias as a function of sub-pixel phase (Greyling 1995, Table 4.1), for
+        `psf_sigma_px`.
     psf_sigma_px : float or None
-        Width of the star image as the bias table takes it; None: measured from the brightest stars of the frame.
+        Width of the star image for the bias table; None: measured from the brightest stars of the frame.
     psf : str or None
-        Star image that the fits take, a file (.npz) written by ``PsfModel.save``; None: an elliptical Gaussian, or one
-        drawn out along a line, measured from the brightest stars of the frame.
+        Star image for the fits, a file (.npz) written by ``PsfModel.save``; None: an elliptical or trailed Gaussian
+        measured from the brightest stars of the frame.
     flat_field_error : float
-        Relative standard deviation of the pixels' responses that is left in the image; adds to the fits' noise model.
+        Residual relative standard deviation of the pixel responses; adds to the noise model of the fits.
     """
 
     window_px: int = 5
@@ -133,26 +135,26 @@ class CentroidSettings:
     def __post_init__(self) -> None:
         check_settings(self, window_px=(3, 101), psf_sigma_px=POSITIVE, flat_field_error=FROM_0)
         if self.window_px % 2 == 0:
-            raise InputError(f"window_px is {self.window_px}; it must be odd, so that a pixel is in its middle")
+            raise InputError(f"window_px is {self.window_px}; it must be odd, so that a pixel is at its centre")
 
     __pydantic_config__ = FORBID
 
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """How stars are followed from frame to frame.
+    """Settings of tracking from frame to frame.
 
     Parameters
     ----------
     max_stars : int
-        Guide stars looked for, the brightest of the field; each has a window on the image.
+        Number of guide stars to track, the brightest of the field; each has a window on the image.
     max_window_px : int
-        Largest half side of a window, streaks left out. Where the prediction is less certain, the whole frame is
+        Maximum half side of a window, excluding streaks. If the prediction is less certain, the whole frame is
         searched.
     prior_limit_deg : float
-        Above this uncertainty about any axis the prediction is no help to identification either.
+        Uncertainty about any axis above which the prediction is not used as a prior for identification.
     false_rejection : float
-        Probability of a good frame's being refused by the filter's gate.
+        Probability that the filter's gate rejects a good frame.
     """
 
     max_stars: int = 40
@@ -174,39 +176,39 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class OperationSettings:
-    """Rules by which the sensor operates itself from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
+    """Rules of autonomous operation from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
 
     Parameters
     ----------
     use : bool
-        Follow them; false: every frame goes to the tracker as it is, at the one exposure.
+        Apply the rules; false: every frame is solved as it is, at a fixed exposure.
     saturated_pixels : int
         A frame whose two brightest stars each have more saturated pixels than this is discarded (Greyling 1995: 4).
     shorten : float
-        Factor of the exposure after such a frame.
+        Factor applied to the exposure after such a frame.
     shortest_exposure_s : float
-        Exposure that is not gone below; a frame taken with it is used as it is.
+        Minimum exposure; a frame taken with it is not discarded.
     lengthen_below : float
-        Where the brightest star stays below this share of saturation, the next exposure is longer by 1 / `shorten`, up
-        to the scenario's own. 0: never.
+        If the brightest star is below this fraction of saturation, the next exposure is longer by 1 / `shorten`, up to
+        that of the scenario. 0: never.
     exposure_step_s : float
-        Exposures are whole multiples of this, as the prototype's of its frame time; 0: any.
+        Exposures are integer multiples of this, as the prototype's are of its frame time; 0: any.
     sun_share : float
-        Share of saturated pixels above which a frame shows the Sun. The Moon covers 0.003 of a field of 10°.
+        Fraction of saturated pixels above which the Sun is in the frame. The Moon covers 0.003 of a field of 10°.
     suspend_turn_deg : float
-        After such a frame none is taken while the camera turns by this, a little more than the Sun's diameter.
+        After such a frame none is taken until the camera has rotated by this, a little more than the Sun's diameter.
     longest_suspension_s : float
-        Longest time without a frame, also where the rate is not known.
+        Maximum time without a frame, also if the rate is not known.
     clear_pixels : int or None
-        Anything larger is cleared from the frame, as the Moon; None: `DetectionSettings.max_pixels`.
+        Larger objects, such as the Moon, are removed from the frame; None: `DetectionSettings.max_pixels`.
     blemish_frames : int
-        Frames that tell of a blemished pixel, at least; 0: blemishes are not mapped.
+        Minimum number of frames for mapping a defective pixel; 0: defective pixels are not mapped.
     blemish_share : float
-        Share of the frames in which a blemish must show.
+        Fraction of the frames in which a defective pixel must be seen.
     blemish_sigma : float
-        By how many times the noise.
+        Threshold of a defective pixel in units of the noise.
     blemish_shift_px : float
-        How far the stars must have moved since the last frame that counts.
+        Minimum motion of the stars since the last frame that was counted.
     reference_b_v : float
         Colour for which flux and magnitude were calibrated on the ground.
     """

@@ -1,4 +1,4 @@
-"""What the tracker answers: always a status and a reason, an attitude only when the status is ``solved``."""
+"""Results of the tracker: always a status and a reason, and an attitude if the status is ``solved``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Status(StrEnum):
-    """How a solve ended; only ``solved`` carries an attitude."""
+    """Outcome of a solve; only ``solved`` has an attitude."""
 
     SOLVED = "solved"
     NO_STARS = "no_stars"
@@ -31,9 +31,9 @@ class Status(StrEnum):
     SEARCH_LIMIT = "search_limit"
     BAD_IMAGE = "bad_image"
     STALE = "stale"
-    """Of tracking: the frame is one that came before."""
+    """Tracking: the frame was already processed."""
     BAD_TIME = "bad_time"
-    """Of tracking: the frame's time is none, or not after the last frame's."""
+    """Tracking: the frame's time is invalid, or not after that of the last frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class MatchedStars:
     Parameters
     ----------
     xy : array, shape (M, 2)
-        Measured centroid in pixels.
+        Measured centroids in pixels.
     catalog_id : int array
         Number in the tracker's catalogue.
     name : str array
-        Star's name where known.
+        Name of the star, if known.
     v_mag : array
         Catalogue V.
     flux : array
@@ -55,8 +55,8 @@ class MatchedStars:
     residual_px : array, shape (M, 2)
         Measured minus predicted, pixels.
     used : bool array, optional
-        Whether the attitude was fitted to the star; those that are off by more than noise explains (blends, defective
-        pixels beside them) are named and left out. By default all.
+        Whether the star was used in the attitude fit; stars with larger residuals than noise explains (blends, nearby
+        defective pixels) are identified but not used. By default all.
     """
 
     xy: FloatArray
@@ -76,7 +76,7 @@ class MatchedStars:
 
     @property
     def fitted(self) -> MatchedStars:
-        """Those that the attitude was fitted to."""
+        """The stars used in the attitude fit."""
         if self.used.all():
             return self
         return MatchedStars(*(getattr(self, column.name)[self.used] for column in fields(self)))
@@ -95,31 +95,31 @@ class Solution:
     Parameters
     ----------
     status, reason : Status, str
-        How it ended, and why, in words.
+        Outcome, and its reason as text.
     attitude : Attitude, optional
         ICRS to camera; None unless solved.
     covariance : array, shape (3, 3), optional
-        Of the rotation-vector error in camera axes, rad².
+        Covariance of the rotation-vector error in camera axes, rad².
     stars : MatchedStars
         Identified stars.
     centroids : array, shape (N, 2)
         All star candidates found, brightest first.
     fov_deg : float, optional
-        Angle seen across the width, distortion included: the camera's, or the fitted one where it was not known.
+        Field of view across the width, with distortion: the camera's, or the fitted one if it was not known.
     parity : int
-        +1 as the sky is seen, −1 mirrored.
+        +1 direct, −1 mirrored.
     times_ms : dict
-        Milliseconds a stage.
+        Time of each stage, milliseconds.
     camera : Camera, optional
-        The camera that the attitude goes with: the one given, or the fitted one.
+        The camera to which the attitude refers: given or fitted.
     steps : sequence of Step
-        What each stage found, tried and rejected, in words; `startracker.explain.as_text` prints it.
+        What each stage found, tried and rejected; `startracker.explain.as_text` formats it.
     log_false_alarm : float
-        Natural logarithm of the chance that random points agree with the sky as well; 0 where nothing was found.
+        Natural logarithm of the probability that random points match the sky as well; 0 if nothing was found.
     operations : int
-        Steps that the search took (`IdentificationSettings.max_operations`), the same on every machine.
+        Operations of the search (`IdentificationSettings.max_operations`), the same on every machine.
     prior_contradicted : bool
-        Whether a prior was given and the sky was found outside it.
+        Whether a prior was given and the attitude was found outside it.
     """
 
     status: Status
@@ -159,7 +159,7 @@ class Solution:
 
     @property
     def rmse_arcsec(self) -> float | None:
-        """Root mean square distance of the fitted stars from where the solution puts them, arcseconds."""
+        """Root-mean-square residual of the fitted stars, arcseconds."""
         if self.camera is None or not len(self.stars):
             return None
         squares = np.sum(self.stars.fitted.residual_px**2, axis=1)
@@ -171,23 +171,22 @@ class Solution:
         return len(self.stars)
 
     def radec_of(self, xy: ArrayLike, observer: Observer | None = None) -> FloatArray:
-        """ICRS right ascension and declination (N, 2), degrees, of pixels (N, 2); NaN where the lens model ends.
+        """ICRS right ascension and declination (N, 2), degrees, of pixels (N, 2); NaN outside the lens model's limit.
 
         Parameters
         ----------
         xy : array_like, shape (N, 2) or (2,)
-            Columns and rows, the first pixel's centre at (0, 0); any place, off the image too.
+            Columns and rows, the first pixel's centre at (0, 0); may lie outside the image.
         observer : Observer, optional
-            The one that was given to `solve`. An attitude solved with an observer's velocity turns ICRS into the
-            directions that the moving camera *sees*, up to 26″ from the catalogue's; with the observer given here the
-            aberration is taken off and the answer is the catalogue's place. An attitude solved without one has the
-            aberration in itself, and gives places as in the catalogue to within its change over the field (2.3″
-            at 10° across).
+            The observer passed to `solve`. An attitude solved with an observer's velocity transforms ICRS to *apparent*
+            directions, up to 26″ from the catalogue's; given the observer, aberration is removed and the result is the
+            catalogue position. An attitude solved without an observer includes the aberration, and gives catalogue
+            positions to within its variation over the field (2.3″ for 10°).
 
         Raises
         ------
         InputError
-            When the field is not solved, or the array's shape does not fit.
+            If the field is not solved or the shape of the array is wrong.
         """
         attitude, camera = self._placed()
         seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
@@ -196,15 +195,15 @@ class Solution:
         return np.degrees(np.stack(direction_to_radec(seen), axis=1))
 
     def pixel_of(self, ra_deg: ArrayLike, dec_deg: ArrayLike, observer: Observer | None = None) -> FloatArray:
-        """Pixels (N, 2) of ICRS places, degrees; NaN farther from the boresight than the image's corners.
+        """Pixels (N, 2) of ICRS positions, degrees; NaN farther from the boresight than the image's corners.
 
-        Beyond the corners a lens polynomial can fold back into the image. `observer` as in `radec_of`, whose inverse
-        this is.
+        Beyond the corners a lens polynomial can fold back into the image. Inverse of `radec_of`, with the same
+        `observer`.
 
         Raises
         ------
         InputError
-            When the field is not solved.
+            If the field is not solved.
         """
         attitude, camera = self._placed()
         ra, dec = np.broadcast_arrays(np.atleast_1d(np.radians(ra_deg)), np.atleast_1d(np.radians(dec_deg)))

@@ -1,4 +1,4 @@
-"""What an image is before any star is looked for: usable or not, its range, its saturation."""
+"""Checks of an image before detection: whether it is usable, its range and its saturation."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from startracker.detection.values import Image, as_pixels, whole_range
 __all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
 
 SATURATED_SHARE = 0.05
-"""Share of saturated pixels above which an image that cannot be solved is called saturated."""
+"""Fraction of saturated pixels above which an unsolved image gets the status `saturated`."""
 
 
 def plain(values: ArrayLike) -> NDArray[Any]:
-    """An array with NaN where a masked array (`numpy.ma`) is masked; anything else as it is."""
+    """A masked array (`numpy.ma`) with NaN where it is masked; anything else unchanged."""
     if not isinstance(values, np.ma.MaskedArray):
         return np.asarray(values)
     if values.dtype.kind not in "buif" or not np.ma.is_masked(values):
         return np.asarray(values.data)
-    kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which hold all the numbers exactly
+    kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which represent every value exactly
     return np.asarray(np.ma.filled(values.astype(kind), np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """A usable image as uint16 or float32, NaN where not finite or of a value that no light gives, of which there are
-    `masked`; its range; its saturated share and that level; whether it has NaN."""
+    """A usable image as uint16 or float32, NaN where not finite or where light cannot cause the value (`masked` of
+    them); its range; saturated fraction and saturation level; whether it contains NaN."""
 
     pixels: Image
     lowest: float
@@ -43,9 +43,9 @@ class Survey:
 
 
 def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:
-    """What an image is, or why it is none.
+    """Survey of an image, or None and the reason why it cannot be used.
 
-    The saturation is the level given, the largest number of an unsigned type, or a flat top.
+    The saturation level is the given one, the largest value of an unsigned type, or the image's maximum.
     """
     try:
         as_given = np.asanyarray(image)
@@ -70,7 +70,7 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
     if level is not None and pixels.dtype == np.uint16:
         least, most, full = whole_range(pixels, float(level))
         return Survey(pixels, float(least), float(most), full / pixels.size, level), ""
-    # whole numbers need no search for what is not finite, and have their range in a quarter of the time
+    # integers are always finite, and their range takes a quarter of the time
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
     gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
@@ -89,5 +89,5 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
 
 
 def says_saturated(share: float, level: float) -> str:
-    """The finding in words."""
-    return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; expose for less time"
+    """Reason text for a saturated image."""
+    return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; shorten the exposure"

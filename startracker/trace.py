@@ -1,4 +1,4 @@
-"""What a solve did, stage by stage: found, tried, rejected."""
+"""Explanation of a solve, stage by stage: what was found, tried and rejected."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["Step", "Steps"]
 
 @dataclass(frozen=True)
 class Step:
-    """One finding.
+    """One finding of a stage.
 
     Parameters
     ----------
     stage : str
-        Stage it belongs to: image, background, detection, centroids, identification, attitude, hint.
+        image, background, detection, centroids, identification, attitude or hint.
     text : str
-        The finding in words, with its numbers and units.
+        The finding with its values and units.
     """
 
     stage: str
@@ -29,25 +29,25 @@ Finding = TypeVar("Finding", Step, str)
 
 
 class Steps(Sequence[Finding]):
-    """Findings in order, put into words when they are first read: most solves are asked for their attitude alone.
+    """Findings in order. The text is formatted when it is first read, as most callers only need the attitude.
 
     Parameters
     ----------
-    *parts : Step or str, iterable of such, or function without arguments that gives either
+    *parts : Step or str, iterable of these, or function without arguments that returns either
     """
 
     def __init__(self, *parts: Finding | Iterable[Finding] | Callable[[], Finding | Iterable[Finding]]) -> None:
         self._parts: tuple[Any, ...] = parts
-        self._told: tuple[Finding, ...] | None = None
+        self._findings: tuple[Finding, ...] | None = None
 
     def _all(self) -> tuple[Finding, ...]:
-        if self._told is None:
-            told: list[Any] = []
+        if self._findings is None:
+            findings: list[Any] = []
             for part in self._parts:
                 found = part() if callable(part) else part
-                told.extend((found,) if isinstance(found, (Step, str)) else found)
-            self._told, self._parts = tuple(told), ()
-        return self._told
+                findings.extend((found,) if isinstance(found, (Step, str)) else found)
+            self._findings, self._parts = tuple(findings), ()
+        return self._findings
 
     def __len__(self) -> int:
         return len(self._all())
@@ -56,11 +56,11 @@ class Steps(Sequence[Finding]):
         return iter(self._all())
 
     @overload
-    def __getitem__(self, place: int) -> Finding: ...
+    def __getitem__(self, index: int) -> Finding: ...
     @overload
-    def __getitem__(self, place: slice) -> tuple[Finding, ...]: ...
-    def __getitem__(self, place: int | slice) -> Finding | tuple[Finding, ...]:
-        return self._all()[place]
+    def __getitem__(self, index: slice) -> tuple[Finding, ...]: ...
+    def __getitem__(self, index: int | slice) -> Finding | tuple[Finding, ...]:
+        return self._all()[index]
 
     def __eq__(self, other: object) -> bool:
         return self._all() == tuple(other) if isinstance(other, (Steps, tuple)) else NotImplemented

@@ -1,4 +1,4 @@
-"""The star tracker: image or centroids in, attitude with its uncertainty out; in every case a status and a reason."""
+"""The star tracker: from an image or centroids to an attitude with its covariance, a status and a reason."""
 
 from __future__ import annotations
 
@@ -44,39 +44,40 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STATED_PX = 0.15
-"""Centroid error taken for centroids that come without one; identification tries up to ten times as much."""
+"""Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
-"""Added to the centroids' errors for identification alone: what camera model and blends may add."""
+"""Added to the centroid errors for identification only: errors of the camera model and blends."""
 _DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
-"""Answers after which what a prior excludes is searched, too, unless they are beyond doubt."""
+"""Results after which the sky outside the prior is searched as well, unless they are beyond doubt."""
 
 
 class StarTracker:
-    """Star tracker of one camera.
+    """Star tracker for one camera.
 
     Parameters
     ----------
     camera : Camera
         Calibrated camera.
     catalog : str or StarCatalog
-        Name (``hipparcos``, ``bsc5``) or a table of one's own.
+        Name (``hipparcos``, ``bsc5``) or a user-defined table.
     magnitude_limit : float
-        Faintest guide star, V; best a little beyond what the camera detects.
+        Magnitude limit of the guide stars, V; should be slightly fainter than the camera detects.
     detector, centroider, identifier, estimator : str
         Algorithms by name: the ``METHODS`` of `startracker.detection`, `centroid`, `identification`, `estimation`, or
-        what other packages offer.
+        those of other packages.
     detection, centroid : settings
-        Knobs of the stages.
+        Settings of these stages.
     identification : IdentificationSettings
-        What all identifiers share, or the identifier's own class, such as `MatchGroupSettings` for ``match_groups``.
+        Settings common to all identifiers, or the identifier's own class, such as `MatchGroupSettings` for
+        ``match_groups``.
     focal_error : float
-        Relative error of the camera's focal length, at most. Above zero the focal length and a radial distortion are
-        fitted to each frame (six stars are needed); 0: the camera is taken for calibrated.
+        Maximum relative error of the camera's focal length. If positive, the focal length and a radial distortion are
+        fitted to each frame (six stars are needed); 0: the camera is calibrated.
 
     Raises
     ------
     InputError
-        For an unknown name, the settings of another identifier, or a magnitude limit that leaves no stars.
+        For an unknown name, settings of another identifier, or a magnitude limit that leaves no stars.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class StarTracker:
         table = load_catalog(catalog) if isinstance(catalog, str) else catalog
         self.guide = GuideDatabase.build(table, camera, magnitude_limit, self.identification)
 
-    # ------------------------------------------------------------------ what users call
+    # ------------------------------------------------------------------ public methods
     def solve(
         self,
         image: ArrayLike,
@@ -121,7 +122,7 @@ class StarTracker:
         saturation_dn: float | None = None,
         gain_e_per_dn: float | None = None,
     ) -> Solution:
-        """Attitude of an image.
+        """Attitude from an image.
 
         Parameters
         ----------
@@ -130,20 +131,20 @@ class StarTracker:
         prior : Attitude or scipy Rotation, optional
             ICRS to camera, from other sensors or the last frame.
         prior_deg : float or astropy Quantity
-            Largest error of the prior about each axis, degrees.
+            Maximum error of the prior about each axis, degrees.
         observer : Observer, optional
-            Epoch, velocity and position: space motion, aberration and parallax are then taken account of. Without it
-            the stars stand as at the catalogue's epoch, and the attitude is off by the aberration (20″) and more.
+            Epoch, velocity and position, for space motion, aberration and parallax. Without it catalogue positions at
+            the catalogue's epoch are used, and the attitude is biased by at least the aberration (20″).
         time : astropy Time or float, optional
-            When the image was taken (a number is a Julian year, TT), where nothing else is known of the observer: space
-            motion is taken account of.
+            Time of the image (a number is a Julian year, TT), if nothing else is known of the observer. Only space
+            motion is then applied.
         saturation_dn, gain_e_per_dn : float, optional
-            Of the detector, where known.
+            Of the detector, if known.
 
         Returns
         -------
         Solution
-            Never raises for what the image shows: the status and the reason tell.
+            An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, observer = Clock(), observer_of(observer, time)
         found = find_stars(
@@ -158,8 +159,8 @@ class StarTracker:
             gain_e_per_dn=gain_e_per_dn,
         )
         if found.status is not None:
-            told = (*found.steps, *hints(found.status, 0, known_camera=True))
-            return replace(self._unsolved(found.status, found.reason, clock), steps=told)
+            explained = (*found.steps, *hints(found.status, 0, known_camera=True))
+            return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
         hint = as_prior(prior, prior_deg)
         solution, found, steps = self._solve_looks(found, hint, observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
@@ -181,25 +182,26 @@ class StarTracker:
         observer: Observer | None = None,
         time: Any = None,
     ) -> Solution:
-        """Attitude of star positions measured elsewhere.
+        """Attitude from given star positions.
 
         Parameters
         ----------
         xy : array_like, shape (N, 2)
-            Pixels (x, y) = (column, row), the first pixel's centre at (0, 0). NaN, repeated and outside ones are
-            left out.
+            Pixels (x, y) = (column, row), the first pixel's centre at (0, 0). NaN, duplicates and points outside the
+            image are left out.
         flux : array_like, shape (N,), optional
-            Signal, any linear unit. Without it the order counts as the order of brightness, magnitudes do not.
+            Signal in any linear unit. If omitted, the stars are taken as sorted by brightness and magnitudes are not
+            used.
         sigma_px : array_like, shape (N,) or a number, optional
-            Standard error of each centroid on one axis, pixels. Without it all count alike, and their error is told by
-            how well they fit; the covariance of few stars is then that much larger.
+            Standard error of each centroid on one axis, pixels. If omitted, all centroids have equal weight and their
+            error is estimated from the residuals; the covariance for few stars is then larger accordingly.
         prior, prior_deg, observer, time
             As in `solve`.
 
         Raises
         ------
         InputError
-            When the arrays' shapes do not fit, or an error is not positive.
+            If the shapes of the arrays do not match or an error is not positive.
         """
         clock, observer = Clock(), observer_of(observer, time)
         points, signal = clean_centroids(xy, flux, self.camera)
@@ -221,11 +223,11 @@ class StarTracker:
     def _solve_looks(
         self, found: FoundStars, prior: Prior | None, observer: Observer | None, clock: Clock
     ) -> tuple[Solution, FoundStars, Sequence[Step]]:
-        """Solution, the stars that it is of, and the steps that led to these.
+        """Solution, the stars it was computed from, and the steps that led to these.
 
-        The frame's other hypothesis, points for trails or trails for points, is tried where the likelier one does not
-        explain a whole field; the one with the more evidence is answered. Pieces of trails lie near their stars and all
-        off alike: where points win, they count only if they can be no pieces.
+        If the more likely hypothesis (points or trails) does not explain the whole field, the other one is tried as
+        well, and the solution with the stronger evidence is returned. Fragments of trails lie close to their stars with
+        a common offset: a solution from points is only accepted if they cannot be fragments.
         """
         guide = self.guide.seen_by(observer)
         looks: list[tuple[FoundStars, Solution]] = []
@@ -245,7 +247,7 @@ class StarTracker:
             if other is not stars:
                 steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
         if not stars.trailed and solution.solved and may_be_pieces(solution, stars.flux, guide, trailed):
-            within = f"they fit within {misfit_px(solution):.1f} px and leave out bright ones, as pieces of streaks do"
+            within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
         return replace(solution, operations=operations), stars, steps
@@ -295,13 +297,13 @@ class StarTracker:
         observed = Observed(vectors, signal, sigma)
         if len(vectors) > most:
             observed = Observed(vectors[:most], None if signal is None else signal[:most], sigma[:most])
-            text = f"the {most} brightest of {len(vectors)} centroids are taken (max_centroids)"
+            text = f"the {most} brightest of {len(vectors)} centroids are used (max_centroids)"
             tried = (*tried, Step("identification", text))
         found, contradicted = self._around_prior(observed, guide, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
-        told = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
-        tried = Steps(tried, told)
+        explained = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
+        tried = Steps(tried, explained)
         if free_fit is not None:
             found = replace(found, operations=found.operations + free_fit.operations)
             if free_fit.solved and not (
@@ -333,7 +335,7 @@ class StarTracker:
                 misfit=misfit,
                 observer=observer,
             )
-        except InputError as error:  # an estimator that cannot do this field, as plate constants of a mirrored one
+        except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
             return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         stars = MatchedStars(
@@ -348,7 +350,7 @@ class StarTracker:
         clock.lap("attitude")
         return Solution(
             Status.SOLVED,
-            found.reason + _off_focus(refined.camera.fx / self.camera.fx),
+            found.reason + _focal_correction(refined.camera.fx / self.camera.fx),
             Attitude.from_matrix(refined.matrix),
             refined.covariance,
             stars,
@@ -366,11 +368,11 @@ class StarTracker:
     def _around_prior(
         self, observed: Observed, guide: GuideDatabase, prior: Prior | None
     ) -> tuple[Identification, bool]:
-        """Identification within the prior, and over the whole sky where that leaves a doubt; the one with the more
-        evidence, and whether it contradicts the prior."""
+        """Identification within the prior and, unless that is beyond doubt, over the whole sky; the result with the
+        stronger evidence, and whether it contradicts the prior."""
         found = self._identify(observed, guide, self.identification, prior)
-        sure = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
-        if prior is None or sure or found.status not in _DOUBTFUL:
+        accepted = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
+        if prior is None or accepted or found.status not in _DOUBTFUL:
             return found, False
         elsewhere = self._identify(observed, guide, self.identification, None)
         operations = found.operations + elsewhere.operations
@@ -395,7 +397,7 @@ class StarTracker:
         )
 
 
-def _off_focus(factor: float) -> str:
+def _focal_correction(factor: float) -> str:
     return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"
 
 

@@ -1,14 +1,14 @@
-"""World coordinate system of a solved image: a TAN header, with SIP polynomials where the lens distorts.
+"""World coordinate system of a solved image: a TAN header, with SIP polynomials for lens distortion.
 
-A fisheye has FITS' zenithal equidistant projection (ARC) in place of the gnomonic one, or, where it is equisolid, the
-equal-area one (ZEA): with r = θ and r = 2 sin(θ/2) these are the ideal lenses themselves, and reach 90° and beyond.
+A fisheye uses FITS' zenithal equidistant projection (ARC) or, if it is equisolid, the equal-area one (ZEA): with r = θ
+and r = 2 sin(θ/2) these are the ideal projections, and reach 90° and beyond.
 
-The tangent point is the boresight at the principal point (FITS counts pixels from 1 and our first pixel's centre is
-(0, 0)). The header maps pixels to the directions of the attitude. With the observer's velocity these are apparent ones,
-and the header maps to astrometric positions instead, as catalogues have them for the epoch: aberration is taken off.
-Aberration by β = v/c is a conformal map that shrinks angles about a position n to 1/(γ (1 + β·n)) of what they are in
-the catalogue (the square root of the ratio of solid angles); what it bends beyond that, ½ β θ² at θ from the tangent
-point (0.3″ at 10°, 2.8″ at 30°), joins the lens' distortion in the SIP polynomials.
+The tangent point is the boresight at the principal point (FITS counts pixels from 1; here the first pixel's centre is
+(0, 0)). The header maps pixels to directions of the attitude's source frame. With the observer's velocity these
+directions are apparent ones; aberration is then removed and the header maps to astrometric (catalogue) positions at the
+epoch. Aberration by β = v/c is a conformal map that scales angles about a position n by 1/(γ (1 + β·n)) relative to the
+catalogue (the square root of the ratio of solid angles); the remaining distortion, ½ β θ² at θ from the tangent point
+(0.3″ at 10°, 2.8″ at 30°), is included with the lens distortion in the SIP polynomials.
 
 Source: Calabretta & Greisen 2002, A&A 395, 1077; Shupe et al. 2005, ASP Conf. 347, 491 (SIP); for the aberration of
 angles Klioner 2003, AJ 125, 1580, eq. 8, and McKinley 1980, Am. J. Phys. 48, 612.
@@ -41,12 +41,12 @@ _WANTED_PX = 0.002
 _WORST_PX = 0.05
 _ORDERS = (3, 5, 7, 9, 11, 13)
 _STANDARD_ORDER = 9
-"""SIP's highest; astropy reads more, which is used only where 1″ asks for it."""
+"""Highest order of SIP; astropy reads higher ones, which are only used if 1″ needs them."""
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
 def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | None = None) -> dict[str, Any]:
-    """FITS header cards of the image's world coordinates.
+    """FITS header cards of the world coordinate system of an image.
 
     Parameters
     ----------
@@ -55,29 +55,30 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
     attitude : Attitude
         ICRS to camera.
     velocity_km_s : array_like, shape (3,), optional
-        Barycentric velocity of the observer, ICRS axes, where the attitude is that of the camera among apparent
-        directions (a true attitude, or one solved with an observer): the positions are then astrometric ones. Left out,
-        they are those of the attitude: a solution without an observer has catalogue positions already.
+        Barycentric velocity of the observer, ICRS axes, if the attitude refers to apparent directions (a true attitude,
+        or one solved with an observer): the header then gives astrometric positions. Omit it for a solution without an
+        observer, which refers to catalogue positions already.
 
     Returns
     -------
     dict
-        Keyword to value; ``astropy.io.fits.Header(wcs_header(...))`` and ``astropy.wcs.WCS`` take it as it is.
+        Keyword to value; accepted by ``astropy.io.fits.Header`` and ``astropy.wcs.WCS``.
 
     Notes
     -----
     With (ξ, η) the tangent-plane coordinates to the east and north and u, v pixels from the principal point,
     (ξ, η) = CD · (u + A(u, v), v + B(u, v)). A and B are fitted to the camera's inverse distortion, the order (3, 5, 7
-    or 9) raised until the largest error is below 0.002 px; AP and BP are the way back. Where 9, SIP's highest, is not
-    good to 1″, 11 and 13 are tried, which astropy reads and some programs do not. CSYER1 and CSYER2 hold the largest
-    error of A and B over the image, degrees, found between the points of the fit. An ideal lens has no polynomials
-    where aberration bends the field by less than 0.002 px. WCSNAME says ``astrometric`` where the velocity was given.
+    or 9) being raised until the maximum error is below 0.002 px; AP and BP are the inverse. If 9, the highest order of
+    SIP, is not accurate to 1″, 11 and 13 are tried, which astropy reads and some programs do not. CSYER1 and CSYER2 are
+    the maximum error of A and B over the image, degrees, evaluated between the points of the fit. There are no
+    polynomials for an ideal lens if aberration distorts the field by less than 0.002 px. WCSNAME is ``astrometric`` if
+    the velocity was given.
 
     Raises
     ------
     InputError
-        When the lens distorts so strongly that order 13 errs by 1″ or 0.05 px, whichever is more, or that
-        a part of the image has no direction at all.
+        If the distortion is so strong that the error of order 13 is above 1″ or 0.05 px, whichever is larger, or that
+        part of the image has no direction.
     """
     scale: float = 1.0
     rays: Rays | None = None
@@ -121,27 +122,27 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
 
 
 def _catalogued(apparent: Attitude, velocity_km_s: FloatArray) -> tuple[Attitude, float]:
-    """Attitude whose boresight is where a catalogue has what an observer sees there, turned by the least angle, and
-    angles in the catalogue over those seen, γ (1 + β·n)."""
+    """Attitude whose boresight is the catalogue position of the apparent boresight, rotated by the smallest angle, and
+    the ratio of catalogue to apparent angles, γ (1 + β·n)."""
     seen = apparent.boresight
     catalogued = aberrate(seen[None, :], -velocity_km_s)[0]
     axis = np.cross(catalogued, seen)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turn = np.eye(3) + cross + cross @ cross / (1.0 + float(catalogued @ seen))  # turns catalogued into seen
+    turn = np.eye(3) + cross + cross @ cross / (1.0 + float(catalogued @ seen))  # rotates catalogued to seen
     beta = velocity_km_s / SPEED_OF_LIGHT_KM_S
     scale = (1.0 + float(beta @ catalogued)) / math.sqrt(1.0 - float(beta @ beta))
     return Attitude(matrix_to_quat(apparent.as_matrix() @ turn)), scale
 
 
 def _still(vectors: FloatArray, turn: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
-    """Catalogued directions, in the axes of the catalogued attitude, of what is seen along `vectors` (N, 3); camera
+    """Catalogue directions, in axes of the catalogued attitude, of apparent directions `vectors` (N, 3) in camera
     axes."""
     return np.asarray(aberrate(vectors, -velocity_km_s) @ turn.T)
 
 
 def _sip(camera: Camera, rays: Rays | None, scale: float) -> tuple[dict[str, Any], float] | None:
-    """SIP coefficients of distortion and aberration, forward and back, and the forward ones' largest error in pixels;
-    None where there is nothing to correct."""
+    """SIP coefficients of distortion and aberration, forward and inverse, and the maximum error of the forward ones in
+    pixels; None if there is nothing to correct."""
     if camera.distortion.is_zero:
         if rays is None:
             return None
@@ -150,8 +151,8 @@ def _sip(camera: Camera, rays: Rays | None, scale: float) -> tuple[dict[str, Any
             return None
     away, ideal = _both_ways(camera, _nodes(_GRID), rays, scale)
     between = _both_ways(camera, np.linspace(-1.0, 1.0, 2 * _GRID), rays, scale)
-    # A(0,1) and the like stay zero: the linear part is the CD matrix's. Lens polynomials have no second order unless
-    # decentred, but SIP orders are complete.
+    # The linear terms stay zero: they are in the CD matrix. Lens polynomials have no second order unless decentred, but
+    # SIP orders are complete.
     header: dict[str, Any] = {}
     errors = []
     for names, one, other in (("AB", 0, 1), (("AP", "BP"), 1, 0)):
@@ -166,27 +167,27 @@ def _sip(camera: Camera, rays: Rays | None, scale: float) -> tuple[dict[str, Any
     limit = max(_WORST_PX, ARCSEC_RAD / camera.pixel_rad)
     if max(errors) > limit:
         raise InputError(
-            f"a WCS of this lens errs by {max(errors):.3g} px at order {_ORDERS[-1]} (limit {limit:.2g} "
+            f"the error of a WCS of this lens is {max(errors):.3g} px at order {_ORDERS[-1]} (limit {limit:.2g} "
             "px): the distortion is too strong over this field; crop the image or use the camera file itself"
         )
     return header, errors[0]
 
 
 def _nodes(count: int) -> FloatArray:
-    """Chebyshev's points from −1 to 1: a fit there errs evenly, not most at the borders."""
+    """Chebyshev points from −1 to 1, for a uniform fit error up to the borders."""
     return -np.cos(np.pi * np.arange(count) / (count - 1))
 
 
 def _both_ways(camera: Camera, steps: FloatArray, rays: Rays | None, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Distorted and ideal places (N, 2) of a grid over the image, pixels from the principal point; an ideal pixel is
-    `scale` times the angle of a camera's."""
+    """Distorted and ideal positions (N, 2) of a grid over the image, pixels from the principal point; an ideal pixel is
+    `scale` times the angle of a camera pixel."""
     x, y = (side * (steps + 1.0) / 2.0 - 0.5 for side in (camera.width, camera.height))
     seen = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     vectors = camera.unproject(seen)
     good = np.isfinite(vectors).all(axis=1)
     if not good.all() and camera.projection == "pinhole":
         raise InputError(
-            f"{100.0 * float(np.mean(~good)):.2g} % of the image lie beyond the fold of its lens model: a WCS needs a "
+            f"{100.0 * float(np.mean(~good)):.2g} % of the image is beyond the fold of the lens model: a WCS needs a "
             "direction for every pixel; crop the image"
         )
     plane = _plane(camera, vectors[good] if rays is None else rays(vectors[good]))
@@ -212,9 +213,9 @@ def _fit(
     truth: FloatArray,
     enough_px: float,
 ) -> tuple[NDArray[np.int64], FloatArray, float]:
-    """Powers (T, 2), coefficients (T, 2) and largest error of the polynomial of least order that is good to 0.002 px.
+    """Powers (T, 2), coefficients (T, 2) and maximum error of the lowest-order polynomial accurate to 0.002 px.
 
-    Fitted to the shifts at `points`, judged by those at `check`; beyond SIP's own orders only until `enough_px`.
+    Fitted to the shifts at `points`, tested at `check`; orders beyond SIP's are only used until `enough_px` is reached.
     """
     size = float(np.abs(points).max())
     best: tuple[NDArray[np.int64], FloatArray, float] | None = None

@@ -34,7 +34,7 @@ def star(psf: Psf, offset: float = 0.0) -> np.ndarray:
 
 
 def single(obscuration: float = 0.0, b_v: float = 0.6, **keys: object) -> np.ndarray:
-    section = PsfModel.model_validate(keys)
+    section = PsfModel(**keys)
     stars = build_psf_set(
         section, F_NUMBER, (PITCH_UM, PITCH_UM), (400, 400), obscuration=obscuration, weights_of=weights_of
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from simulator.cli.export_request import ExportRequest
 from simulator.cli.solve_command import parse_size
 from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
@@ -28,46 +28,8 @@ from startracker.identification.integer_solution import (
 )
 from startracker.identification.triad_search import TriadLimits
 
-__all__ = ["ExportRequest", "parse_pair", "run_export"]
-
 _TIMED_FIELDS = 20
 _TIMED_REPETITIONS = 50
-
-
-@dataclass(frozen=True)
-class ExportRequest:
-    """Camera, sub-catalogue and thresholds.
-
-    Parameters
-    ----------
-    out : Path
-        Folder for the source.
-    size, fov, declination : str
-        ``WxH`` pixels, ``WxH`` degrees, ``LOWEST:HIGHEST`` degrees.
-    edition : int
-        Of the Bright Star Catalogue.
-    magnitude_limit, max_separation_deg : float
-        Faintest star; longest pair, below 32°.
-    limits : TriadLimits
-        Thresholds.
-    centroid_error_px, false_alarm_rate, resolution_px : float
-        Of `IntegerCamera`.
-    prefix : str
-        Of the names in the C.
-    """
-
-    out: Path
-    size: str
-    fov: str
-    declination: str
-    edition: int
-    magnitude_limit: float
-    max_separation_deg: float
-    limits: TriadLimits
-    centroid_error_px: float = 0.3
-    false_alarm_rate: float = 1e-7
-    resolution_px: float = 3.0
-    prefix: str = "tracker"
 
 
 def parse_pair(text: str, option: str, separator: str) -> tuple[float, float]:
@@ -79,7 +41,7 @@ def parse_pair(text: str, option: str, separator: str) -> tuple[float, float]:
     return float(match[1]), float(match[2])
 
 
-def run_export(request: ExportRequest) -> int:
+def main(request: ExportRequest) -> int:
     """Write the files, and print what they take; compiles where there is a compiler."""
     size, fov = parse_size(request.size), parse_pair(request.fov, "--fov", "x")
     if not all(0.0 < angle < 90.0 for angle in fov):
@@ -95,7 +57,15 @@ def run_export(request: ExportRequest) -> int:
     tracker = IntegerTracker.build(
         camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, request.max_separation_deg
     )
-    export = export_c(tracker, request.limits, MAX_STARS, MAX_TRIADS, MAX_GROUPS, request.prefix)
+    limits = TriadLimits(
+        separation_tolerance_deg=request.tolerance_deg,
+        rotation_tolerance_deg=request.rotation_tolerance_deg,
+        enclosed_tolerance_deg=request.enclosed_tolerance_deg or None,
+        grouping_tolerance_deg=request.rotation_tolerance_deg,
+        vote_number=request.vote_number,
+        three_stars=True,
+    )
+    export = export_c(tracker, limits, MAX_STARS, MAX_TRIADS, MAX_GROUPS, request.prefix)
     folder = make_folder(request.out)
     for name, text in export.files.items():
         write_atomically(folder / name, text)

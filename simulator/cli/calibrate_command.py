@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from simulator.cli.checks import picture_format, writable
-from simulator.cli.solve_command import _FITS_SUFFIXES, _SUFFIXES, _is_our_frame
+from simulator.cli.photograph_requests import CalibrateRequest
+from simulator.cli.solve_command import FITS_SUFFIXES, image_files, is_our_frame
 from simulator.fits import read_fits
 from simulator.paths import write_atomically
 from startracker import centroid as centroiding
@@ -30,29 +30,12 @@ _MOST_STARS = 400
 _YEARS = (1800.0, 2200.0)
 
 
-@dataclass(frozen=True)
-class CalibrateRequest:
-    """What the command line asked for."""
-
-    images: list[Path]
-    out: Path
-    plot: Path | None
-    camera: Path | None
-    fov_deg: float | None
-    projection: str
-    refraction: bool
-    epoch_jyear: float | None
-    catalog: str
-    centroider: str
-    parameters: str | None
-
-
-def calibrate_images(request: CalibrateRequest) -> int:
+def main(request: CalibrateRequest) -> int:
     """Calibrate and write; exit status 0, or 1 when some images had to be left out."""
     _check(request)
     camera = Camera.from_yaml(request.camera) if request.camera else None
     fields, faults = [], 0
-    for path in _sources(request.images):
+    for path in list(image_files(request.images)):
         try:
             fields.append(_field(path, request))
         except BoresightError as error:
@@ -82,17 +65,6 @@ def calibrate_images(request: CalibrateRequest) -> int:
     return 1 if faults or result.unsolved else 0
 
 
-def _sources(images: list[Path]) -> list[Path]:
-    """Files, those of folders in their place."""
-    files: list[Path] = []
-    for path in images:
-        found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
-        if not found:
-            raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
-        files += found
-    return files
-
-
 def _check(request: CalibrateRequest) -> None:
     if request.fov_deg is not None and request.camera is not None:
         raise InputError("--fov and --camera: give one of the two; a camera file holds its field of view")
@@ -113,7 +85,7 @@ def _field(path: Path, request: CalibrateRequest) -> StarField:
     observer = None if request.epoch_jyear is None else Observer(request.epoch_jyear)
     gain: float | None = None
     saturation: float | None
-    if path.suffix.lower() in _FITS_SUFFIXES and _is_our_frame(path):
+    if path.suffix.lower() in FITS_SUFFIXES and is_our_frame(path):
         frame = read_fits(path)
         image, saturation, gain = frame.image, frame.saturation_dn, frame.gain_e_per_dn
         observer = frame.observer

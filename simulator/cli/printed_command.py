@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,9 +17,9 @@ from startracker.errors import InputError
 if TYPE_CHECKING:
     from simulator.theses.printed import PrintedStudy
 
-__all__ = ["greyling1995_study", "yee1999_study"]
+__all__ = ["PictureRequest", "finish", "greyling1995_study"]
 
-_WIDTH = 140  # columns of the table where the output is no terminal
+WIDTH = 140  # columns of the table where the output is no terminal
 
 SectionName = Annotated[
     str | None, typer.Option("--section", metavar="NAME", help="Only this part; an unknown name lists them.")
@@ -32,15 +33,10 @@ Force = Annotated[
 ]
 
 
-def greyling1995_study(section: SectionName = None, out: OutFolder = None, force: Force = False) -> int:
-    """Greyling 1995 (the microsatellite's star camera) again: each printed value beside the computed one."""
-    from simulator.theses import greyling1995
+@dataclass(frozen=True)
+class PictureRequest:
+    """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
 
-    folder = out or Path("out") / "greyling1995"
-    return finish(lambda progress: greyling1995.run(section, progress), "greyling1995", section, folder, force)
-
-
-def yee1999_study(
     centroids: Annotated[
         Path | None,
         typer.Option(
@@ -48,17 +44,17 @@ def yee1999_study(
             metavar="FILE.csv",
             help="Columns x, y, brightest first, or with flux; default: her Vega image.",
         ),
-    ] = None,
-    size: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Of the image, pixels.")] = None,
+    ] = None
+    size: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Of the image, pixels.")] = None
     fov: Annotated[
         str | None, typer.Option("--fov", metavar="XxY", help="Field across and down, degrees, such as 9.0130x6.9049.")
-    ] = None,
+    ] = None
     edition: Annotated[
         int | None,
         typer.Option(
             "--edition", metavar="4|5", help="Of the Bright Star Catalogue; default: 4 for the Vega image, else 5."
         ),
-    ] = None,
+    ] = None
     origin: Annotated[
         str,
         typer.Option(
@@ -67,72 +63,47 @@ def yee1999_study(
             help="Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
             "negative.",
         ),
-    ] = "auto",
+    ] = "auto"
     magnitude_limit: Annotated[
         float, typer.Option("--magnitude-limit", metavar="V", help="Faintest star of the sub-catalogue.")
-    ] = 6.0,
+    ] = 6.0
     dec: Annotated[
         str, typer.Option("--dec", metavar="MIN:MAX", help="Declinations of the sub-catalogue, degrees.")
-    ] = "30:90",
+    ] = "30:90"
     max_separation_deg: Annotated[
         float | None,
         typer.Option("--max-separation-deg", metavar="A", help="Of the pair database; default: the field's diagonal."),
-    ] = None,
-    separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15,
-    rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0,
-    enclosed_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 1.0,
-    grouping_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0,
-    vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2,
-    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0,
+    ] = None
+    separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15
+    rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
+    enclosed_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 1.0
+    grouping_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
+    vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2
+    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0
     three_stars: Annotated[
         bool, typer.Option("--three-stars", help="Match three stars alone, where one group of triads is found.")
-    ] = False,
-    integers: Annotated[bool, typer.Option("--integers", help="Identify in integer arithmetic.")] = False,
-    point: Annotated[
+    ] = False
+    integers: Annotated[bool, typer.Option("--integers", help="Identify in integer arithmetic.")] = False
+    points: Annotated[
         list[str] | None,
         typer.Option(
             "--point", metavar="X,Y", help="Right ascension and declination of a point, origin as the centroids'."
         ),
-    ] = None,
+    ] = None
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write every table of the picture as JSON.")
-    ] = None,
-    section: SectionName = None,
-    out: OutFolder = None,
-    force: Force = False,
-) -> int:
-    """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
-    from simulator.cli.yee_picture import PictureRequest, report, run_picture
-    from simulator.theses import yee1999
+    ] = None
+    section: SectionName = None
+    out: OutFolder = None
+    force: Force = False
 
-    request = PictureRequest(
-        centroids=centroids,
-        size=size,
-        fov=fov,
-        edition=edition,
-        origin=origin,
-        magnitude_limit=magnitude_limit,
-        dec=dec,
-        max_separation_deg=max_separation_deg,
-        tolerances_deg=(
-            separation_tolerance_deg,
-            rotation_tolerance_deg,
-            enclosed_tolerance_deg,
-            grouping_tolerance_deg,
-        ),
-        vote_number=vote_number,
-        tau_px=tau_px,
-        three_stars=three_stars,
-        integers=integers,
-        points=tuple(point or ()),
-        json_file=json_file,
-    )
-    analysis = run_picture(request)
-    report(analysis, request, open_console(_WIDTH))
-    if centroids is None:
-        folder = out or Path("out") / "yee1999"
-        finish(lambda progress: yee1999.run(section, progress, analysis), "yee1999", section, folder, force)
-    return 0 if analysis.plate is not None else 1
+
+def greyling1995_study(section: SectionName = None, out: OutFolder = None, force: Force = False) -> int:
+    """Greyling 1995 (the microsatellite's star camera) again: each printed value beside the computed one."""
+    from simulator.theses import greyling1995
+
+    folder = out or Path("out") / "greyling1995"
+    return finish(lambda progress: greyling1995.run(section, progress), "greyling1995", section, folder, force)
 
 
 def finish(
@@ -174,7 +145,7 @@ def finish(
             study = run(lambda part: status.update(f"computing: {part}"))
             status.update("drawing the figures")
             files = study.write(folder)
-    study.print(open_console(_WIDTH))
+    study.print(open_console(WIDTH))
     print(f"{folder}: {', '.join(files)}")
     return 0
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, picture_format, writable
+from simulator.cli.run_requests import RenderRequest
 from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically
@@ -19,37 +20,27 @@ from startracker.attitude import Attitude
 from startracker.errors import InputError
 
 
-def render_frames(
-    paths: list[Path],
-    index: int | None,
-    at: str | None,
-    pointing: str | None,
-    seed: int | None,
-    set_values: list[str],
-    out: Path | None,
-    preview: Path | None,
-    noiseless: bool,
-    noiseless_plane: bool,
-) -> int:
+def main(request: RenderRequest) -> int:
     """Render one frame of each scenario, write what is asked for, and say where the cameras looked."""
-    if index is not None and at is not None:
+    if request.index is not None and request.at is not None:
         raise InputError("--index and --at: give one of the two")
-    at_least(0, index=index)
-    attitude = _parse_pointing(pointing) if pointing else None
-    when = _parse_time(at) if at else None
-    scenarios = [load_scenario(path, set_values, seed=seed) for path in paths]
+    at_least(0, index=request.index)
+    index = request.index or 0
+    attitude = _parse_pointing(request.pointing) if request.pointing else None
+    when = _parse_time(request.at) if request.at else None
+    scenarios = [load_scenario(path, request.set_values or (), seed=request.seed) for path in request.scenarios]
     for scenario in scenarios:
-        name = f"{scenario.name}-{index or 0:05d}" if len(scenarios) == 1 else scenario.name
-        image = _target(out, f"{name}.fits", len(scenarios) > 1)
-        picture = _target(preview, f"{name}.png", len(scenarios) > 1)
+        name = f"{scenario.name}-{index:05d}" if len(scenarios) == 1 else scenario.name
+        image = _target(request.out, f"{name}.fits", len(scenarios) > 1)
+        picture = _target(request.preview, f"{name}.png", len(scenarios) > 1)
         if image is None and picture is None:
             image = Path(f"{name}.fits")
         writable(image)
         form = picture_format(picture)
         at_s = (when - scenario.epoch).total_seconds() if when else None
-        renderer = Renderer(scenario.noiseless() if noiseless else scenario)
-        frame, truth = renderer.frame(index or 0, at_s=at_s, attitude=attitude)
-        _write(frame, truth, image, picture, noiseless_plane, form)
+        renderer = Renderer(scenario.noiseless() if request.noiseless else scenario)
+        frame, truth = renderer.frame(index, at_s=at_s, attitude=attitude)
+        _write(frame, truth, image, picture, request.noiseless_plane, form)
         print(
             f"{frame.utc} UTC  RA {truth.attitude.ra_deg:.5f}°  Dec {truth.attitude.dec_deg:+.5f}°  "
             f"roll {truth.attitude.roll_deg:.4f}°  in the field: {_in_field(frame, truth)}"

@@ -9,10 +9,12 @@ from rich.table import Table
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
+from simulator.cli.run_requests import RunRequest
 from simulator.cli.terminal import open_console, progress_bar
 from simulator.study.run import RESULT_FILES, Study, run
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from simulator.study.verdict import MET, NOT_MET, UNDECIDED, advice
+from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,27 +22,43 @@ if TYPE_CHECKING:
 _COLOURS = {MET: "green", NOT_MET: "red", UNDECIDED: "yellow"}
 
 
-def run_study(
-    path: Path,
-    trials: int | None,
-    seed: int | None,
-    set_values: list[str],
-    workers: int | None,
-    out: Path | None,
-    resume: bool,
-    dask: str | None = None,
-    force: bool = False,
-) -> int:
-    """Run the study; exit status 0, or 130 where it was interrupted."""
-    at_least(1, trials=trials)
-    at_least(0, seed=seed)
-    scenario = load_scenario(path, set_values, trials=trials, seed=seed)
-    workers = processes(workers, dask, scenario.study.trials)
-    folder = out or Path("out") / scenario.name
+def main(request: RunRequest) -> int:
+    """Run the study or the sequence; exit status 0, or 130 where it was interrupted."""
+    _refuse_unused(request)
+    if request.sequence:
+        from simulator.cli.sequence_command import run_sequence_command
+
+        return run_sequence_command(request)
+    at_least(1, trials=request.trials)
+    at_least(0, seed=request.seed)
+    scenario = load_scenario(request.scenario, request.set_values or (), trials=request.trials, seed=request.seed)
+    workers = processes(request.workers, request.dask, scenario.study.trials)
+    folder = request.out or Path("out") / scenario.name
     with progress_bar(scenario.name, "trials", scenario.study.trials) as tell:
-        study = run(scenario, workers=workers, dask=dask, out=folder, resume=resume, force=force, progress=tell)
+        study = run(
+            scenario,
+            workers=workers,
+            dask=request.dask,
+            out=folder,
+            resume=request.resume,
+            force=request.force,
+            progress=tell,
+        )
     _print(study, folder, open_console())
     return 130 if study.summary["interrupted"] else 0
+
+
+def _refuse_unused(request: RunRequest) -> None:
+    """Refuse the first option that has no effect with ``--sequence``, or without it."""
+    unused = ("trials", "workers", "dask", "resume") if request.sequence else ("frames", "step_s", "single", "animate")
+    for name in unused:
+        value, option = getattr(request, name), f"--{name.replace('_', '-')}"
+        if value is not None and value is not False:
+            if request.sequence:
+                raise InputError(
+                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
+                )
+            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
 
 
 def _print(study: Study, folder: Path, console: Console) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ from rich.table import Table
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
+from simulator.cli.run_requests import RunRequest
 from simulator.cli.terminal import open_console, progress_bar
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.run import Sequence, run_sequence
@@ -20,63 +20,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-@dataclass(frozen=True)
-class SequenceRequest:
-    """What the command line asked for.
-
-    Parameters
-    ----------
-    scenario : Path
-        The scenario.
-    frames, step_s : int, float, optional
-        In place of the scenario's.
-    seed : int, optional
-        In place of the scenario's.
-    set_values : list of str
-        ``path=value``.
-    single, animate : bool
-        As in `run_sequence`.
-    out : Path, optional
-        Folder for the results.
-    force : bool
-        Replace what stands there.
-    """
-
-    scenario: Path
-    frames: int | None
-    step_s: float | None
-    seed: int | None
-    set_values: list[str]
-    single: bool
-    animate: bool
-    out: Path | None
-    force: bool = False
-
-
-def refuse_unused(unused: dict[str, Any], *, sequence: bool) -> None:
-    """Tell of options that mean nothing here.
-
-    Raises
-    ------
-    InputError
-        For the first one that was given.
-    """
-    for option, value in unused.items():
-        if value is not None and value is not False:
-            if sequence:
-                raise InputError(
-                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
-                )
-            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
-
-
-def run_sequence_command(request: SequenceRequest) -> int:
+def run_sequence_command(request: RunRequest) -> int:
     """Run the sequence; exit status 0, or 130 where it was interrupted."""
     at_least(1, frames=request.frames)
     if request.step_s is not None and not request.step_s > 0.0:
         raise InputError(f"--step-s: must be above 0, not {request.step_s:g}")
     at_least(0, seed=request.seed)
-    values = list(request.set_values)
+    values = list(request.set_values or ())
     values += [f"sequence.frames={request.frames}"] if request.frames is not None else []
     values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
     scenario = load_scenario(request.scenario, values, seed=request.seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.cli.checks import picture_format, writable
+from simulator.cli.photograph_requests import PARITIES, SolveRequest
 from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
 from simulator.fits import read_fits
 from simulator.frame import Frame
@@ -26,49 +27,13 @@ from startracker.solution import Solution, Status
 from startracker.trace import Step
 from startracker.tracker import StarTracker
 
-_FITS_SUFFIXES = (".fits", ".fit", ".fts")
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *_FITS_SUFFIXES)
+FITS_SUFFIXES = (".fits", ".fit", ".fts")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *FITS_SUFFIXES)
 
 
-_PARITIES = {"seen": 1, "mirrored": -1, "both": None}
 _SMALLEST_PX = 16
 _CALIBRATED_PX = 0.7
 """A list of centroids that fits worse than this is not from a camera of exactly the field given."""
-
-
-@dataclass(frozen=True)
-class SolveRequest:
-    """What the command line asked for."""
-
-    images: list[Path]
-    fov_deg: float | None
-    camera: Path | None
-    method: str | None
-    catalog: str
-    magnitude_limit: float
-    centroids: Path | None
-    size: str | None
-    lost_in_space: bool
-    as_json: bool
-    wcs: Path | None
-    annotate: Path | None
-    explain: bool = False
-    grid: bool = False
-    constellations: bool = False
-    pixels: tuple[str, ...] = ()
-    parity: str | None = None
-    bayer: str | None = None
-    bad_pixels: Path | None = None
-
-    @property
-    def sides(self) -> int | None:
-        """Parity asked for: 1 as seen, -1 mirrored, None both."""
-        return None if self.parity is None else _PARITIES[self.parity]
-
-    @property
-    def points(self) -> NDArray[np.float64]:
-        """Pixels (N, 2) asked for."""
-        return np.array([parse_pixel(text) for text in self.pixels]).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +56,13 @@ class _Job:
         return np.zeros((self.height, self.width), np.uint8) if self.image is None else np.asarray(self.image)
 
 
-def solve_images(request: SolveRequest) -> int:
+def main(request: SolveRequest) -> int:
     """Solve all; exit status 0 when each is solved, 1 when some are not, 2 for bad input."""
     _check(request)
+    points = _points(request)
     solver = _Solver(request)
     status = 0
-    for source in _sources(request):
+    for source in [request.centroids] if request.centroids else image_files(request.images or ()):
         try:
             job = solver.load(source)
             solution = solver.solve(job)
@@ -108,12 +74,12 @@ def solve_images(request: SolveRequest) -> int:
             status = max(status, 1)
         observer = job.frame.observer if job.frame else None
         if request.as_json:
-            answer = as_dict(solution, request.points, observer)
+            answer = as_dict(solution, points, observer)
             print(json.dumps({"image": job.name, **answer, "notes": list(job.notes)}, allow_nan=False))
         else:
             if request.explain:
                 solution = replace(solution, steps=(*(Step("file", note) for note in job.notes), *solution.steps))
-            print(f"{job.name}: {as_text(solution, request.points, observer, explain=request.explain)}")
+            print(f"{job.name}: {as_text(solution, points, observer, explain=request.explain)}")
         try:
             if request.wcs is not None:
                 write_wcs(request.wcs, solution, job.pixels(), observer)
@@ -127,9 +93,10 @@ def solve_images(request: SolveRequest) -> int:
 
 
 def _check(request: SolveRequest) -> None:
-    if not request.images and request.centroids is None:
+    images = request.images or []
+    if not images and request.centroids is None:
         raise InputError("solve: name an image, a folder of images, or --centroids FILE.csv")
-    if request.images and request.centroids is not None:
+    if images and request.centroids is not None:
         raise InputError("solve: give images or --centroids, not both")
     if request.fov_deg is not None and request.camera is not None:
         raise InputError("--fov and --camera: give one of the two; a camera file holds its field of view")
@@ -139,29 +106,29 @@ def _check(request: SolveRequest) -> None:
         raise InputError("--magnitude-limit: must be a number")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
-    if request.parity is not None and request.parity not in _PARITIES:
-        raise InputError(f"--parity: must be {', '.join(_PARITIES)}, not '{request.parity}'")
+    if request.parity is not None and request.parity not in PARITIES:
+        raise InputError(f"--parity: must be {', '.join(PARITIES)}, not '{request.parity}'")
     if request.annotate is None and (request.grid or request.constellations):
         raise InputError("--grid and --constellations: draw on the picture of --annotate OUT.png; give that too")
-    _ = request.points  # each is a pair of numbers
     writable(request.wcs)
     picture_format(request.annotate)
     for path in (request.wcs, request.annotate):
-        if path is not None and (len(request.images) > 1 or any(p.is_dir() for p in request.images)):
+        if path is not None and (len(images) > 1 or any(p.is_dir() for p in images)):
             raise InputError(f"{path}: --wcs and --annotate take one image at a time")
 
 
-def _sources(request: SolveRequest) -> Iterator[Path]:
-    if request.centroids is not None:
-        yield request.centroids
-    for path in request.images:
-        if path.is_dir():
-            found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES)
-            if not found:
-                raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
-            yield from found
-        else:
-            yield path
+def _points(request: SolveRequest) -> NDArray[np.float64]:
+    """Pixels (N, 2) asked for."""
+    return np.array([parse_pixel(text) for text in request.pixels or ()]).reshape(-1, 2)
+
+
+def image_files(paths: Sequence[Path]) -> Iterator[Path]:
+    """Files, those of folders in their position; `InputError` for a folder without images, when it is reached."""
+    for path in paths:
+        found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
+        if not found:
+            raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
+        yield from found
 
 
 class _Solver:
@@ -176,7 +143,7 @@ class _Solver:
     def load(self, path: Path) -> _Job:
         if self.request.centroids is not None:
             return self._load_centroids(path)
-        if path.suffix.lower() in _FITS_SUFFIXES and _is_our_frame(path):
+        if path.suffix.lower() in FITS_SUFFIXES and is_our_frame(path):
             frame = read_fits(path)
             height, width = frame.image.shape
             camera = self.camera or self._from_fov(width, height) or frame.camera
@@ -313,7 +280,8 @@ def _residual_px(solution: Solution) -> float:
     return float(np.sqrt(np.mean(np.sum(solution.stars.fitted.residual_px**2, axis=1))))
 
 
-def _is_our_frame(path: Path) -> bool:
+def is_our_frame(path: Path) -> bool:
+    """Whether a FITS file has the camera that `simulator.fits.write_fits` writes."""
     try:
         with path.open("rb") as stream:
             return b"CAM_FX  =" in stream.read(80 * 36 * 8)

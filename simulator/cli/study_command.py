@@ -1,11 +1,10 @@
 """``boresight study NAME``: studies that answer one question each, in a registry by name.
 
-A study is a function whose parameters are its arguments and options on the command line; it returns the exit status.
+A study is a command that returns the exit status, or raises it.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +14,8 @@ import typer
 from typer.core import TyperGroup
 
 from simulator.cli.checks import at_least
-from simulator.cli.printed_command import greyling1995_study, yee1999_study
+from simulator.cli.options import ScenarioFile, SetValues, as_command
+from simulator.cli.printed_command import PictureRequest, greyling1995_study
 from simulator.cli.terminal import open_console, progress_bar
 
 if TYPE_CHECKING:
@@ -26,14 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["STUDIES", "study_app"]
 
-ScenarioFile = Annotated[
-    Path,
-    typer.Argument(help="Scenario YAML, or the name of one that ships (sunsat, cubesat, tc211).", show_default=False),
-]
-SetValues = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
-]
 AlongPath = Annotated[
     bool, typer.Option("--path", help="Along the mission's boresight path in place of the whole sky.")
 ]
@@ -189,10 +181,10 @@ def budget_study(
     from dataclasses import replace
 
     from simulator.checks import load_scenario
-    from simulator.paths import write_atomically
     from simulator.study.budget.error_budget import budget
     from simulator.study.budget.plot import budget_figure
     from simulator.study.plots import save_bytes
+    from simulator.study.result_files import json_text, write_files
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 
     loaded = load_scenario(scenario, set_values)
@@ -208,18 +200,17 @@ def budget_study(
         if result.interrupted:
             identity = replace(identity, amounts={"trials": 0})
         values = result.to_dict() | {"identity": identity.to_dict()}
-        write_atomically(folder / "budget.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
-        write_atomically(folder / "budget.png", save_bytes(budget_figure(result)))
+        write_files(folder, {"budget.json": json_text(values), "budget.png": save_bytes(budget_figure(result))})
     print(f"{folder}: budget.json, budget.png")
     return 130 if result.interrupted else 0
 
 
-STUDIES: dict[str, Callable[..., int]] = {
+STUDIES: dict[str, Callable[..., int | None]] = {
     "coverage": coverage_study,
     "design": design_study,
     "budget": budget_study,
     "greyling1995": greyling1995_study,
-    "yee1999": yee1999_study,
+    "yee1999": as_command(PictureRequest, "yee_picture"),
 }
 """Name of a study to its function."""
 

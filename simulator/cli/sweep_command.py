@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from simulator.cli.checks import at_least, processes
+from simulator.cli.run_requests import SweepRequest
 from simulator.cli.terminal import open_console
 from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
@@ -26,29 +27,32 @@ MOST_ROWS = 60
 """Points that the terminal's table shows; all are in the files."""
 
 
-def run_sweep_command(
-    path: Path,
-    over: list[str],
-    lhs: int | None,
-    trials: int | None,
-    seed: int | None,
-    set_values: list[str],
-    workers: int | None,
-    out: Path | None,
-    resume: bool,
-    dask: str | None = None,
-    force: bool = False,
-) -> int:
+def main(request: SweepRequest) -> int:
     """Run the sweep; exit status 0, or 130 where it was interrupted."""
     from simulator.study.sweep.run import plan_sweep, run_sweep
 
-    at_least(1, trials=trials, lhs=lhs)
-    at_least(0, seed=seed)
-    plan = plan_sweep(path, over, lhs=lhs, trials=trials, seed=seed, set_values=set_values)
-    workers = processes(workers, dask, plan.scenario.study.trials * len(plan.points))
-    folder = out or Path("out") / f"{plan.scenario.name}-sweep"
+    at_least(1, trials=request.trials, lhs=request.lhs)
+    at_least(0, seed=request.seed)
+    plan = plan_sweep(
+        request.scenario,
+        request.over,
+        lhs=request.lhs,
+        trials=request.trials,
+        seed=request.seed,
+        set_values=request.set_values or (),
+    )
+    workers = processes(request.workers, request.dask, plan.scenario.study.trials * len(plan.points))
+    folder = request.out or Path("out") / f"{plan.scenario.name}-sweep"
     with SweepProgress(plan) as bar:
-        sweep = run_sweep(plan, folder, workers=workers, dask=dask, resume=resume, force=force, progress=bar.tell)
+        sweep = run_sweep(
+            plan,
+            folder,
+            workers=workers,
+            dask=request.dask,
+            resume=request.resume,
+            force=request.force,
+            progress=bar.tell,
+        )
     _print(sweep, open_console(_WIDTH))
     return 130 if sweep.table["interrupted"] else 0
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.cli.checks import writable
+from simulator.cli.printed_command import WIDTH, PictureRequest, finish
 from simulator.cli.solve_command import parse_pixel, parse_size, read_centroids
+from simulator.cli.terminal import open_console
 from simulator.paths import write_atomically
 from simulator.theses.yee1999.catalogue import EDITIONS
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
@@ -25,94 +26,79 @@ from startracker.identification.triad_search import TriadLimits
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["PictureRequest", "report", "run_picture"]
+
+def main(request: PictureRequest) -> int:
+    """The picture analysed and its tables printed; without centroids the tables of the thesis too.
+
+    Returns
+    -------
+    int
+        Exit status 0, or 1 where the picture has no centre.
+    """
+    from simulator.theses import yee1999
+
+    analysis = run_picture(request)
+    report(analysis, request, open_console(WIDTH))
+    if request.centroids is None:
+        folder = request.out or Path("out") / "yee1999"
+        section = request.section
+        finish(lambda tell: yee1999.run(section, tell, analysis), "yee1999", section, folder, request.force)
+    return 0 if analysis.plate is not None else 1
 
 
-@dataclass(frozen=True)
-class PictureRequest:
-    """What the command line asked for; texts as they were typed."""
-
-    centroids: Path | None
-    size: str | None
-    fov: str | None
-    edition: int | None
-    origin: str
-    magnitude_limit: float
-    dec: str
-    max_separation_deg: float | None
-    tolerances_deg: tuple[float, float, float, float]
-    vote_number: int
-    tau_px: float
-    three_stars: bool
-    integers: bool
-    points: tuple[str, ...]
-    json_file: Path | None
-
-    def options(self) -> Options:
-        """Sub-catalogue, thresholds and arithmetic.
-
-        Raises
-        ------
-        InputError
-            Values that cannot be.
-        """
-        for name, value in zip(("separation", "rotation", "enclosed", "grouping"), self.tolerances_deg, strict=True):
-            if not 0.0 < value < 180.0:
-                raise InputError(f"--{name}-tolerance-deg: must be between 0 and 180 degrees, not {value:g}")
-        if self.vote_number < 1 or not 0.0 < self.tau_px < math.inf:
-            raise InputError(
-                f"--vote-number and --tau-px: must be positive, not {self.vote_number} and {self.tau_px:g}"
-            )
-        if not math.isfinite(self.magnitude_limit):
-            raise InputError("--magnitude-limit: must be a number")
-        edition = self.edition if self.edition is not None else EDITIONS[self.centroids is not None]
-        separation, rotation, enclosed, grouping = self.tolerances_deg
-        limits = TriadLimits(
-            separation_tolerance_deg=separation,
-            rotation_tolerance_deg=rotation,
-            enclosed_tolerance_deg=enclosed,
-            grouping_tolerance_deg=grouping,
-            vote_number=self.vote_number,
-            combine_px=self.tau_px,
-            three_stars=self.three_stars,
+def _options(request: PictureRequest) -> Options:
+    """Sub-catalogue, thresholds and arithmetic; `InputError` for values that cannot be."""
+    for name in ("separation", "rotation", "enclosed", "grouping"):
+        value = getattr(request, f"{name}_tolerance_deg")
+        if not 0.0 < value < 180.0:
+            raise InputError(f"--{name}-tolerance-deg: must be between 0 and 180 degrees, not {value:g}")
+    if request.vote_number < 1 or not 0.0 < request.tau_px < math.inf:
+        raise InputError(
+            f"--vote-number and --tau-px: must be positive, not {request.vote_number} and {request.tau_px:g}"
         )
-        return Options(
-            edition=edition,
-            magnitude_limit=self.magnitude_limit,
-            dec_range_deg=_two(self.dec, ":", "--dec: must be MIN:MAX in degrees, such as 30:90"),
-            max_separation_deg=self.max_separation_deg,
-            limits=limits,
-            arithmetic=FixedArithmetic() if self.integers else None,
-        )
+    if not math.isfinite(request.magnitude_limit):
+        raise InputError("--magnitude-limit: must be a number")
+    return Options(
+        edition=request.edition if request.edition is not None else EDITIONS[request.centroids is not None],
+        magnitude_limit=request.magnitude_limit,
+        dec_range_deg=_two(request.dec, ":", "--dec: must be MIN:MAX in degrees, such as 30:90"),
+        max_separation_deg=request.max_separation_deg,
+        limits=TriadLimits(
+            separation_tolerance_deg=request.separation_tolerance_deg,
+            rotation_tolerance_deg=request.rotation_tolerance_deg,
+            enclosed_tolerance_deg=request.enclosed_tolerance_deg,
+            grouping_tolerance_deg=request.grouping_tolerance_deg,
+            vote_number=request.vote_number,
+            combine_px=request.tau_px,
+            three_stars=request.three_stars,
+        ),
+        arithmetic=FixedArithmetic() if request.integers else None,
+    )
 
-    def picture(self) -> Picture:
-        """The centroids asked for, or the Vega image.
 
-        Raises
-        ------
-        InputError
-            A file, a size or a field that cannot be.
-        """
-        if self.centroids is None:
-            if self.size is not None or self.fov is not None:
-                raise InputError("--size and --fov: belong to --centroids FILE.csv; the Vega image has its own")
-            return vega()
-        if self.size is None or self.fov is None:
-            raise InputError("--centroids: needs --size WxH and --fov XxY (degrees across and down)")
-        size = parse_size(self.size)
-        field = _two(self.fov.lower(), "x", "--fov: must be ACROSSxDOWN in degrees, such as 9.0130x6.9049")
-        if not (0.0 < field[0] < 120.0 and 0.0 < field[1] < 120.0):
-            raise InputError(f"--fov: must be between 0 and 120 degrees, not {self.fov}")
-        xy, flux = read_centroids(self.centroids)
-        if flux is not None:
-            xy = xy[np.argsort(-flux, kind="stable")]
-        return Picture(centred(xy, size, self.origin), size, field)
+def _picture(request: PictureRequest) -> Picture:
+    """The centroids asked for, or the Vega image; `InputError` for a file, a size or a field that cannot be."""
+    if request.centroids is None:
+        if request.size is not None or request.fov is not None:
+            raise InputError("--size and --fov: belong to --centroids FILE.csv; the Vega image has its own")
+        return vega()
+    if request.size is None or request.fov is None:
+        raise InputError("--centroids: needs --size WxH and --fov XxY (degrees across and down)")
+    size = parse_size(request.size)
+    field = _two(request.fov.lower(), "x", "--fov: must be ACROSSxDOWN in degrees, such as 9.0130x6.9049")
+    if not (0.0 < field[0] < 120.0 and 0.0 < field[1] < 120.0):
+        raise InputError(f"--fov: must be between 0 and 120 degrees, not {request.fov}")
+    xy, flux = read_centroids(request.centroids)
+    if flux is not None:
+        xy = xy[np.argsort(-flux, kind="stable")]
+    return Picture(centred(xy, size, request.origin), size, field)
 
-    def point_px(self, picture: Picture) -> NDArray[np.float64]:
-        """Points asked for (N, 2), from the image's centre with y up."""
-        points = np.array([parse_pixel(text) for text in self.points]).reshape(-1, 2)
-        origin = "centre" if self.centroids is None and self.origin == "auto" else self.origin
-        return centred(points, picture.size_px, origin)
+
+def _point_px(request: PictureRequest, picture: Picture) -> NDArray[np.float64]:
+    """Points asked for (N, 2), from the image's centre with y up."""
+    points = np.array([parse_pixel(text) for text in request.points or ()]).reshape(-1, 2)
+    origin = "centre" if request.centroids is None and request.origin == "auto" else request.origin
+    return centred(points, picture.size_px, origin)
 
 
 def run_picture(request: PictureRequest) -> Analysis:
@@ -124,10 +110,10 @@ def run_picture(request: PictureRequest) -> Analysis:
         What cannot be asked for.
     """
     writable(request.json_file)
-    picture = request.picture()
-    points = request.point_px(picture)
+    picture = _picture(request)
+    points = _point_px(request, picture)
     try:
-        found = analyse(picture, request.options())
+        found = analyse(picture, _options(request))
     except FixedPointOverflow as error:
         raise InputError(f"--integers: {error}; floating point has no such limit") from error
     if request.json_file is not None:
@@ -155,7 +141,7 @@ def report(found: Analysis, request: PictureRequest, console: Console) -> None:
         return
     ra, dec = found.plate.center_deg
     console.print(f"Centre: RA {ra:.5f}°, Dec {dec:+.5f}°, after {found.plate.iterations} iterations")
-    points = request.point_px(found.picture)
+    points = _point_px(request, found.picture)
     for (x, y), (ra, dec) in zip(points, found.sky_deg(points), strict=True):
         console.print(f"Point {x:+.2f}, {y:+.2f} from the centre: RA {ra:.5f}°, Dec {dec:+.5f}°")
 

@@ -1,4 +1,4 @@
-"""Plain parameters of a detector, as its physics takes them; defaults are a detector without the effect."""
+"""Parameters of a detector; the defaults are a detector without the effect."""
 
 from __future__ import annotations
 
@@ -8,70 +8,48 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class CosmicRays:
-    """Flux of charged particles, depth of the sensitive silicon, most probable charge along a track."""
+    """Charged particles that cross the detector."""
 
     rate_cm2_s: float = 0.0
+    """Particles through a square centimetre of the surface a second; 0: none. About 1 to 1.7 in a low orbit, up to
+    1100 in the South Atlantic Anomaly."""
     depth_um: float = 10.0
+    """Depth of the silicon from which charge is collected."""
     charge_e_um: float = 80.0
+    """Most probable charge along a micrometre of track; 80 e⁻/µm: fast singly charged particles."""
 
 
 @dataclass(frozen=True)
 class Intensifier:
-    """Image intensifier: mean gain (0: none), its relative variance, spread by the phosphor, electrons in the dark."""
+    """An image intensifier before the detector: photocathode, electron multiplier, phosphor screen."""
 
     gain: float = 0.0
+    """Mean electrons in the detector's pixels for one photo-electron of the photocathode, whose quantum efficiency
+    `detector.quantum_efficiency` then is; 0: no intensifier."""
     gain_variance: float = 1.0
+    """Variance of the gain of one photo-electron over the square of its mean; 1: exponential, a microchannel plate."""
     phosphor_sigma_px: float = 0.0
+    """Standard deviation of the Gaussian by which phosphor screen and coupling spread the light of one photo-electron,
+    pixels."""
     dark_e_s: float = 0.0
+    """Electrons a pixel that leave the photocathode in the dark, a second (equivalent background illumination)."""
 
 
 @dataclass(frozen=True)
 class Video:
-    """Analogue video: noise, and standard deviation of the blur along the lines."""
+    """Analogue video between the amplifier and the converter: a line, a recorder."""
 
     noise_dn: float = 0.0
+    """Noise, standard deviation; 0: none."""
     line_blur_px: float = 0.0
+    """Standard deviation of the Gaussian by which the bandwidth spreads signal and noise along the lines, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorParameters:
-    """A detector and its readout, without its exposure.
-
-    Parameters
-    ----------
-    width, height : int
-        Columns and rows.
-    pitch_um : (float, float)
-        Pixel pitch along columns and along rows.
-    temperature_c : float
-        Temperature of the detector.
-    intensifier, cosmic_rays, video : Intensifier, CosmicRays, Video
-        Each off by default.
-    shot_noise : bool
-        Poisson statistics of the light and of the dark current; off: their means.
-    prnu, dsnu : float
-        Standard deviation of the response and of the dark current over the pixels, relative to their means.
-    dark_current_e_s, dark_reference_c, dark_doubling_c : float
-        Mean dark current of a pixel at the reference temperature, and the rise that doubles it.
-    hot_pixel_fraction, hot_pixel_dark_e_s, hot_columns, hot_column_dark_e_s : float, float, int, float
-        Hot pixels and columns: how many, and their mean dark current at the reference temperature.
-    dead_pixel_fraction, dead_columns : float, int
-        Pixels and columns that collect neither light nor dark current.
-    full_well_e, antiblooming : float
-        Full well, and share of the charge above it that is drained; the rest spills along the column.
-    cti_parallel, cti_serial, readout_corner : float, float, str
-        Share of the charge left behind in each transfer, and where the output node is.
-    read_noise_e, reset_capacitance_ff : float
-        Read noise, and capacitance of an output node without correlated double sampling (0: with it).
-    nonlinearity : (float, float)
-        Relative departure from a straight line at the full well, of second and third order.
-    gain_e_per_dn : float or ``auto``
-        Electrons a DN; ``auto`` puts the full well at the top of the converter.
-    offset_dn : float
-        Digital offset.
-    adc_bits : int or None
-        Resolution of the converter; None: none.
-    """
+    """A detector and its readout, without its exposure: the keys of a scenario's ``detector`` section of these names,
+    and `pitch_um`, the pixel pitch along columns and along rows. What each means is said there
+    (`simulator.scenario.schema_camera.DetectorSection`)."""
 
     width: int
     height: int

@@ -26,15 +26,10 @@ class Clock:
 
     The epoch goes from UTC to TT once, by ERFA's table of leap seconds (``eraUtctai``, ``eraTaitt``; IAU SOFA); after
     that elapsed seconds add to TT, which is uniform, so that a leap second between the epoch and an instant shifts
-    nothing but the UTC label. Dates after the end of the table keep its last offset, as ERFA and astropy do.
-
-    Parameters
-    ----------
-    epoch : datetime
-        With a time zone; UTC. `InputError` without one, or before UTC began (1960).
-    """
+    nothing but the UTC label. Dates after the end of the table keep its last offset, as ERFA and astropy do."""
 
     epoch: datetime
+    """With a time zone; UTC. `InputError` without one, or before UTC began (1960)."""
     _tt: tuple[float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -41,37 +41,24 @@ _LEVEL_STEP_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """The body at one instant.
-
-    Parameters
-    ----------
-    t_s : float
-        Seconds after the scenario's epoch.
-    camera : Attitude
-        ICRS to camera.
-    rate_camera_rad_s : array, shape (3,)
-        Inertial angular velocity, camera axes.
-    """
+    """The body at one instant."""
 
     t_s: float
+    """Seconds after the scenario's epoch."""
     camera: Attitude
+    """ICRS to camera."""
     rate_camera_rad_s: FloatArray
+    """(3,): Inertial angular velocity, camera axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class RateProfile:
-    """Piecewise linear rate, held before the first and after the last point.
-
-    Parameters
-    ----------
-    t_s : array, shape (N,)
-        Seconds after the first frame, rising.
-    rate_rad_s : array, shape (N, 3)
-        Body axes.
-    """
+    """Piecewise linear rate, held before the first and after the last point."""
 
     t_s: FloatArray
+    """(N,): Seconds after the first frame, rising."""
     rate_rad_s: FloatArray
+    """(N, 3): Body axes."""
 
     def at(self, t_s: float) -> FloatArray:
         """Rate (3,) at a time."""

@@ -90,18 +90,12 @@ class J2Orbit:
     v is the derivative of r but for Ω̇ sin i cos u · a across the orbit (1.4 m/s at 800 km), left out together with the
     short-period terms of J2, which are of its size, so that the plane of r and v is the mean plane. Left out as well:
     the mean radius' own J2 offset (+4.3 km at 800 km), the eccentricity of 1e-3 that J3 forces, J4, drag, Sun and Moon.
-    All told the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°.
-
-    Parameters
-    ----------
-    elements : CircularElements
-        Mean elements at the epoch.
-    clock : Clock
-        Epoch.
-    """
+    All told the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°."""
 
     elements: CircularElements
+    """Mean elements at the epoch."""
     clock: Clock
+    """Epoch."""
 
     @functools.cached_property
     def _latitude_rate(self) -> float:
@@ -148,19 +142,13 @@ class Sgp4Orbit:
     SGP4 adds to `J2Orbit` the short-period terms of J2 (about 1 km, and 4 km of radius), the eccentricity forced by J3
     (1e-3: 7 km in radius, 15 km along the orbit), and the secular rates of J2² and J4 (along the orbit 1 to 2 km a day;
     the node of a sun-synchronous orbit leaves the mean Sun by about 1° a year). Above a period of
-    225 minutes it is SDP4, with Sun and Moon.
-
-    Parameters
-    ----------
-    elements : CircularElements
-        Mean elements at the epoch. SGP4's input is Kozai's mean motion, from which it recovers Brouwer's; here the
-        conversion goes the other way, so that the semi-major axis is Brouwer's in both propagators.
-    clock : Clock
-        Epoch.
-    """
+    225 minutes it is SDP4, with Sun and Moon."""
 
     elements: CircularElements
+    """Mean elements at the epoch. SGP4's input is Kozai's mean motion, from which it recovers Brouwer's; here the
+    conversion goes the other way, so that the semi-major axis is Brouwer's in both propagators."""
     clock: Clock
+    """Epoch."""
 
     @property
     def period_s(self) -> float:

@@ -60,25 +60,17 @@ the reference mounting, along +Y, which is *minus* the angular momentum (Greylin
 
 @dataclass(frozen=True, eq=False)
 class Pointing:
-    """Attitude at mid-exposure.
-
-    Parameters
-    ----------
-    body, camera : Attitude
-        True attitudes, ICRS → body and ICRS → camera.
-    prior : Attitude
-        ICRS → camera without the random error: what the other sensors say.
-    mounting : Attitude
-        Body → camera.
-    rate_camera_rad_s : array, shape (3,)
-        Angular velocity against inertial space in camera axes.
-    """
+    """Attitude at mid-exposure."""
 
     body: Attitude
     camera: Attitude
+    """True attitudes, ICRS → body and ICRS → camera."""
     prior: Attitude
+    """ICRS → camera without the random error: what the other sensors say."""
     mounting: Attitude
+    """Body → camera."""
     rate_camera_rad_s: FloatArray
+    """(3,): Angular velocity against inertial space in camera axes."""
 
 
 def mounting_of(parameters: PointingParameters) -> Attitude:
@@ -215,20 +207,14 @@ def random_attitude(rng: np.random.Generator, source: str = "icrs", target: str 
 
 @dataclass(frozen=True, eq=False)
 class BoresightPath:
-    """Path of the nominal boresight; arrays of the shape of the times, degrees, right ascension in [0, 360).
-
-    Parameters
-    ----------
-    ra_deg, dec_deg : array
-        ICRS.
-    ra_date_deg, dec_date_deg : array
-        True equator and equinox of date, in which the orbit's node and inclination are given.
-    """
+    """Path of the nominal boresight; arrays of the shape of the times, degrees, right ascension in [0, 360)."""
 
     ra_deg: FloatArray
     dec_deg: FloatArray
+    """ICRS."""
     ra_date_deg: FloatArray
     dec_date_deg: FloatArray
+    """True equator and equinox of date, in which the orbit's node and inclination are given."""
 
 
 def boresight_path(orbit: Orbit, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:

@@ -15,20 +15,14 @@ MEAN_SUN_RATE_RAD_S = 2.0 * math.pi / TROPICAL_YEAR_S
 
 @dataclass(frozen=True)
 class CircularElements:
-    """Mean elements of a circular orbit at the epoch, in the true equator and equinox of date.
-
-    Parameters
-    ----------
-    semi_major_axis_km : float
-        Brouwer's mean semi-major axis.
-    inclination_rad, raan_rad, argument_of_latitude_rad : float
-        Inclination, right ascension of the ascending node, angle from the node along the motion.
-    """
+    """Mean elements of a circular orbit at the epoch, in the true equator and equinox of date."""
 
     semi_major_axis_km: float
+    """Brouwer's mean semi-major axis."""
     inclination_rad: float
     raan_rad: float
     argument_of_latitude_rad: float
+    """Inclination, right ascension of the ascending node, angle from the node along the motion."""
 
 
 def mean_motion(semi_major_axis_km: float) -> float:

@@ -27,12 +27,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ghost:
-    """A pair of reflecting surfaces: share of the light, distance from the principal point against the star's, radius
-    of the disk."""
+    """Second image by two reflections in the lens."""
 
     flux: float
+    """Share of the star's light."""
     scale: float
+    """Distance from the principal point, against the star's; negative: on the other side."""
     radius_px: float
+    """Radius of the even disk."""
 
 
 LEAST_ELECTRONS = 0.1

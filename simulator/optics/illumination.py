@@ -33,22 +33,16 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Vignetting:
-    """Which laws of vignetting hold, all off by default.
-
-    Parameters
-    ----------
-    natural : bool
-        Projected area of the pupil, cos θ.
-    mechanical_start_deg, mechanical_end_deg : float, float or None
-        Angles off the axis from which the barrel begins to close the pupil, and has closed it; None: never.
-    polynomial : (float, float, float)
-        a₁, a₂, a₃ of a measured curve.
-    """
+    """Loss of light towards the edge of the field; all off by default."""
 
     natural: bool = False
+    """Projected area of the pupil for stars, and with the solid angle of the pixels the cos⁴ law for the background."""
     mechanical_start_deg: float = 0.0
+    """Angle off the axis up to which the barrel leaves the pupil open."""
     mechanical_end_deg: float | None = None
+    """Angle from which it closes it; null: no mechanical vignetting."""
     polynomial: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Measured: factor 1 + a1 ρ² + a2 ρ⁴ + a3 ρ⁶, ρ the undistorted image radius in focal lengths."""
 
     @property
     def is_off(self) -> bool:

@@ -29,19 +29,26 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Jitter:
-    """Random turning of the camera: rms angle about x, y, z (0: none), shape of its power spectrum, and its axes."""
+    """Random turning of the camera, during exposures and, in a sequence, between them."""
 
     rms_arcsec: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Root mean square of the angle about x, y, z; 0: none."""
     psd: str = "lorentz"
+    """Power spectrum: ``white`` up to the corner; ``lorentz``, 1/(1 + (f/corner)²) up to 8 corners; ``table``."""
     corner_hz: float = 10.0
+    """Corner frequency."""
     table: str | None = None
+    """CSV file (frequency_hz, psd) whose shape is taken for ``table``."""
     axes: str = "camera"
+    """Axes of `rms_arcsec`."""
 
     @property
     def is_off(self) -> bool:
         """Whether nothing turns."""
         return not any(self.rms_arcsec)
 
+
+NO_JITTER = Jitter()
 
 COMPONENTS = 256
 """Cosines an axis."""

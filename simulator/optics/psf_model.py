@@ -1,4 +1,4 @@
-"""Plain parameters of a star's image: model, width, aberrations over the whole field and towards its corners."""
+"""Parameters of a star's image: model, width, aberrations over the whole field and towards its corners."""
 
 from __future__ import annotations
 
@@ -7,52 +7,60 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Zernike:
-    """Zernike coefficients (Noll 1976), waves rms at `PsfModel.wavelength_nm`."""
+    """Aberrations over the whole field: Zernike coefficients (Noll 1976), waves rms at `PsfModel.wavelength_nm`."""
 
     defocus: float = 0.0
+    """Z4; peak to valley it is 3.46 times this."""
     astigmatism_oblique: float = 0.0
+    """Z5, with the sine of twice the angle from columns to rows."""
     astigmatism: float = 0.0
+    """Z6, with the cosine."""
     coma_y: float = 0.0
+    """Z7: a tail along rows."""
     coma_x: float = 0.0
+    """Z8: a tail along columns."""
     trefoil_y: float = 0.0
+    """Z9, with the sine of three times the angle."""
     trefoil_x: float = 0.0
+    """Z10, with the cosine."""
     spherical: float = 0.0
+    """Z11."""
 
 
 @dataclass(frozen=True)
 class FieldAberrations:
-    """Aberrations that grow with the distance from the centre: values at the corners, and zones of the field."""
+    """Aberrations that grow with the distance h from the centre of the image: their values at its corners (h = 1)."""
 
     coma_waves: float = 0.0
+    """Coma along the radius, goes with h; waves rms."""
     astigmatism_waves: float = 0.0
+    """Astigmatism about the radius, goes with h²; waves rms."""
     curvature_waves: float = 0.0
+    """Defocus by the curvature of the field, goes with h²; waves rms."""
     rings: int = 4
+    """Zones along the radius, besides the one in the middle."""
     azimuths: int = 12
+    """Zones around."""
 
 
 @dataclass(frozen=True)
 class PsfModel:
-    """Shape of a star's image before smear.
-
-    Parameters
-    ----------
-    model : str
-        Key of `simulator.optics.psf.PSFS`.
-    sigma_px, first_dark_ring_px : float or None
-        Width as chosen; without either that of the diffraction at `wavelength_nm`.
-    wavelength_nm : float
-        Effective wavelength.
-    polychromatic : bool
-        Sum the images of all wavelengths by the spectrum of each star.
-    zernike_waves, defocus_um, field : Zernike, float, FieldAberrations
-        Aberrations of model ``diffraction``.
-    """
+    """Shape of a star's image, before smear."""
 
     model: str = "gaussian"
+    """``gaussian``, ``airy``, or ``diffraction`` for a lens with aberrations."""
     sigma_px: float | None = None
+    """Standard deviation of the Gaussian, pixels along columns."""
     first_dark_ring_px: float | None = None
+    """Radius of the first dark ring, pixels: defocus as a scaled pattern (Greyling 1995: 2.0). Left out, an Airy image
+    is diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits that Airy."""
     wavelength_nm: float = 600.0
+    """Effective wavelength of the diffraction."""
     polychromatic: bool = False
+    """Airy and diffraction: sum the images of all wavelengths, weighted by the spectrum of each star."""
     zernike_waves: Zernike = Zernike()
+    """Diffraction: aberrations over the whole field."""
     defocus_um: float = 0.0
+    """Diffraction: distance of the detector from the focus, on top of `zernike_waves.defocus`."""
     field: FieldAberrations = FieldAberrations()
+    """Diffraction: aberrations that grow towards the corners."""

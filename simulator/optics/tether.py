@@ -27,12 +27,16 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tether:
-    """A straight tether: diameter (0: none), its ends in camera axes (along columns, along rows, ahead), albedo."""
+    """A straight, matt tether that is fixed to the camera, in the light of Sun and Moon."""
 
     diameter_mm: float = 0.0
+    """Diameter; 0: none."""
     near_m: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Its near end in camera axes: along columns, along rows, ahead."""
     far_m: tuple[float, float, float] = (0.0, 0.0, 1000.0)
+    """Its far end."""
     albedo: float = 0.5
+    """Share of the light that it scatters, in all directions alike (Lambert)."""
 
 
 _STEP_PX = 0.5

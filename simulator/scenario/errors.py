@@ -11,22 +11,15 @@ from startracker.errors import InputError
 
 @dataclass(frozen=True)
 class Place:
-    """Where a key was written: a line of a file, or an option of the command line.
-
-    Parameters
-    ----------
-    source : str
-        File name as the user wrote it, or the option (``--set optics.aperture_mm``).
-    line, column : int
-        Counted from 1; 0 means the whole source.
-    key : str
-        For an option: the key it sets, which a message then need not repeat.
-    """
+    """Where a key was written: a line of a file, or an option of the command line."""
 
     source: str
+    """File name as the user wrote it, or the option (``--set optics.aperture_mm``)."""
     line: int = 0
     column: int = 0
+    """Counted from 1; 0 means the whole source."""
     key: str = ""
+    """For an option: the key it sets, which a message then need not repeat."""
 
     def __str__(self) -> str:
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source

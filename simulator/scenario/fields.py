@@ -5,21 +5,26 @@ The loader's messages, `boresight show` and the JSON schema all come from here, 
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import difflib
+import inspect
+import math
 import re
+import textwrap
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
 from simulator.scenario.document import show_value
-from simulator.scenario.schema import KNOB_LIMITS, ScenarioModel
+from simulator.scenario.schema import LIMITS, ScenarioModel
 
 MISSING = dataclasses.MISSING
 
@@ -58,32 +63,28 @@ _UNITS = {
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """One key of the schema.
-
-    Parameters
-    ----------
-    path : str
-        Dotted path from the top.
-    annotation : type expression
-        Type with its limits.
-    default : object
-        `MISSING` where the user must give it.
-    description : str
-        One or two sentences, on one line.
-    section : type or None
-        The class of a section; None for a plain key.
-    """
+    """One key of the schema."""
 
     path: str
+    """Dotted path from the top."""
     annotation: Any
+    """Type with its limits."""
     default: Any
-    description: str
+    """`MISSING` where the user must give it."""
+    owner: type
+    """The class that declares it."""
     section: type | None
+    """The class of a section; None for a plain key."""
 
     @property
     def name(self) -> str:
         """The last part of the path."""
         return self.path.rpartition(".")[2]
+
+    @property
+    def description(self) -> str:
+        """One or two sentences, on one line."""
+        return _descriptions(self.owner).get(self.name, "")
 
     @property
     def unit(self) -> str:
@@ -103,23 +104,35 @@ class Key:
 def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
     """Keys of a section, a pydantic model or a dataclass, by name, in their order."""
     hints = typing.get_type_hints(section, include_extras=True)
-    limits = KNOB_LIMITS.get(section, {})
+    limits = LIMITS.get(section, {})
     keys = {}
     if issubclass(section, BaseModel):
-        rows = [
-            (name, MISSING if info.is_required() else info.default, info.description or "")
-            for name, info in section.model_fields.items()
-        ]
+        defaults = {n: MISSING if f.is_required() else f.default for n, f in section.model_fields.items()}
     else:
-        words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
-        rows = [(f.name, f.default, words.get(f.name, "")) for f in dataclasses.fields(cast(Any, section))]
-    for name, default, description in rows:
+        defaults = {field.name: field.default for field in dataclasses.fields(cast(Any, section))}
+    for name, default in defaults.items():
         annotation = limits.get(name, hints[name])
         base = _strip(annotation)[0]
-        nested = isinstance(base, type) and (issubclass(base, BaseModel) or dataclasses.is_dataclass(base))
         path = f"{prefix}.{name}" if prefix else name
-        keys[name] = Key(path, annotation, default, " ".join(description.split()), base if nested else None)
+        keys[name] = Key(path, annotation, default, section, base if is_section(base) else None)
     return keys
+
+
+def is_section(kind: Any) -> bool:
+    """Whether a type is a section: a pydantic model or a dataclass."""
+    return isinstance(kind, type) and (issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind))
+
+
+@cache
+def _descriptions(section: type) -> dict[str, str]:
+    """What the keys of a section mean: the strings below its fields, or the ``Parameters`` of its docstring."""
+    words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
+    (declared,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
+    assert isinstance(declared, ast.ClassDef)
+    for field, below in pairwise(declared.body):
+        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            words[ast.unparse(field.target)] = str(below.value.value)
+    return {name: " ".join(text.split()) for name, text in words.items()}
 
 
 def all_keys(section: type = ScenarioModel, prefix: str = "") -> Iterator[Key]:
@@ -168,7 +181,7 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
             hint = f": {error}" if str(error) else ""
     try:
         return _adapter(key)(tuple(data) if isinstance(data, list) else data), ""
-    except (ValidationError, OverflowError):
+    except (ValueError, OverflowError):  # pydantic's error is a ValueError
         return None, f"must be {describe(key.annotation)}, not {show_value(given)}{hint}"
 
 
@@ -219,8 +232,7 @@ def item_section(annotation: Any) -> type | None:
     """The section of which a key holds a list of any length; None where it holds something else."""
     base = _strip(annotation)[0]
     items = get_args(base) if get_origin(base) is tuple else ()
-    whole = len(items) == 2 and items[1] is Ellipsis and isinstance(items[0], type) and issubclass(items[0], BaseModel)
-    return items[0] if whole else None
+    return items[0] if len(items) == 2 and items[1] is Ellipsis and is_section(items[0]) else None
 
 
 def _bounds(limits: dict[str, Any]) -> str:
@@ -285,6 +297,9 @@ def _adapter(key: Key) -> Callable[[Any], Any]:
 
 
 def _make_adapter(key: Key) -> Callable[[Any], Any]:
+    if section := item_section(key.annotation):
+        columns = keys_of(section, f"{key.path}[]")
+        return lambda items: tuple(_item(section, columns, item) for item in _list(items))
     adapter: TypeAdapter[Any] = TypeAdapter(key.annotation)
     finite = {_strip(part)[0] for part in _branches(key.annotation)} == {float}
 
@@ -292,11 +307,32 @@ def _make_adapter(key: Key) -> Callable[[Any], Any]:
         if isinstance(data, int) and not isinstance(data, bool) and finite:
             data = float(data)
         value = adapter.validate_python(data, strict=True)
-        if isinstance(value, float) and not abs(value) < float("inf"):
-            raise OverflowError("not finite")
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not math.isfinite(number):
+                raise ValueError("not finite")
         return value
 
     return validate
+
+
+def _list(items: Any) -> tuple[Any, ...]:
+    if not isinstance(items, tuple):
+        raise ValueError("no list")
+    return items
+
+
+def _item(section: type, columns: Mapping[str, Key], item: Any) -> Any:
+    """One of a list of sections, from a mapping or as it is, each value checked."""
+    given = item if isinstance(item, dict) else {name: getattr(item, name, MISSING) for name in columns}
+    values: dict[str, Any] = {}
+    for name, key in columns.items():
+        data = given.get(name, key.default)
+        values[name], message = (None, "missing") if data is MISSING else check_value(key, data)
+        if message:
+            raise ValueError(message)
+    if set(given) - set(values):
+        raise ValueError("unknown key")
+    return section(**values)
 
 
 def _join(parts: list[str]) -> str:

@@ -38,28 +38,19 @@ _NOT_SWEPT = {
 
 @dataclass(frozen=True)
 class SweptKey:
-    """A key of the scenario and the values it takes.
-
-    Parameters
-    ----------
-    key : Key
-        The key, with its type and unit.
-    values : tuple
-        The values in their order; for a range, those of the grid.
-    low, high : float, optional
-        Ends of a range; None for a list.
-    log : bool
-        Whether the range is spaced in the logarithm.
-    whole : bool
-        Whether the key takes whole numbers only, to which a range is then rounded.
-    """
+    """A key of the scenario and the values it takes."""
 
     key: Key
+    """The key, with its type and unit."""
     values: tuple[Any, ...]
+    """The values in their order; for a range, those of the grid."""
     low: float | None = None
     high: float | None = None
+    """Ends of a range; None for a list."""
     log: bool = False
+    """Whether the range is spaced in the logarithm."""
     whole: bool = False
+    """Whether the key takes whole numbers only, to which a range is then rounded."""
 
     @property
     def path(self) -> str:

@@ -173,7 +173,7 @@ class Scenario(ScenarioModel):
     def with_values(self, *, trials: int | None = None, seed: int | None = None) -> Scenario:
         """The same with another number of trials or another seed; ScenarioError where it may not be."""
         problems: list[Problem] = []
-        changed = flatten(self)
+        changed: dict[str, Any] = {}
         for option, key, value in (("trials", "study.trials", trials), ("seed", "seed", seed)):
             if value is not None:
                 changed[key], message = check_value(_KEYS[key], value)
@@ -184,11 +184,11 @@ class Scenario(ScenarioModel):
 
     def noiseless(self) -> Scenario:
         """The same without background, noise, saturation, digitisation and flaws of the detector."""
-        return self.changed(flatten(self) | _NOISELESS)
+        return self.changed(_NOISELESS)
 
-    def changed(self, flat: dict[str, Any]) -> Scenario:
-        """The scenario of these values by dotted key, checked anew; files it names stay relative to its own place."""
-        scenario = type(self).model_validate(nest(flat))
+    def changed(self, values: Mapping[str, Any]) -> Scenario:
+        """The same with other values of keys, by dotted path, checked anew; files it names are still found."""
+        scenario = type(self).model_validate(nest(flatten(self) | dict(values)))
         scenario._path = self._path
         return scenario
 

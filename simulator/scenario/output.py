@@ -7,9 +7,7 @@ import textwrap
 from datetime import UTC, datetime
 from typing import Any
 
-from pydantic import BaseModel
-
-from simulator.scenario.fields import MISSING, Key, item_section, keys_of
+from simulator.scenario.fields import MISSING, Key, is_section, item_section, keys_of
 from simulator.scenario.schema import ScenarioModel
 
 SCHEMA_ID = "https://json-schema.org/draft/2020-12/schema"
@@ -58,8 +56,10 @@ def yaml_value(value: Any) -> str:
         return value.astimezone(UTC).isoformat().replace("+00:00", "Z")
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(yaml_value, value)) + "]"
-    if isinstance(value, BaseModel):
-        return "{" + ", ".join(f"{name}: {yaml_value(getattr(value, name))}" for name in type(value).model_fields) + "}"
+    kind: Any = type(value)
+    if is_section(kind):
+        keys = keys_of(kind)
+        return "{" + ", ".join(f"{name}: {yaml_value(getattr(value, name))}" for name in keys) + "}"
     text = str(value)
     if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
         return text

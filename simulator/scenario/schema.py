@@ -1,4 +1,8 @@
-"""The scenario: every key a user may write, with unit, default and limits. A loaded scenario is frozen."""
+"""The scenario: every key a user may write, with unit, default and limits. A loaded scenario is frozen.
+
+Sections that are parameters of the physics or settings of the tracker are those classes themselves, which know no
+limits; theirs are in `LIMITS`.
+"""
 
 from __future__ import annotations
 
@@ -7,155 +11,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from simulator.scenario.schema_base import Fraction, NonNegative, Positive, Section, Vector3
-from simulator.scenario.schema_camera import (
-    BaffleSection,
-    CosmicRaySection,
-    DetectorSection,
-    FieldAberrationsSection,
-    GhostSection,
-    IntensifierSection,
-    OpticsSection,
-    PsfSection,
-    ThermalSection,
-    VideoSection,
-    VignettingSection,
-    ZernikeSection,
-)
-from simulator.scenario.schema_payload import SpinSection, TetherSection
-from simulator.scenario.schema_sequence import (
-    DropoutSection,
-    GyroSection,
-    RatePointSection,
-    SequenceSection,
-    SlewSection,
-)
+from simulator.detector.parameters import CosmicRays, Intensifier, Video
+from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
+from simulator.optics.ghosts import Ghost
+from simulator.optics.illumination import Vignetting
+from simulator.optics.jitter import Jitter
+from simulator.optics.psf_model import FieldAberrations, PsfModel
+from simulator.optics.tether import Tether
+from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
+from simulator.scenario.schema_camera import DetectorSection, OpticsSection
+from simulator.scenario.schema_sequence import SequenceSection
+from simulator.sky.parameters import Sky
 from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
-__all__ = [
-    "KNOB_LIMITS",
-    "BaffleSection",
-    "CosmicRaySection",
-    "DetectorSection",
-    "DropoutSection",
-    "FieldAberrationsSection",
-    "GhostSection",
-    "GyroSection",
-    "IntensifierSection",
-    "JitterSection",
-    "OpticsSection",
-    "OrbitSection",
-    "PointingSection",
-    "PsfSection",
-    "RatePointSection",
-    "ScenarioModel",
-    "Section",
-    "SequenceSection",
-    "SkySection",
-    "SlewSection",
-    "SpecificationSection",
-    "SpinSection",
-    "StudySection",
-    "TetherSection",
-    "ThermalSection",
-    "TrackerSection",
-    "VideoSection",
-    "VignettingSection",
-    "ZernikeSection",
-]
+__all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
 
 
 def _utc(value: datetime) -> datetime:
     return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class OrbitSection(Section):
-    """Circular orbit. The node is given by `raan_deg` or by `ltan_h`, not by both."""
-
-    altitude_km: FiniteFloat = 800.0
-    """Height above the equatorial radius."""
-    inclination_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] | Literal["auto"] = "auto"
-    """Inclination; ``auto`` is sun-synchronous by J2."""
-    ltan_h: Annotated[FiniteFloat, Field(ge=0, lt=24)] | None = None
-    """Local mean solar time of the ascending node, hours; 22.5 where neither node key is given."""
-    raan_deg: FiniteFloat | None = None
-    """Right ascension of the ascending node at the epoch, true equator of date."""
-    argument_of_latitude_deg: FiniteFloat = 0.0
-    """Angle from the ascending node at the epoch."""
-    propagator: Literal["j2", "sgp4"] = "j2"
-    """``j2``: analytic circular orbit with secular J2; ``sgp4``: the same mean elements through SGP4."""
-
-
-class JitterSection(Section):
-    """Random turning of the camera, during exposures and, in a sequence, between them."""
-
-    rms_arcsec: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
-    """Root mean square of the angle about x, y, z; 0: none."""
-    psd: Literal["white", "lorentz", "table"] = "lorentz"
-    """Power spectrum: ``white`` up to the corner; ``lorentz``, 1/(1 + (f/corner)²) up to 8 corners; ``table``."""
-    corner_hz: Positive = 10.0
-    """Corner frequency."""
-    table: str | None = None
-    """CSV file (frequency_hz, psd) whose shape is taken for ``table``."""
-    axes: Literal["camera", "body"] = "camera"
-    """Axes of `rms_arcsec`."""
-
-
-class PointingSection(Section):
-    """How the camera is mounted and how the body is turned against the local level."""
-
-    mounting: str | tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = "orbit_normal"
-    """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
-    target: str | Vector3 | None = None
-    """Hold the camera on this instead of the local level: right ascension, declination, roll in degrees (ICRS), or the
-    name of a star of the sky's catalogue (``Alp CMa``, ``HIP 32349``) or of a body (``Moon``, ``Jupiter``)."""
-    target_offset_deg: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    """Where a named target stands in the image: degrees from the boresight along +x (columns) and +y (rows)."""
-    target_roll_deg: FiniteFloat = 0.0
-    """Roll of the camera on a named target."""
-    offset_deg: Vector3 = (0.0, 0.0, 0.0)
-    """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
-    error_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
-    """Half width of the random attitude offset a trial and axis: what the other sensors leave unknown."""
-    rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
-    """Body rate about X, Y, Z on top of the turning of the local-level frame itself."""
-    spin: SpinSection = SpinSection()
-    """Spin about an axis that stands still among the stars, in place of the local level; off without its rate."""
-    jitter: JitterSection = JitterSection()
-    """Jitter."""
-
-
-class SkySection(Section):
-    """What is in the sky and how it is seen."""
-
-    catalog: str = "hipparcos"
-    """``hipparcos`` or ``bsc5``."""
-    magnitude_limit: FiniteFloat = 9.0
-    """Faintest V that is drawn."""
-    spectrum: str = "colour_sequence"
-    """Spectra of the stars: ``colour_sequence`` (library spectra with the colours of real stars) or ``blackbody``."""
-    proper_motion: bool = True
-    """Move the stars to the date."""
-    parallax: bool = True
-    """Annual parallax."""
-    light_deflection: bool = True
-    """Bending of light by the Sun."""
-    aberration: bool = True
-    """Annual and orbital aberration."""
-    planets: bool = True
-    """Planets, Moon and Sun from DE421."""
-    background: bool = True
-    """Diffuse background."""
-    background_s10: NonNegative = 75.0
-    """Its brightness in tenth-magnitude stars a square degree: zodiacal light 60 and scattered starlight 15."""
-    background_model: Literal["constant", "leinert1998"] = "constant"
-    """``constant``: `background_s10` everywhere; ``leinert1998``: zodiacal light and undrawn starlight by direction."""
-    earth: bool = True
-    """The Earth: it hides what is behind it, and its lit side and limb shine where they are in the field."""
-    earth_albedo: Fraction = 0.3
-    """Albedo of the Earth's surface and clouds, which scatter alike in all directions (Lambert)."""
-    phases: bool = True
-    """Draw the lit part of the Moon's and the planets' disks; false: uniform full disks."""
 
 
 class TrackerSection(Section):
@@ -176,17 +49,17 @@ class TrackerSection(Section):
     prior: bool = True
     """Give the tracker the attitude of the other sensors, good to `pointing.error_deg`; false: lost in space."""
     detection: DetectionSettings = DetectionSettings()
-    """Knobs of the detection."""
+    """Settings of the detection."""
     centroid: CentroidSettings = CentroidSettings()
-    """Knobs of the centroiding."""
+    """Settings of the centroiding."""
     identification: AnyIdentificationSettings = AnyIdentificationSettings()
-    """Knobs of the identification; those that the `identifier` does not read are named when the scenario is loaded."""
+    """Settings of the identification; those that the `identifier` does not read are named when a scenario is loaded."""
 
 
 class StudySection(Section):
     """The Monte Carlo run."""
 
-    trials: Annotated[int, Field(ge=1)] = 500
+    trials: Count = 500
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
     """``mission_year``: times spread over a year; ``orbit``: over one orbit, or one turn of a body that spins; ``sky``:
@@ -218,13 +91,13 @@ class ScenarioModel(Section):
     """Seed of every random stream."""
     epoch: Annotated[datetime, AfterValidator(_utc)]
     """UTC, ISO 8601."""
-    orbit: OrbitSection = OrbitSection()
+    orbit: OrbitParameters = OrbitParameters()
     """The orbit."""
-    pointing: PointingSection = PointingSection()
+    pointing: PointingParameters = PointingParameters()
     """Mounting and attitude."""
-    sky: SkySection = SkySection()
+    sky: Sky = Sky()
     """The sky."""
-    tether: TetherSection = TetherSection()
+    tether: Tether = Tether()
     """A tether before the camera; none without its diameter."""
     optics: OpticsSection
     """The lens."""
@@ -242,8 +115,52 @@ class ScenarioModel(Section):
     """Let physics pass that cannot be; the report repeats it."""
 
 
-Count = Annotated[int, Field(ge=1)]
-KNOB_LIMITS: dict[type, dict[str, Any]] = {
+LIMITS: dict[type, dict[str, Any]] = {
+    OrbitParameters: {
+        "inclination_deg": Annotated[float, Field(ge=0, le=180)] | Literal["auto"],
+        "ltan_h": Annotated[float, Field(ge=0, lt=24)] | None,
+        "propagator": Literal["j2", "sgp4"],
+    },
+    Spin: {
+        "axis_deg": tuple[float, Annotated[float, Field(ge=-90, le=90)]],
+        "cone_deg": Annotated[float, Field(ge=0, lt=90)],
+        "inertia_ratio": Annotated[float, Field(gt=0, le=2)],
+    },
+    PointingParameters: {"error_deg": Annotated[float, Field(ge=0, le=180)]},
+    Jitter: {
+        "rms_arcsec": tuple[NonNegative, NonNegative, NonNegative],
+        "psd": Literal["white", "lorentz", "table"],
+        "corner_hz": Positive,
+        "axes": Literal["camera", "body"],
+    },
+    RatePoint: {"at_s": NonNegative},
+    Slew: {"max_rate_deg_s": Positive, "acceleration_deg_s2": Positive, "start_s": NonNegative},
+    Gyro: {
+        "angle_random_walk_deg_sqrt_h": Positive,
+        "bias_deg_h": NonNegative,
+        "bias_instability_deg_h": NonNegative,
+        "bias_time_s": Positive,
+        "scale_factor_ppm": Annotated[float, Field(ge=0, le=200_000)],
+    },
+    Sky: {
+        "background_s10": NonNegative,
+        "background_model": Literal["constant", "leinert1998"],
+        "earth_albedo": Fraction,
+    },
+    Tether: {"diameter_mm": NonNegative, "albedo": Fraction},
+    FieldAberrations: {
+        "rings": Annotated[int, Field(ge=1, le=32)],
+        "azimuths": Annotated[int, Field(ge=4, le=64)],
+    },
+    PsfModel: {"sigma_px": Positive | None, "first_dark_ring_px": Positive | None, "wavelength_nm": Positive},
+    Vignetting: {
+        "mechanical_start_deg": Annotated[float, Field(ge=0, lt=180)],
+        "mechanical_end_deg": Annotated[float, Field(gt=0, lt=180)] | None,
+    },
+    Ghost: {"flux": Fraction, "radius_px": Positive},
+    CosmicRays: {"rate_cm2_s": NonNegative, "depth_um": Positive, "charge_e_um": Positive},
+    Intensifier: dict.fromkeys(("gain", "gain_variance", "phosphor_sigma_px", "dark_e_s"), NonNegative),
+    Video: {"noise_dn": NonNegative, "line_blur_px": NonNegative},
     DetectionSettings: {
         "threshold_sigma": Positive,
         "min_pixels": Count,
@@ -292,4 +209,4 @@ KNOB_LIMITS: dict[type, dict[str, Any]] = {
         "blemish_shift_px": Positive,
     },
 }
-"""Limits of the tracker's knobs, whose classes live in `startracker.settings` and know no pydantic."""
+"""Type with its limits of the keys of classes that know no pydantic, where it is not the type alone."""

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Count = Annotated[int, Field(ge=1)]
 
 
 class Section(BaseModel):
     """Base of every section: unknown keys are errors, values never change, numbers are numbers."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)

@@ -1,4 +1,4 @@
-"""Plain parameters of the sky: what is in it, and which effects move and light it."""
+"""Parameters of the sky: what is in it, and which effects move and light it."""
 
 from __future__ import annotations
 
@@ -7,32 +7,33 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Sky:
-    """What is in the sky and how it is seen.
-
-    Parameters
-    ----------
-    catalog, magnitude_limit : str, float
-        Catalogue and faintest V of the stars that are drawn; fainter ones belong to the background.
-    proper_motion, parallax, light_deflection, aberration : bool
-        What moves the stars from their catalogue positions.
-    planets, phases : bool
-        Sun, Moon and planets, and the lit part of their disks; without phases disks are full.
-    background, background_s10, background_model : bool, float, str
-        Diffuse background: ``constant`` with its brightness, or ``leinert1998``.
-    earth, earth_albedo : bool, float
-        Whether the Earth hides and shines, and its Lambert albedo.
-    """
+    """What is in the sky and how it is seen."""
 
     catalog: str = "hipparcos"
+    """``hipparcos`` or ``bsc5``."""
     magnitude_limit: float = 9.0
+    """Faintest V that is drawn."""
+    spectrum: str = "colour_sequence"
+    """Spectra of the stars: ``colour_sequence`` (library spectra with the colours of real stars) or ``blackbody``."""
     proper_motion: bool = True
+    """Move the stars to the date."""
     parallax: bool = True
+    """Annual parallax."""
     light_deflection: bool = True
+    """Bending of light by the Sun."""
     aberration: bool = True
+    """Annual and orbital aberration."""
     planets: bool = True
+    """Planets, Moon and Sun from DE421."""
     background: bool = True
+    """Diffuse background."""
     background_s10: float = 75.0
+    """Its brightness in tenth-magnitude stars a square degree: zodiacal light 60 and scattered starlight 15."""
     background_model: str = "constant"
+    """``constant``: `background_s10` everywhere; ``leinert1998``: zodiacal light and undrawn starlight by direction."""
     earth: bool = True
+    """The Earth: it hides what is behind it, and its lit side and limb shine where they are in the field."""
     earth_albedo: float = 0.3
+    """Albedo of the Earth's surface and clouds, which scatter alike in all directions (Lambert)."""
     phases: bool = True
+    """Draw the lit part of the Moon's and the planets' disks; false: uniform full disks."""

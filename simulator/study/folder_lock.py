@@ -19,22 +19,15 @@ LOCK_FILE = ".boresight.lock"
 
 @dataclass(frozen=True)
 class Owner:
-    """A process that holds a lock.
-
-    Parameters
-    ----------
-    pid : int
-        Its number.
-    host : str
-        Machine it runs on.
-    started : str
-        When it was started, in the system's own clock; distinguishes it from a later process of the same number. Empty
-        where the system does not say.
-    """
+    """A process that holds a lock."""
 
     pid: int
+    """Its number."""
     host: str
+    """Machine it runs on."""
     started: str
+    """When it was started, in the system's own clock; distinguishes it from a later process of the same number. Empty
+    where the system does not say."""
 
     @classmethod
     def this_process(cls) -> Owner:

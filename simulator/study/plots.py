@@ -111,22 +111,15 @@ _FEW_GREYS = 24
 
 @dataclass(frozen=True, eq=False)
 class Shades:
-    """An image as it is drawn.
-
-    Parameters
-    ----------
-    grey : array
-        How dark; `whole` is black.
-    whole : int
-        1 for real numbers, more for a small picture of few greys.
-    width, height : int
-        Of the image itself.
-    """
+    """An image as it is drawn."""
 
     grey: NDArray[Any]
+    """How dark; `whole` is black."""
     whole: int
+    """1 for real numbers, more for a small picture of few greys."""
     width: int
     height: int
+    """Of the image itself."""
 
 
 def shades_of(image: NDArray[Any], preview_px: int | None = None) -> Shades:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.intervals import moment_intervals, wilson_interval
-from simulator.study.statistics import AXES
+from simulator.study.intervals import moment_intervals, plain, wilson_interval
+from simulator.study.statistics import AXES, axis_statistics, median
 
 TRIAL_COLUMNS = (
     "index",
@@ -63,22 +62,14 @@ def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str
     errors = np.stack([np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved] for axis in AXES], axis=1)
     intervals = moment_intervals(errors, seed)["rms"]
     for k, axis in enumerate(AXES):
-        e = errors[:, k]
-        rms = math.sqrt(float(np.mean(e * e))) if len(e) else None
+        e = axis_statistics(errors[:, k])
+        low_deg, high_deg = plain(None if intervals is None else intervals[k])
         found |= {
-            f"{axis}_mean_deg": float(np.mean(e)) if len(e) else None,
-            f"{axis}_rms_deg": rms,
-            f"{axis}_rms_low_deg": _plain(intervals[k, 0]) if intervals is not None else None,
-            f"{axis}_rms_high_deg": _plain(intervals[k, 1]) if intervals is not None else None,
-            f"{axis}_three_sigma_deg": None if rms is None else 3.0 * rms,
-            f"{axis}_p997_deg": float(np.percentile(np.abs(e), 99.7, method="inverted_cdf")) if len(e) else None,
+            f"{axis}_mean_deg": e["mean"],
+            f"{axis}_rms_deg": e["rms"],
+            f"{axis}_rms_low_deg": low_deg,
+            f"{axis}_rms_high_deg": high_deg,
+            f"{axis}_three_sigma_deg": e["three_sigma"],
+            f"{axis}_p997_deg": e["p997"],
         }
-    for name in TIMINGS:
-        times = np.asarray(columns[name.removeprefix("median_")], dtype=float)
-        finite = times[np.isfinite(times)]
-        found[name] = float(np.median(finite)) if len(finite) else None
-    return found
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return found | {name: median(columns[name.removeprefix("median_")]) for name in TIMINGS}

@@ -40,30 +40,21 @@ _TOGETHER = ("run", "sequence")
 
 @dataclass(frozen=True)
 class Identity:
-    """What results are made from.
-
-    Parameters
-    ----------
-    kind : str
-        A key of `FILES`.
-    scenario : str
-        Its name.
-    seed : int
-        Its seed.
-    sha256 : str
-        Of the version, the scenario's values, the contents of the files it names, and the options that change results.
-    amounts : dict of int
-        How much was computed, such as ``{"trials": 400}``: more of the same may replace less.
-    version : str
-        Of boresight.
-    """
+    """What results are made from."""
 
     kind: str
+    """A key of `FILES`."""
     scenario: str
+    """Its name."""
     seed: int
+    """Its seed."""
     sha256: str
+    """Of the version, the scenario's values, the contents of the files it names, and the options that change
+    results."""
     amounts: Mapping[str, int] = field(default_factory=dict)
+    """How much was computed, such as ``{"trials": 400}``: more of the same may replace less."""
     version: str = field(default_factory=lambda: __version__)
+    """Of boresight."""
 
     def __str__(self) -> str:
         amounts = "".join(f", {number} {name}" for name, number in self.amounts.items() if number)

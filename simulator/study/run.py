@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 import platform
 from dataclasses import dataclass
@@ -11,14 +11,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from simulator.paths import write_atomically
 from simulator.scenario import Scenario
+from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import results_folder, standing
-from simulator.study.statistics import BODY_AXES, summarise
+from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
@@ -47,27 +45,18 @@ _VERSIONED = (
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Result of a study.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What was run, seed and all.
-    columns : mapping of arrays
-        Columns of the trials by name, each read when it is asked for.
-    summary : dict
-        What ``summary.json`` holds.
-    folder : Path, optional
-        Where the files are.
-    notes : tuple of str
-        Sentences on finished trials that were found damaged and computed again.
-    """
+    """Result of a study."""
 
     scenario: Scenario
+    """What was run, seed and all."""
     columns: Columns
+    """Columns of the trials by name, each read when it is asked for."""
     summary: dict[str, Any]
+    """What ``summary.json`` holds."""
     folder: Path | None = None
+    """Where the files are."""
     notes: tuple[str, ...] = ()
+    """Sentences on finished trials that were found damaged and computed again."""
 
     @cached_property
     def trials(self) -> pa.Table:
@@ -121,50 +110,47 @@ def run(
     the results of that one: the study's `folder` is then None, and its trials are kept for the next run.
     """
     scenario = scenario.with_values(trials=trials, seed=seed)
-    if out is None:
-        return _run(scenario, None, workers, dask, resume, force, progress)
-    identity = run_identity(scenario, scenario.study.trials)
-    with results_folder(Path(out), identity, resume=resume, force=force) as folder:
-        return _run(scenario, folder, workers, dask, resume, force, progress)
+    place: contextlib.AbstractContextManager[Path | None] = contextlib.nullcontext()
+    if out is not None:
+        place = results_folder(Path(out), run_identity(scenario, scenario.study.trials), resume=resume, force=force)
+    with place as folder:
+        started = clock()
+        done = run_trials(
+            scenario,
+            scenario.study.trials,
+            workers=workers,
+            dask=dask,
+            folder=folder,
+            resume=resume,
+            force=force,
+            progress=progress,
+        )
+        elapsed_s = clock() - started
+        if done.finished == 0:
+            raise BoresightError("interrupted before the first trial was finished: nothing to report")
+        if folder is None or (done.interrupted and not force and done.finished < _trials_standing(folder)):
+            columns = Columns(done.table)
+            summary = _summary(scenario, done, columns, elapsed_s)
+            return Study(scenario, columns, summary, notes=tuple(done.store.notes))
+        return _written(scenario, done, folder, elapsed_s)
 
 
-def _run(
-    scenario: Scenario,
-    folder: Path | None,
-    workers: int,
-    dask: str | None,
-    resume: bool,
-    force: bool,
-    progress: Progress | None,
-) -> Study:
-    started = clock()
-    done = run_trials(
-        scenario,
-        scenario.study.trials,
-        workers=workers,
-        dask=dask,
-        folder=folder,
-        resume=resume,
-        force=force,
-        progress=progress,
-    )
-    elapsed_s = clock() - started
-    if done.finished == 0:
-        raise BoresightError("interrupted before the first trial was finished: nothing to report")
-    notes = tuple(done.store.notes)
-    if folder is None or (done.interrupted and not force and done.finished < _trials_standing(folder)):
-        columns = Columns(done.table)
-        return Study(scenario, columns, _summary(scenario, done, columns, elapsed_s), notes=notes)
+def _written(scenario: Scenario, done: Trials, folder: Path, elapsed_s: float) -> Study:
+    """The study whose files are in a folder now: they replace those of an earlier run when all of them are written."""
     staging = folder / PARTS_FOLDER
     with nothing_lost():
         checksum = done.store.write(staging / TRIALS_FILE, done.requested)
         columns = Columns(staging / TRIALS_FILE)
         summary = _summary(scenario, done, columns, elapsed_s) | {"trials_sha256": checksum}
         _write_pages(scenario, columns, summary, staging, done.runner)
-        _move_into_place(staging, folder)
+        for name in RESULT_FILES:
+            try:
+                os.replace(staging / name, folder / name)
+            except OSError as error:
+                raise InputError(f"{folder / name}: cannot be written ({error.strerror})") from error
     if not done.interrupted:
         discard_parts(folder)
-    return Study(scenario, Columns(folder / TRIALS_FILE), summary, folder, notes)
+    return Study(scenario, Columns(folder / TRIALS_FILE), summary, folder, tuple(done.store.notes))
 
 
 def _trials_standing(folder: Path) -> int:
@@ -187,7 +173,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "workers": done.workers,
         "elapsed_s": elapsed_s,
         "trials_per_second": (done.finished - done.taken_over) / elapsed_s,
-        "median_ms": {name: _median(columns[f"{name}_ms"]) for name in ("render", "solve")},
+        "median_ms": {name: median(columns[f"{name}_ms"]) for name in ("render", "solve")},
         "versions": _versions(),
     }
 
@@ -197,24 +183,13 @@ def _write_pages(
 ) -> None:
     from simulator.study.report.page import report_html
 
-    write_atomically(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     header = "".join(f"# {name} {number}\n" for name, number in summary["versions"].items())
-    write_atomically(folder / "scenario.resolved.yaml", f"# boresight {__version__}\n{header}{scenario.to_yaml()}")
-    write_atomically(folder / "report.html", report_html(scenario, summary, columns, runner=runner))
-
-
-def _move_into_place(staging: Path, folder: Path) -> None:
-    """The results of a run replace those of an earlier one when all of them are written, not before."""
-    for name in RESULT_FILES:
-        try:
-            os.replace(staging / name, folder / name)
-        except OSError as error:
-            raise InputError(f"{folder / name}: cannot be written ({error.strerror})") from error
-
-
-def _median(values: NDArray[Any]) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else None
+    files = {
+        "summary.json": json_text(summary),
+        "scenario.resolved.yaml": f"# boresight {__version__}\n{header}{scenario.to_yaml()}",
+        "report.html": report_html(scenario, summary, columns, runner=runner),
+    }
+    write_files(folder, files)
 
 
 def _versions() -> dict[str, str]:

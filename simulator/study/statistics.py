@@ -75,6 +75,13 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
     }
 
 
+def median(values: ArrayLike) -> float | None:
+    """Median of the finite values; None where there are none."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return float(np.median(finite)) if len(finite) else None
+
+
 def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: ArrayLike) -> bool:
     """Whether an accepted attitude is wrong.
 
@@ -131,35 +138,24 @@ def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[st
 
 @dataclass(frozen=True, eq=False)
 class Binned:
-    """Errors about one axis, sorted into bins of another column; arrays of one entry a bin.
-
-    Parameters
-    ----------
-    name, axis : str
-        The column, and the axis.
-    edges : array, shape (bins + 1,)
-        Limits of the bins, rising; a bin holds its lower limit, the last its upper one too.
-    centre : array
-        Mean of the column over the trials of the bin; the middle of a bin without any.
-    count : int array
-        Trials that are solved, and not wrong.
-    trials : int array
-        All trials, the unsolved ones too, where the column has a value for them.
-    rms_deg : array
-        NaN where there are no trials.
-    low_deg, high_deg : array
-        Its 95 % interval (`simulator.study.intervals.spread_interval`).
-    """
+    """Errors about one axis, sorted into bins of another column; arrays of one entry a bin."""
 
     name: str
     axis: str
+    """The column, and the axis."""
     edges: FloatArray
+    """(bins + 1,): Limits of the bins, rising; a bin holds its lower limit, the last its upper one too."""
     centre: FloatArray
+    """Mean of the column over the trials of the bin; the middle of a bin without any."""
     count: NDArray[np.int64]
+    """Trials that are solved, and not wrong."""
     trials: NDArray[np.int64]
+    """All trials, the unsolved ones too, where the column has a value for them."""
     rms_deg: FloatArray
+    """NaN where there are no trials."""
     low_deg: FloatArray
     high_deg: FloatArray
+    """Its 95 % interval (`simulator.study.intervals.spread_interval`)."""
 
 
 def error_against(

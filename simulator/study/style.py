@@ -92,25 +92,17 @@ NARROW_IN, WIDE_IN = 4.2, 7.6
 
 @dataclass(frozen=True)
 class Panel:
-    """One figure of the report.
-
-    Parameters
-    ----------
-    title, note : str
-        Heading, and what the reader has to know to read it.
-    draw : callable
-        Draws it into the axes that it is given.
-    height_in : float
-        Height in inches.
-    wide : bool
-        Across the page, rather than two or three beside each other.
-    """
+    """One figure of the report."""
 
     title: str
     note: str
+    """Heading, and what the reader has to know to read it."""
     draw: Callable[[Axes], None]
+    """Draws it into the axes that it is given."""
     height_in: float = 3.0
+    """Height in inches."""
     wide: bool = False
+    """Across the page, rather than two or three beside each other."""
 
 
 def figure_of(panel: Panel, narrow: bool = False) -> Figure:

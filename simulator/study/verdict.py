@@ -18,24 +18,16 @@ are all within the specification do not show that 99.7 % of them are."""
 
 @dataclass(frozen=True)
 class Verdict:
-    """One axis against its specification, of which 99.7 % of the errors are to be within.
-
-    Parameters
-    ----------
-    axis : str
-        One of `BODY_AXES`.
-    p997_deg : float, optional
-        Magnitude that 99.7 % of the errors stay below, degrees; None where nothing was solved.
-    interval95_deg : (low, high)
-        Its 95 % interval (`simulator.study.intervals.percentile_interval`); None for an open end.
-    specified_deg : float
-        What was asked for.
-    """
+    """One axis against its specification, of which 99.7 % of the errors are to be within."""
 
     axis: str
+    """One of `BODY_AXES`."""
     p997_deg: float | None
+    """Magnitude that 99.7 % of the errors stay below, degrees; None where nothing was solved."""
     interval95_deg: Sequence[float | None]
+    """Its 95 % interval (`simulator.study.intervals.percentile_interval`); None for an open end."""
     specified_deg: float
+    """What was asked for."""
 
     @property
     def verdict(self) -> str:

@@ -25,11 +25,16 @@ from importlib.resources import files
 from string import Formatter
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from simulator.theses.printed import Row, Verdict, compare, verdict_of, with_unit
 
-__all__ = ["Values", "exact_when_cut", "table_rows", "worst"]
+__all__ = ["FloatArray", "IntArray", "Values", "exact_when_cut", "read_yaml", "table_rows", "value_of", "worst"]
 
 Values = dict[str, Any]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _ORDER: tuple[Verdict, ...] = ("exact", "close", "differs")
 _CUT_OFF = "printed digits cut off, not rounded"
@@ -62,11 +67,15 @@ def table_rows(name: str, values: Mapping[str, Any]) -> list[Row]:
 
 @lru_cache(maxsize=32)
 def _entries(name: str) -> list[dict[str, Any]]:
+    folder, file = name.split("/")
+    return list(read_yaml(f"{folder}/data/{file}"))
+
+
+def read_yaml(name: str) -> Any:
+    """Content of a file of this package, such as ``"greyling1995/data/path"``."""
     from ruamel.yaml import YAML
 
-    folder, file = name.split("/")
-    text = (files("simulator.theses") / folder / "data" / f"{file}.yaml").read_text(encoding="utf-8")
-    return list(YAML(typ="safe").load(text))
+    return YAML(typ="safe").load((files("simulator.theses") / f"{name}.yaml").read_text(encoding="utf-8"))
 
 
 def _row(cells: Mapping[str, Any], values: Mapping[str, Any]) -> Row:
@@ -75,17 +84,18 @@ def _row(cells: Mapping[str, Any], values: Mapping[str, Any]) -> Row:
     if "value" not in cells:
         computed = cells["computed"].format_map(values)
         return Row(where, quantity, printed.format_map(values), computed, _verdict(cells["verdict"], values), why)
-    computed = _value(cells["value"], values)
+    computed = value_of(cells["value"], values)
     known = {key: cells[key] for key in ("unit", "close", "form") if key in cells}
     if isinstance(computed, Sequence):
-        texts = printed if isinstance(printed, list) else _value(printed, values)
+        texts = printed if isinstance(printed, list) else value_of(printed, values)
         return _several(where, quantity, texts, computed, why=why, **known)
     text = printed.format_map(values)
     row = compare(where, quantity, text, float(computed), why=why, **known)
     return exact_when_cut(row, text, float(computed)) if cells.get("cut") else row
 
 
-def _value(name: str, values: Mapping[str, Any]) -> Any:
+def value_of(name: str, values: Mapping[str, Any]) -> Any:
+    """A value by name, or a part of one, such as ``curve.at_deg`` or ``found[0]``."""
     return Formatter().get_field(name, (), values)[0]
 
 
@@ -94,7 +104,7 @@ def _verdict(text: str, values: Mapping[str, Any]) -> Any:
         return text.format_map(values)
     true, _, rest = text.partition(" if ")
     name, _, false = rest.partition(" else ")
-    return true if _value(name, values) else false
+    return true if value_of(name, values) else false
 
 
 def exact_when_cut(row: Row, printed: str, computed: float) -> Row:

@@ -1,4 +1,4 @@
-"""Star catalogues: one immutable table each, loaded by name."""
+"""Star catalogues as immutable tables, loaded by name."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from startracker.registry import lookup
 __all__ = ["CATALOGS", "StarCatalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
 
 CATALOGS = {"bsc5": load_bsc5, "hipparcos": load_hipparcos}
-"""Loaders by name; a package adds its own under the entry-point group ``boresight.catalogs``."""
+"""Loaders by name; other packages add theirs in the entry-point group ``boresight.catalogs``."""
 
 
 @functools.cache
 def load_catalog(name: str) -> StarCatalog:
-    """Catalogue by name, read once a process.
+    """Load a catalogue by name; it is read once per process.
 
     Parameters
     ----------
     name : str
-        ``hipparcos`` (117,955 stars to V = 14, milliarcseconds, and the bright stars it lacks) or ``bsc5``
-        (9,096 stars to V = 8, arcseconds).
+        ``hipparcos`` (117,955 stars to V = 14, accurate to milliarcseconds, completed with bright stars) or ``bsc5``
+        (9,096 stars to V = 8, accurate to an arcsecond).
 
     Raises
     ------
     InputError
-        When there is no such catalogue, or its file is missing or damaged.
+        For an unknown catalogue, or if its file is missing or damaged.
     """
     return lookup("catalogs", CATALOGS, name)()

@@ -1,7 +1,7 @@
-"""The Yale Bright Star Catalogue, 5th revised edition (preliminary version), as published: parsed on load.
+"""The Yale Bright Star Catalogue, 5th revised edition (preliminary version), parsed from the published file.
 
 Credit: D. Hoffleit, W. H. Warren Jr., *The Bright Star Catalogue, 5th Revised Ed. (Preliminary Version)*,
-Astronomical Data Center, NSSDC/ADC, 1991 (CDS V/50). The file ships unmodified, as its terms ask.
+Astronomical Data Center, NSSDC/ADC, 1991 (CDS V/50). The file ships unmodified, as its terms require.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from startracker.constants import ARCSEC_RAD
 __all__ = ["EPOCH_JYEAR", "load_bsc5", "parse_bsc5"]
 
 EPOCH_JYEAR = 2000.0
-"""Epoch and equinox of the positions used here; FK5 system, which ICRS equals to 0.1″, below the file's rounding."""
+"""Epoch and equinox of the positions; FK5, which agrees with ICRS to 0.1″, below the rounding of the file."""
 
 POSITION_SIGMA_RAD = 0.55 * ARCSEC_RAD
-"""On one axis: positions are printed to 0.1 s and 1″, and lie a median of 0.65″ from Hipparcos-2 (0.65″/1.177)."""
+"""On one axis: positions are rounded to 0.1 s and 1″; the median distance from Hipparcos-2 is 0.65″ (0.65″/1.177)."""
 
 
 def load_bsc5() -> StarCatalog:
-    """The catalogue's 9,096 stars; the 14 rows of novae, clusters and galaxies that kept a number only are left out.
+    """The 9,096 stars of the catalogue, without the 14 rows of novae, clusters and galaxies that only have a number.
 
-    Positions are rounded to 0.1 s and 1″ in the file: against Hipparcos the median error is 0.65″. Proper motions
-    are FK5's, RA already times cos Dec. Trigonometric and dynamical parallaxes are taken alike.
+    Positions are rounded to 0.1 s and 1″ in the file; the median error relative to Hipparcos is 0.65″. Proper motions
+    are in the FK5 system, with RA multiplied by cos Dec. Parallaxes are trigonometric or dynamical.
     """
     return parse_bsc5((files("startracker.catalog") / "data" / "bsc5.dat").read_bytes())
 
 
 def parse_bsc5(data: bytes) -> StarCatalog:
-    """Catalogue from the bytes of a file in the layout of CDS V/50.
+    """Catalogue from the contents of a file in the layout of CDS V/50.
 
     Raises
     ------
     InputError
-        When a row is not in that layout.
+        If a row is not in that layout.
     """
     table = FixedWidth.from_bytes(data, width=197, where="bsc5")
-    table = table.rows(table.text(76, 77) != "")  # what is no star has no position
+    table = table.rows(table.text(76, 77) != "")  # non-stellar rows have no position
     ra_h = table.number(76, 77) + table.number(78, 79) / 60 + table.number(80, 83) / 3600
     dec_deg = table.number(85, 86) + table.number(87, 88) / 60 + table.number(89, 90) / 3600
     dec_deg = np.where(table.text(84, 84) == "-", -dec_deg, dec_deg)
@@ -54,7 +54,7 @@ def parse_bsc5(data: bytes) -> StarCatalog:
         dec_rad=np.radians(dec_deg),
         pm_ra_rad_yr=table.number(149, 154, missing=0.0) * ARCSEC_RAD,
         pm_dec_rad_yr=table.number(155, 160, missing=0.0) * ARCSEC_RAD,
-        # a few trigonometric parallaxes came out negative: no distance is known then
+        # a few trigonometric parallaxes are negative: the distance is then unknown
         parallax_rad=np.maximum(table.number(162, 166, missing=0.0), 0.0) * ARCSEC_RAD,
         radial_velocity_km_s=table.number(167, 170, missing=0.0),
         v_mag=table.number(103, 107),
@@ -67,10 +67,10 @@ def parse_bsc5(data: bytes) -> StarCatalog:
 
 
 def _variable(table: FixedWidth) -> NDArray[np.bool_]:
-    """Known variables: what VarID names as the General Catalogue of Variable Stars does ("R And", "Gam Cas"), or "Var".
+    """Known variables: VarID is a name of the General Catalogue of Variable Stars ("R And", "Gam Cas"), or "Var".
 
-    Suspected ones do not count: a bare number, which is that of the New Catalogue of Suspected Variable Stars
-    (Kukarkin et al. 1982), and "Var?".
+    Suspected variables are excluded: "Var?", and a bare number, which is from the New Catalogue of Suspected Variable
+    Stars (Kukarkin et al. 1982).
     """
     name = table.text(52, 60)
     numbered = np.char.isdigit(name.astype("U1"))  # "7134/5" too; no designation begins with a digit
@@ -78,9 +78,9 @@ def _variable(table: FixedWidth) -> NDArray[np.bool_]:
 
 
 def _names(table: FixedWidth) -> NDArray[np.str_]:
-    """Bayer letter and constellation ("Alp1 Cen"), else the Flamsteed number ("33 Psc"), else nothing."""
+    """Bayer letter and constellation ("Alp1 Cen"), else Flamsteed number ("33 Psc"), else an empty string."""
     flamsteed, bayer, constellation = table.text(5, 7), table.text(8, 11), table.text(12, 14)
-    # a superscript stands in a column of its own
+    # the superscript has its own column
     designation = np.where(bayer != "", np.char.replace(bayer, " ", ""), flamsteed)
     names = np.char.add(np.char.add(designation, " "), constellation)
     return np.where(designation != "", names, "")

@@ -1,4 +1,4 @@
-"""Parsed catalogues in the user's cache folder. It only saves time: any fault of it counts as "nothing there"."""
+"""Cache of parsed catalogues in the user's cache folder. It only saves time: any error is treated as a cache miss."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def folder() -> Path:
-    """The folder; the environment variable ``BORESIGHT_CACHE`` names another."""
+    """The cache folder; the environment variable ``BORESIGHT_CACHE`` overrides it."""
     own = os.environ.get("BORESIGHT_CACHE")
     if own:
         return Path(own)
@@ -29,9 +29,9 @@ def folder() -> Path:
 
 
 def load(key: str) -> StarCatalog | None:
-    """The catalogue stored under `key`; None when there is none or it cannot be read."""
+    """The catalogue stored under `key`; None if there is none or it cannot be read."""
     try:
-        # opened here, as NumPy leaves the file open when it finds it broken
+        # opened here because NumPy leaves a damaged file open
         with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
             columns: dict[str, Any] = {column: read_only(stored[column]) for column in StarCatalog.columns()}
             columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
@@ -41,7 +41,7 @@ def load(key: str) -> StarCatalog | None:
 
 
 def store(key: str, catalog: StarCatalog) -> None:
-    """Store a catalogue under `key`: written beside and moved into place, so that no reader meets half a file."""
+    """Store a catalogue under `key`, atomically: a temporary file is renamed."""
     columns = {column: getattr(catalog, column) for column in StarCatalog.columns()}
     temporary = ""
     try:

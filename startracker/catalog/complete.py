@@ -1,7 +1,7 @@
-"""A precise catalogue and the Bright Star Catalogue made one: what each knows of the same star, and what one lacks.
+"""Complete a precise catalogue with the data and the missing stars of the Bright Star Catalogue.
 
-The two are matched one to one. A bright star left over is either the companion of a matched one that the precise
-catalogue has as a single entry of both (nothing to add), or it is missing there (added).
+The two catalogues are matched one to one. An unmatched bright star is either the companion of a matched star, with
+which the precise catalogue combines it in one entry (nothing to add), or it is missing there (added).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _SEARCH_ARCSEC = 25.0
-"""The Bright Star Catalogue is off by 15″ for the worst of its fast stars (61 Cygni)."""
+"""The Bright Star Catalogue is wrong by up to 15″ for stars of high proper motion (61 Cygni)."""
 _CERTAIN_ARCSEC = 10.0
-"""Within it Hipparcos has two close stars as one entry; beyond it a match needs like brightness too."""
+"""Hipparcos may combine two stars closer than this in one entry; a wider match also needs similar brightness."""
 _ARCSEC_PER_MAG = 5.0
-"""How a difference in brightness is weighed against one in position."""
+"""Weight of a difference in brightness relative to one in position."""
 _LIKE_MAG = 0.5
 
 
 def match(bright: StarCatalog, precise: StarCatalog) -> IntArray:
-    """Index (N,) into `precise` of each star of `bright`, −1 where it has none; no entry is given twice.
+    """Index (N,) into `precise` of each star of `bright`, −1 for no match; each entry is matched at most once.
 
-    Pairs are taken in the order of distance + 5″ per magnitude, up to 25″.
+    Pairs up to 25″ are matched in the order of distance + 5″ per magnitude.
     """
     star, entry, distance = _neighbours(bright, precise)
     difference = np.abs(bright.v_mag[star] - precise.v_mag[entry])
@@ -48,10 +48,10 @@ def match(bright: StarCatalog, precise: StarCatalog) -> IntArray:
 
 
 def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
-    """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it lacks.
+    """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it does not have.
 
-    Stars that are added carry minus their number as id and are moved to the epoch of `precise`. Brightness, colour,
-    position and motion of a star that both have are those of `precise`. Variable is what either calls so.
+    Added stars have the negative of their number as id and are propagated to the epoch of `precise`. For stars in both,
+    brightness, colour, position and motion are those of `precise`. A star is variable if either catalogue says so.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)
@@ -70,7 +70,7 @@ def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
 
 
 def _missing(bright: StarCatalog, precise: StarCatalog, found: IntArray) -> NDArray[np.bool_]:
-    """Which stars of `bright` are in `precise` neither on their own nor in the light of another's entry."""
+    """Mask of stars of `bright` that `precise` has neither as an entry nor combined in the entry of another star."""
     star, entry, distance = _neighbours(bright, precise)
     light = np.zeros(len(precise))  # of the matched star alone, on the scale of `bright`
     has = found >= 0

@@ -1,4 +1,4 @@
-"""Stars closer together than a camera resolves, made one."""
+"""Merge stars that are closer together than a camera can resolve."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ __all__ = ["merge_doubles"]
 
 
 def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
-    """The catalogue with every group of stars closer than `separation_rad` replaced by one at its centre of light.
+    """The catalogue with every group of stars closer than `separation_rad` replaced by one star at their photocentre.
 
-    Groups are chained: two stars belong together when a row of stars, each within `separation_rad` of the next,
-    joins them. With fluxes Fᵢ = 10^(−0.4 Vᵢ) a group has V = −2.5 log₁₀ ΣFᵢ, and the F-weighted mean of position
-    (unit vector), proper motion, parallax and radial velocity; id, name, colour and spectral type are those of its
-    brightest star; it is variable when any of its stars is. Separations are those at the catalogue's epoch.
+    Groups are connected components: two stars are in one group if a chain of stars, each within `separation_rad` of the
+    next, connects them. With fluxes Fᵢ = 10^(−0.4 Vᵢ), a group has V = −2.5 log₁₀ ΣFᵢ and the F-weighted mean of
+    position (unit vector), proper motion, parallax and radial velocity; id, name, colour and spectral type are those of
+    its brightest star; it is variable if any of its stars is. Separations are those at the catalogue's epoch.
 
     Parameters
     ----------
     catalog : StarCatalog
-        Left as it is.
+        Not modified.
     separation_rad : float
-        Great-circle angle, 0 to 0.1 rad; at 0 only stars at the same place are merged. A star whose V is NaN joins
-        no group.
+        Great-circle angle, 0 to 0.1 rad; at 0 only stars with the same position are merged. A star with V = NaN is
+        never merged.
 
     Returns
     -------
     StarCatalog
-        In the order of the catalogue, each group at the place of its brightest star; single stars unchanged.
+        In the order of the catalogue, each group in the row of its brightest star; single stars unchanged.
 
     Raises
     ------
     InputError
-        When the separation is negative, not finite or above 0.1 rad.
+        If the separation is negative, not finite or above 0.1 rad.
     """
     if not 0.0 <= separation_rad <= 0.1:
         raise InputError(f"the separation of doubles must be between 0 and 0.1 rad; got {separation_rad}")
@@ -57,7 +57,7 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
     flux = np.where(np.isfinite(catalog.v_mag), 10.0 ** (-0.4 * catalog.v_mag), 0.0)
     total = np.bincount(label, flux, groups)
     alone = np.bincount(label, minlength=groups) == 1
-    # the brightest of each group: last in the order of (label, flux)
+    # the brightest of each group is the last in the order of (label, flux)
     order = np.lexsort((-np.arange(n), flux, label))
     brightest = order[np.flatnonzero(np.diff(label[order], append=groups))]
 
@@ -76,5 +76,5 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
         columns[column][several] = mean(getattr(catalog, column))
     columns["variable"][several] = np.bincount(label, catalog.variable, groups)[which] > 0.0
     columns["v_mag"][several] = -2.5 * np.log10(total[which])
-    place = np.argsort(brightest, kind="stable")
-    return replace(catalog, **{name: values[place] for name, values in columns.items()})
+    rows = np.argsort(brightest, kind="stable")
+    return replace(catalog, **{name: values[rows] for name, values in columns.items()})

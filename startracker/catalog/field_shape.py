@@ -1,4 +1,4 @@
-"""Which directions a camera sees: the image's outline about its centre, as a kernel can ask for it."""
+"""Outline of a camera's image on the sky, for kernels that test whether a direction is in the field."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _STEPS_PER_SIDE = 200
 
 
 class FieldShape(NamedTuple):
-    """Outline of an image on the unit sphere, as its least cosine from the image's centre at each azimuth.
+    """Outline of an image on the unit sphere: the minimum cosine of the angle from the image centre at each azimuth.
 
-    Good for outlines that every ray from the centre crosses once: every camera's whole image.
+    Valid for outlines that every ray from the centre crosses once, as that of a whole image does.
 
     Parameters
     ----------
     axes : (3, 3)
-        Rows: two directions across, and the image's centre, in the camera frame.
+        Rows: two transverse directions and the image centre, in the camera frame.
     least_cosine : (720,)
-        At azimuths from −π on, half a degree apart.
+        At azimuths from −π, in steps of half a degree.
     widest_cosine : float
-        The least of these.
+        Minimum of `least_cosine`.
     """
 
     axes: FloatArray
@@ -40,7 +40,7 @@ class FieldShape(NamedTuple):
 
 
 def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
-    """Outline of a camera's image grown by a margin; pixels that the lens model cannot undo are left out of it."""
+    """Outline of a camera's image enlarged by a margin, without pixels where the lens model cannot be inverted."""
     low_x, high_x = -0.5 - margin_px, camera.width - 0.5 + margin_px
     low_y, high_y = -0.5 - margin_px, camera.height - 0.5 + margin_px
     along = np.linspace(0.0, 1.0, _STEPS_PER_SIDE, endpoint=False)
@@ -63,7 +63,7 @@ def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
 
 
 def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArray:
-    """Directions (N, 3) of the rim's points, or of the outermost on the way there that has a direction."""
+    """Directions (N, 3) of the rim's points, or of the outermost points towards them that have a direction."""
     vectors = camera.unproject(rim)
     for share in np.linspace(0.98, 0.02, 49):
         lost = ~np.isfinite(vectors).all(axis=1)
@@ -75,16 +75,16 @@ def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArra
 
 @kernel
 def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
-    """Whether a unit vector of the camera frame is on the image."""
+    """Whether a unit vector in the camera frame is on the image."""
     axes = shape.axes
     cosine = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
     if cosine < shape.widest_cosine:
         return False
     across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
     down = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    place = (math.atan2(down, across) + math.pi) * (len(shape.least_cosine) / (2.0 * math.pi))
-    low = int(place)
-    share = place - low
+    step = (math.atan2(down, across) + math.pi) * (len(shape.least_cosine) / (2.0 * math.pi))
+    low = int(step)
+    share = step - low
     size = len(shape.least_cosine)
     least = (1.0 - share) * shape.least_cosine[low % size] + share * shape.least_cosine[(low + 1) % size]
     inside: bool = cosine >= least

@@ -1,4 +1,4 @@
-"""Tables in fixed-width columns, as the CDS publishes them, read a whole column at a time."""
+"""Tables with fixed-width columns, as published by the CDS, parsed column by column."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FixedWidth:
     Parameters
     ----------
     cells : uint8 array, shape (rows, width)
-        The characters.
+        Characters.
     where : str
         Name of the table, for error messages.
     """
@@ -27,21 +27,21 @@ class FixedWidth:
 
     @classmethod
     def from_bytes(cls, data: bytes, width: int, where: str) -> FixedWidth:
-        """Table of a file's bytes; short rows are filled with blanks, longer ones cut at `width`.
+        """Table from the contents of a file; short rows are padded with blanks, longer ones truncated at `width`.
 
         Raises
         ------
         InputError
-            When there is no row in the file.
+            If the file is empty.
         """
         rows = np.array(data.splitlines(), dtype=f"S{width}")
         if rows.size == 0:
-            raise InputError(f"{where}: the file is empty; install boresight anew")
+            raise InputError(f"{where}: the file is empty; reinstall boresight")
         cells = rows.view(np.uint8).reshape(len(rows), width)
         return cls(np.where(cells == 0, np.uint8(ord(" ")), cells), where)
 
     def rows(self, keep: NDArray[np.bool_]) -> FixedWidth:
-        """The rows chosen by a mask."""
+        """Rows selected by a mask."""
         return FixedWidth(self.cells[keep], self.where)
 
     def text(self, first: int, last: int) -> NDArray[np.str_]:
@@ -54,7 +54,7 @@ class FixedWidth:
         Raises
         ------
         InputError
-            When a cell is neither blank nor a number.
+            If a cell is neither blank nor a number.
         """
         column = np.char.strip(self._column(first, last))
         blank = column == b""
@@ -62,8 +62,8 @@ class FixedWidth:
             values = np.where(blank, b"nan", column).astype(np.float64)
         except ValueError as error:
             raise InputError(
-                f"{self.where}: bytes {first} to {last} hold what is no number ({error}); the file is damaged, "
-                "install its package anew"
+                f"{self.where}: bytes {first} to {last} are not a number ({error}); the file is damaged, "
+                "reinstall its package"
             ) from error
         return np.where(blank, missing, values)
 

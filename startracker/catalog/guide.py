@@ -1,7 +1,7 @@
-"""The guide-star database: the stars a camera can tell apart and the pairs they make, ready for identification.
+"""The guide-star database of a camera for identification.
 
-Stars down to the camera's limit, doubles merged, close pairs kept out of the patterns, and the
-list of separations that fit into the field, sorted.
+Stars down to the magnitude limit with unresolved doubles merged, close pairs excluded from patterns, and a sorted list
+of the pair separations that fit into the field.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.camera import Camera
+from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.field_shape import FieldShape, field_shape
-from startracker.catalog.places import seen_directions
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image, voxel_grid
@@ -30,9 +30,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 RESOLVED_PX = 2.0
-"""Two stars closer than this are one blur spot (Greyling 1995, eq. 5.1)."""
+"""Two stars closer than this are not resolved (Greyling 1995, eq. 5.1)."""
 PATTERN_STARS_IN_FIELD = 60
-"""Guide stars that make patterns, at most, in a circle around the field; fainter ones serve for verification."""
+"""Maximum number of pattern stars in a circle around the field; fainter guide stars are only used for verification."""
 _PAIR_EPOCH_STEP = 5.0  # years; the fastest naked-eye star moves 18″ in half a step, the 100th fastest 2.5″
 
 
@@ -43,9 +43,9 @@ class PairList:
     Parameters
     ----------
     first, second : int32 (P,)
-        Places in a table of stars.
+        Indices into a table of stars.
     separation_rad : float32 (P,)
-        Ascending, to 6e-8 of itself.
+        Ascending; relative precision 6e-8.
     """
 
     first: NDArray[np.int32]
@@ -59,7 +59,7 @@ class PairList:
     def of(cls, directions: FloatArray, index: IntArray, max_rad: float, min_rad: float = 0.0) -> PairList:
         """Pairs of the stars `index` of unit vectors `directions` (N, 3), `min_rad` ≤ separation ≤ `max_rad`."""
         points = directions[index]
-        if len(index) < 500:  # a prior's cone: all pairs at once
+        if len(index) < 500:  # the cone of a prior: all pairs at once
             i, j = np.triu_indices(len(index), 1)
         else:
             pairs = cKDTree(points).query_pairs(2.0 * math.sin(min(max_rad, math.pi) / 2.0), output_type="ndarray")
@@ -75,9 +75,9 @@ class PairList:
 def close_pairs(
     directions: FloatArray, v_mag: FloatArray, separation_rad: float, magnitude: float
 ) -> NDArray[np.bool_]:
-    """Stars (N,) whose measured position a neighbour can pull away.
+    """Mask (N,) of stars whose measured position can be biased by a neighbour.
 
-    A star is marked when another lies within `separation_rad` that is brighter, or less than `magnitude` fainter
+    A star is marked if there is another one within `separation_rad` that is brighter, or less than `magnitude` fainter
     (Greyling 1995, section 5.2.1: 0.08° and 0.77 mag).
     """
     marked = np.zeros(len(directions), dtype=bool)
@@ -91,10 +91,10 @@ def close_pairs(
 
 
 def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) -> NDArray[np.bool_]:
-    """Stars (N,), given brightest first, with fewer than about `limit` brighter chosen ones within `radius_rad`.
+    """Mask (N,) of stars, given brightest first, with fewer than about `limit` brighter chosen stars in `radius_rad`.
 
-    Evens the density out, so that rich and poor parts of the sky give equally many patterns. Works in growing
-    batches of equal treatment; the number in any circle exceeds `limit` by a batch's share at most.
+    Makes the density uniform, so that dense and sparse parts of the sky give the same number of patterns. The stars are
+    processed in batches of increasing size; the number in a circle exceeds `limit` at most by those of one batch.
     """
     n = len(directions)
     chosen = np.zeros(n, dtype=bool)
@@ -114,18 +114,18 @@ def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) 
 
 @dataclass(frozen=True, eq=False)
 class GuideDatabase:
-    """Guide stars of one camera, at one epoch, as one observer sees them.
+    """Guide stars of one camera at one epoch, in the apparent directions for one observer.
 
     Parameters
     ----------
     camera : Camera
-        For the field's size and shape.
+        Defines size and shape of the field.
     catalog : StarCatalog
         Guide stars, unresolved doubles merged, brightest first.
     directions : array, shape (G, 3)
-        Unit vectors in which the observer sees them, ICRS axes.
+        Apparent unit vectors, ICRS axes.
     pattern : bool array, shape (G,)
-        Stars fit to make patterns; the others only verify.
+        Stars used in patterns; the others are only used for verification.
     epoch_jyear : float
         Epoch of `directions`.
     """
@@ -141,7 +141,7 @@ class GuideDatabase:
     _grid: list[VoxelGrid] = field(default_factory=list)
     _shape: list[FieldShape] = field(default_factory=list)
 
-    # ------------------------------------------------------------------ made from
+    # ------------------------------------------------------------------ construction
     @classmethod
     def build(
         cls,
@@ -150,41 +150,41 @@ class GuideDatabase:
         magnitude_limit: float,
         settings: IdentificationSettings | None = None,
     ) -> GuideDatabase:
-        """Database of a catalogue for a camera; kept in memory, so that the same request costs nothing again.
+        """Database of a catalogue for a camera; cached in memory.
 
         Raises
         ------
         InputError
-            When the limit leaves fewer than three stars of the catalogue.
+            If fewer than three stars are brighter than the limit.
         """
         chosen = settings or IdentificationSettings()
         return _build(catalog, camera, float(magnitude_limit), chosen.close_pair_deg, chosen.close_pair_magnitude)
 
     def seen_by(self, observer: Observer | None) -> GuideDatabase:
-        """The same stars from where and when the observer is: space motion, annual parallax, aberration of light."""
+        """The same stars for an observer: space motion, annual parallax and aberration of light."""
         if observer is None:
             return self
         years = observer.epoch_jyear - self.catalog.epoch_jyear
-        place = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
+        position = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
         velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
         start, motion = self._space_motion()
-        directions = seen_directions(start, motion, parallax, years, place, beta)
+        directions = apparent_directions(start, motion, parallax, years, position, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def _space_motion(self) -> list[FloatArray]:
-        """Directions and space motion a Julian year at the catalogue's epoch, (3, G) each; kept."""
+        """Directions and space motion per Julian year at the catalogue's epoch, (3, G) each; cached."""
         if not self._motion:
             self._motion.extend(np.ascontiguousarray(axes.T) for axes in self.catalog.space_motion())
         return self._motion
 
     @property
     def motion(self) -> FloatArray:
-        """Space motion (G, 3) of the unit vectors a Julian year, ICRS axes."""
+        """Space motion (G, 3) of the unit vectors per Julian year, ICRS axes."""
         return np.asarray(self._space_motion()[1].T)
 
     def brightest(self, count: int) -> GuideDatabase:
-        """The same sky with the `count` brightest stars alone."""
+        """The database with only the `count` brightest stars."""
         if count >= len(self):
             return self
         directions = self.directions[:count]
@@ -198,7 +198,7 @@ class GuideDatabase:
             _grid=[],
         )
 
-    # ------------------------------------------------------------------ facts
+    # ------------------------------------------------------------------ properties
     def __len__(self) -> int:
         return len(self.catalog)
 
@@ -219,15 +219,15 @@ class GuideDatabase:
 
     @property
     def pairs(self) -> PairList:
-        """All pairs of pattern stars that fit into the field, over the whole sky; made when first asked for.
+        """All pairs of pattern stars over the whole sky that fit into the field; computed on first use.
 
-        Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`: aberration changes
-        them by 1e-4 at most, and whoever matches allows for that.
+        Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`. Aberration changes them
+        by at most 1e-4, for which matching must allow.
         """
         return self.pairs_within(1.0)
 
     def pairs_within(self, share: float) -> PairList:
-        """As `pairs`, of separations up to a share of the field's diagonal."""
+        """As `pairs`, with separations up to a fraction of the field's diagonal."""
         epoch = _PAIR_EPOCH_STEP * round(self.epoch_jyear / _PAIR_EPOCH_STEP)
         if (epoch, share) not in self._pairs:
             index = np.flatnonzero(self.pattern)
@@ -238,20 +238,20 @@ class GuideDatabase:
         return self._pairs[epoch, share]
 
     def pairs_near(self, axis: FloatArray, radius_rad: float) -> PairList:
-        """Pairs of pattern stars that can be in the field when its axis is within `radius_rad` of a unit vector."""
+        """Pairs of pattern stars that can be in the field if the boresight is within `radius_rad` of a unit vector."""
         near = self.in_cone(axis, self.half_diagonal_rad + radius_rad)
         return PairList.of(self.directions, near[self.pattern[near]], min(2.0 * self.half_diagonal_rad, math.pi))
 
     @property
     def view(self) -> SkyView:
-        """The stars and the field as kernels take them; the grid and the outline are made when first asked for."""
+        """The stars and the field as kernels take them; grid and outline are computed on first use."""
         if not self._shape:
             self._shape.append(field_shape(self.camera))
         return SkyView(self.directions, self.v_mag, self.grid, self._shape[0], self.solid_angle_sr)
 
     @property
     def grid(self) -> VoxelGrid:
-        """Where the stars are, for kernels; made when first asked for."""
+        """Spatial index of the stars for kernels; computed on first use."""
         if not self._grid:
             self._grid.append(voxel_grid(self.directions))
         return self._grid[0]
@@ -280,14 +280,14 @@ class GuideDatabase:
 
 
 def field_cosine(camera: Camera, margin_px: float = 0.0) -> float:
-    """Cosine of the largest angle between the boresight and a place on the image, grown by a margin."""
+    """Cosine of the largest angle between the boresight and a point of the image, enlarged by a margin."""
     return math.cos(min(camera.half_diagonal_rad + 1.5 * margin_px * camera.pixel_rad, math.pi))
 
 
 def field_of(camera: Camera) -> tuple[float, float]:
-    """Half diagonal (rad) and solid angle (sr) of a camera's image, distortion included.
+    """Half diagonal (rad) and solid angle (sr) of a camera's image, with distortion.
 
-    The solid angle is the sum over a 24 × 24 grid of the cells' areas on the sphere, good to 1e-3.
+    The solid angle is summed over a grid of 24 × 24 cells and is accurate to 1e-3.
     """
     x = np.linspace(-0.5, camera.width - 0.5, 25)
     y = np.linspace(-0.5, camera.height - 0.5, 25)
@@ -296,7 +296,7 @@ def field_of(camera: Camera) -> tuple[float, float]:
     area = 0.5 * np.linalg.norm(np.cross(down, across), axis=-1)
     half_diagonal = camera.half_diagonal_rad
     if not (math.isfinite(half_diagonal) and np.isfinite(area).any()):
-        raise InputError("the camera's distortion cannot be undone anywhere on the image: check its coefficients")
+        raise InputError("the camera's distortion cannot be inverted anywhere on the image: check its coefficients")
     return half_diagonal, float(np.nansum(area))
 
 
@@ -312,7 +312,7 @@ def _build(
             f"magnitude limit {magnitude_limit}: the catalogue {catalog.name} has {len(merged)} stars down to it; "
             f"give a fainter limit (its brightest star is V = {faintest:.2f})"
         )
-    merged = replace(merged, spectral_type=np.full(len(merged), ""))  # half a database's memory, and of no use to it
+    merged = replace(merged, spectral_type=np.full(len(merged), ""))  # unused, and half of the database's memory
     half_diagonal, solid_angle = field_of(camera)
     directions = merged.directions(merged.epoch_jyear)
     pattern = ~close_pairs(directions, merged.v_mag, math.radians(close_deg), close_magnitude)
@@ -329,5 +329,5 @@ def _build(
 
 
 def _deep_enough(catalog: StarCatalog, magnitude_limit: float) -> StarCatalog:
-    # two equal stars merge to one 0.75 mag brighter, so that fainter components can enter
+    # two equal stars merge to one 0.75 mag brighter, so fainter components must be included
     return catalog.brighter_than(magnitude_limit + 0.8)

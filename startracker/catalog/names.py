@@ -1,6 +1,6 @@
-"""Names of stars as people read them, and the stick figures of constellations.
+"""Readable names of stars, and constellation lines.
 
-`bsc5` writes ``Alp1 Cen``; here that is ``Rigil Kentaurus`` (proper name, IAU Catalog of Star Names), or ``α¹ Cen``.
+``Alp1 Cen`` of `bsc5` becomes ``Rigil Kentaurus`` (proper name, IAU Catalog of Star Names) or ``α¹ Cen``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def designation(star_name: str) -> str:
-    """Bayer letter in Greek with a raised index ("α¹ Cen"), Flamsteed number as it is ("61 Cyg"); empty stays empty."""
+    """Bayer designation with Greek letter and superscript ("α¹ Cen"); Flamsteed numbers ("61 Cyg") are unchanged."""
     words = star_name.split()
     if len(words) != 2:
         return star_name.strip()
@@ -36,24 +36,24 @@ def designation(star_name: str) -> str:
 
 
 def proper_name(star_name: str) -> str:
-    """Proper name of a star given as ``bsc5`` does ("Alp CMa" gives "Sirius"); empty where it has none."""
+    """Proper name of a star from its ``bsc5`` name ("Alp CMa" gives "Sirius"); empty if it has none."""
     return proper_names().get(" ".join(star_name.split()), "")
 
 
 @functools.cache
 def proper_names() -> dict[str, str]:
-    """Proper name by designation, for the stars that have one."""
+    """Proper names by designation."""
     entries = (entry.split("=") for line in _lines("star_names.txt") for entry in line.split(";"))
     return {star.strip(): name.strip() for star, name in entries}
 
 
 def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArray[np.str_]]:
-    """Lines of the constellations' stick figures.
+    """Constellation lines.
 
     Returns
     -------
     pairs : int array, shape (L, 2)
-        Row in the catalogue of both ends of each line. A star that the catalogue lacks takes its lines with it.
+        Rows of both ends of each line in the catalogue. Lines to stars that the catalogue lacks are omitted.
     constellation : str array, shape (L,)
         IAU abbreviation.
     """
@@ -72,7 +72,7 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
 
 
 def designation_rows(catalog: StarCatalog) -> dict[str, int]:
-    """Row of each designation; a Bayer letter without its index is that of the brightest such star."""
+    """Row of each designation; a Bayer letter without superscript refers to the brightest such star."""
     rows: dict[str, int] = {}
     named = np.flatnonzero(catalog.star_name != "")
     for i in named[np.argsort(catalog.v_mag[named], kind="stable")]:

@@ -1,4 +1,4 @@
-"""What kernels see of the sky: the guide stars as arrays, and the camera's field."""
+"""Guide stars and the camera's field as arrays for kernels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SkyView(NamedTuple):
     grid : VoxelGrid
     shape : FieldShape
     area : float
-        Of the image, sr.
+        Solid angle of the image, sr.
     """
 
     directions: FloatArray

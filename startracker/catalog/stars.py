@@ -1,4 +1,4 @@
-"""The star catalogue: one immutable table, propagated to any epoch."""
+"""The star catalogue: an immutable table that can be propagated to any epoch."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class StarCatalog:
     Parameters
     ----------
     name : str
-        Name of the catalogue, as users write it.
+        Name of the catalogue.
     epoch_jyear : float
         Julian epoch of the positions (TT/TCB; the difference is far below the catalogues' errors).
     id : int array
@@ -33,7 +33,7 @@ class StarCatalog:
     ra_rad, dec_rad : float array
         ICRS position at `epoch_jyear`.
     pm_ra_rad_yr, pm_dec_rad_yr : float array
-        Proper motion, radians a Julian year; RA already times cos Dec.
+        Proper motion, radians per Julian year; RA multiplied by cos Dec.
     parallax_rad, radial_velocity_km_s : float array
         Zero where unknown.
     v_mag : float array
@@ -47,8 +47,8 @@ class StarCatalog:
     position_sigma_rad : float
         Standard error of the positions on one axis, which the tracker adds to that of its centroids.
     variable : bool array
-        Known to vary in brightness, by what the catalogue says; False throughout by default. `v_mag` is one value, so
-        such a star may be met brighter or fainter.
+        Known to vary in brightness, according to the catalogue; all False by default. Such a star may be brighter or
+        fainter than `v_mag`.
     """
 
     name: str
@@ -65,7 +65,7 @@ class StarCatalog:
     spectral_type: NDArray[np.str_]
     star_name: NDArray[np.str_]
     position_sigma_rad: float = 0.1 * ARCSEC_RAD
-    variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: nothing known to vary
+    variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: no known variables
 
     def __post_init__(self) -> None:
         n = len(self.id)
@@ -86,7 +86,7 @@ class StarCatalog:
         return len(self.id)
 
     def select(self, index: NDArray[Any]) -> StarCatalog:
-        """Part of the catalogue, by boolean mask or by index array (which also orders)."""
+        """Part of the catalogue, by boolean mask or by index array."""
         columns: dict[str, Any] = {c: read_only(getattr(self, c)[index]) for c in self.columns()}
         return replace(self, **columns)
 
@@ -96,9 +96,9 @@ class StarCatalog:
         return self.select(keep[np.argsort(self.v_mag[keep], kind="stable")])
 
     def space_motion(self) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors (N, 3) at the catalogue's epoch and their space motion (N, 3) a Julian year.
+        """Unit vectors (N, 3) at the catalogue's epoch and their space motion (N, 3) per Julian year.
 
-        The motion joins proper motion and the perspective term of the radial velocity: u + τ·m points at the star
+        The motion combines the proper motion with the radial velocity's perspective term: u + τ·m points to the star
         τ years later (Hipparcos catalogue, ESA SP-1200, vol. 1, eq. 1.2.11 to 1.2.13).
         """
         u = radec_to_direction(self.ra_rad, self.dec_rad)
@@ -108,12 +108,12 @@ class StarCatalog:
         return u, motion
 
     def directions(self, epoch_jyear: float, observer_au: FloatArray | None = None) -> FloatArray:
-        """ICRS unit vectors (N, 3) at a Julian epoch, seen from the barycentre or from `observer_au`.
+        """ICRS unit vectors (N, 3) at a Julian epoch, from the barycentre or from `observer_au`.
 
         Parameters
         ----------
         epoch_jyear : float
-            For example 2026.22; straight space motion holds within a milliarcsecond for centuries.
+            For example 2026.22; linear space motion is accurate to a milliarcsecond over centuries.
         observer_au : float array, shape (3,), optional
             Observer's barycentric position in au (ICRS); adds the annual parallax.
         """
@@ -124,10 +124,10 @@ class StarCatalog:
         return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True), dtype=np.float64)
 
     def at_epoch(self, epoch_jyear: float) -> StarCatalog:
-        """The same stars with position, motion and distance as they are at another Julian epoch.
+        """The same stars with position, motion and distance at another Julian epoch.
 
-        Of a star without parallax the radial part that its straight way gains is lost: (μ τ)² in the position, 4 mas
-        for 1″ a year over 30 years.
+        For a star without parallax the change of the radial motion is lost: an error of (μ τ)² in the position, 4 mas
+        for 1″ per year over 30 years.
         """
         u, motion = self.space_motion()
         moved = u + (epoch_jyear - self.epoch_jyear) * motion
@@ -151,7 +151,7 @@ class StarCatalog:
 
 
 def _unchangeable(column: ArrayLike) -> NDArray[Any]:
-    """A column as nobody can change it: a copy, unless it and what it is a view of are read-only."""
+    """A read-only column: a copy, unless the array and its base are already read-only."""
     array = np.asarray(column)
     owner = array if array.base is None else array.base
     shared = isinstance(owner, np.ndarray) and not owner.flags.writeable and not array.flags.writeable
@@ -159,7 +159,7 @@ def _unchangeable(column: ArrayLike) -> NDArray[Any]:
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself, from now on read-only, and so is the one that it is a view of."""
+    """Make an array and its base read-only and return it."""
     array.flags.writeable = False
     if isinstance(array.base, np.ndarray):
         array.base.flags.writeable = False
@@ -167,7 +167,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _east_north(ra_rad: FloatArray, dec_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors (N, 3) to the east and to the north at each place."""
+    """Unit vectors (N, 3) to the east and to the north at each position."""
     sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra_rad), np.cos(ra_rad), np.sin(dec_rad), np.cos(dec_rad)
     east = np.stack([-sin_ra, cos_ra, np.zeros_like(sin_ra)], axis=1)
     return east, np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=1)

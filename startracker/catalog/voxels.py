@@ -1,7 +1,7 @@
-"""Finding stars by direction without trigonometry: a grid of cubes around the unit sphere.
+"""Search for stars by direction without trigonometry: a grid of cubes around the unit sphere.
 
-A star's cube follows from its unit vector by three divisions; what lies within a chord of a direction lies in the
-cubes that a box of that half side touches. Kernels take the grid as plain arrays.
+The cube of a star follows from its unit vector by three divisions. Stars within a chord of a direction are in the cubes
+that intersect a box of that half side. Kernels take the grid as plain arrays.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ IntArray = NDArray[np.int64]
 _STARS_PER_CUBE = 2.0
 _MOST_CUBES_PER_AXIS = 96
 DRIFT = 2e-4
-"""What aberration (26″) and two decades of proper motion move a star after the grid was made, at most, bar a few."""
+"""Maximum motion of a star after the grid was built, for all but a few stars: aberration (26″) and two decades of
+proper motion."""
 _LARGEST_DRIFT = 2e-3
-"""The same of the fastest stars over half a century; a cone reaches so much farther for cubes."""
+"""The same for the fastest stars over half a century; added to the radius of a cone."""
 
 
 class VoxelGrid(NamedTuple):
@@ -35,11 +36,11 @@ class VoxelGrid(NamedTuple):
     Parameters
     ----------
     per_axis : int
-        Cubes along each axis of the box from −1 to 1.
+        Number of cubes along each axis of the box from −1 to 1.
     start : int32 (per_axis³ + 1,)
-        Where each cube's stars begin in `members`.
+        Index in `members` of the first star of each cube.
     members : int32 (N,)
-        Stars, cube by cube, ascending within one.
+        Stars sorted by cube, ascending within each.
     """
 
     per_axis: int
@@ -48,7 +49,7 @@ class VoxelGrid(NamedTuple):
 
 
 def voxel_grid(directions: FloatArray) -> VoxelGrid:
-    """Grid of unit vectors (N, 3), some two stars to a cube that the sphere passes through."""
+    """Grid of unit vectors (N, 3), with about two stars per cube that intersects the sphere."""
     side = math.sqrt(4.0 * math.pi * _STARS_PER_CUBE / max(len(directions), 1))
     per_axis = min(max(int(2.0 / side), 1), _MOST_CUBES_PER_AXIS)
     cell = np.clip(((directions + 1.0) * (0.5 * per_axis)).astype(np.int64), 0, per_axis - 1)
@@ -88,7 +89,7 @@ def star_within(x: float, y: float, z: float, chord2: float, directions: FloatAr
 def stars_in_cone(
     x: float, y: float, z: float, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> NDArray[np.int32]:
-    """Stars whose angle to the unit vector (x, y, z) has at least this cosine, in the grid's order."""
+    """Stars whose angle to the unit vector (x, y, z) has at least this cosine, in the order of the grid."""
     reach = math.sqrt(max(2.0 - 2.0 * cosine, 0.0)) + _LARGEST_DRIFT
     x0, x1 = _cell_range(x, reach, grid.per_axis)
     y0, y1 = _cell_range(y, reach, grid.per_axis)
@@ -115,8 +116,8 @@ def stars_in_cone(
 def stars_around(
     matrix: FloatArray, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> tuple[IntArray, FloatArray]:
-    """Stars about the boresight at the attitude `matrix` (3, 3), to an angle of this cosine, ascending, and their
-    vectors (K, 3) in the camera frame."""
+    """Indices, ascending, of the stars within an angle with this cosine of the boresight at the attitude `matrix`
+    (3, 3), and their vectors (K, 3) in the camera frame."""
     near = stars_in_cone(matrix[2, 0], matrix[2, 1], matrix[2, 2], cosine, directions, grid)
     index, vectors = np.empty(len(near), np.int64), np.empty((len(near), 3))
     for k in range(len(near)):
@@ -137,8 +138,8 @@ def stars_around(
 def stars_on_image(
     matrix: FloatArray, cosine: float, margin_px: float, directions: FloatArray, grid: VoxelGrid, image: ImageMap
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Stars on an image, grown by a margin, at the attitude `matrix` (3, 3): ascending, their vectors (K, 3) in the
-    camera frame, and pixels (K, 2). None is farther from the boresight than an angle of this cosine."""
+    """Indices, ascending, of the stars on an image enlarged by a margin, at the attitude `matrix` (3, 3), their vectors
+    (K, 3) in the camera frame and pixels (K, 2). `cosine` is that of the largest angle from the boresight."""
     index, vectors = stars_around(matrix, cosine, directions, grid)
     xy = to_pixels(vectors, image)
     low, right, bottom = -0.5 - margin_px, image[WIDTH] - 0.5 + margin_px, image[HEIGHT] - 0.5 + margin_px

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from startracker.centroid.moments import Prepared, measure_moments, prepare
-from startracker.centroid.psf_kernel import fit_stars
+from startracker.centroid.frame import Prepared, measure_moments, prepare
+from startracker.centroid.psf_kernel import Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel
 from startracker.centroid.psf_shape import frame_psf
 from startracker.detection.background import Background
@@ -102,47 +102,25 @@ def build_effective_psf(
     if not 2.0 <= radius_px <= 20.0:
         raise InputError(f"the radius of a star image is {radius_px}; it must be from 2 to 20 pixels")
     half = math.floor(radius_px - 0.5)
-    prepared, chosen, models = [], [], []
-    for number, (image, background, spots) in enumerate(frames):
-        frame = prepare(image, background, CentroidSettings(), gain_e_per_dn)
-        prepared.append(frame)
-        if not len(spots):
-            continue
-        moments, sigmas = measure_moments(frame, spots)
-        height, width = frame.image.shape
-        at = np.where(np.isfinite(moments[:, :2]), moments[:, :2], np.stack([spots.x_peak, spots.y_peak], axis=1))
-        near = (np.abs(at[:, None] - at[None, :]).max(axis=2) < 2 * radius_px).sum(axis=1) > 1
-        inside = (at > half + 1).all(axis=1) & (at < [width - half - 2, height - half - 2]).all(axis=1)
-        good = np.flatnonzero(~spots.saturated & ~spots.edge & ~near & inside & np.isfinite(moments).all(axis=1))
-        chosen += [(moments[s, 2], number, at[s, 0], at[s, 1]) for s in good]
-        models.append((len(good), number, frame_psf(frame, spots, at, sigmas, radius_px + _MARGIN_PX)))
-    if len(chosen) < _LEAST_STARS:
-        raise InputError(
-            f"{len(chosen)} stars stand alone, unsaturated and off the border; a star image needs {_LEAST_STARS}"
-        )
-    chosen.sort(reverse=True)
-    stars = np.array(chosen[:most_stars])
-    psf = max(models, key=lambda entry: entry[0])[2]
+    prepared = [prepare(image, background, CentroidSettings(), gain_e_per_dn) for image, background, _ in frames]
+    stars, psf = _clean_stars(prepared, [spots for _, _, spots in frames], radius_px, half, most_stars)
     basis = _Basis(radius_px)
-    grid = np.arange(
-        -math.ceil((radius_px + 0.5) * _OVERSAMPLING) - 2, math.ceil((radius_px + 0.5) * _OVERSAMPLING) + 3
-    )
-    on_grid = basis(grid / _OVERSAMPLING)
+    reach = math.ceil((radius_px + 0.5) * _OVERSAMPLING) + 2
+    grid = np.arange(-reach, reach + 1) / _OVERSAMPLING
+    on_grid = basis(grid)
     shape = psf.shape
     # the Gaussian in the basis
     inverse = np.linalg.pinv(on_grid)
-    start = psf.shares(grid / _OVERSAMPLING, (grid / _OVERSAMPLING)[:, None])
-    coefficients = inverse @ start @ inverse.T
+    coefficients = inverse @ psf.shares(grid, grid[:, None]) @ inverse.T
     for _ in range(_ROUNDS):
         psf = _as_model(on_grid @ coefficients @ on_grid.T, shape)
         fits = np.full((len(stars), 8), np.nan)
         for number, frame in enumerate(prepared):
             rows = np.flatnonzero(stars[:, 1] == number)
-            fits[rows] = fit_stars(
-                frame.image, frame.level, frame.noise, *psf.samples, np.arange(len(rows)),
-                stars[rows, 2].copy(), stars[rows, 3].copy(), np.full(len(rows), half), np.full(len(rows), np.inf),
-                frame.inverse_gain, 0.0, True,
-            )  # fmt: skip
+            x, y = stars[rows, 2:].T.copy()
+            starts = Starts(x, y, np.full(len(rows), half), np.full(len(rows), np.inf))
+            plain = frame.pixels._replace(flat_error=0.0)
+            fits[rows] = fit_stars(plain, psf.samples, starts, np.arange(len(rows)), True)
         misfit = fits[:, 6] / fits[:, 7]
         usual = np.nanmedian(misfit)
         spread = 1.4826 * np.nanmedian(np.abs(misfit - usual)) + np.sqrt(2.0 / np.nanmedian(fits[:, 7]))
@@ -152,6 +130,32 @@ def build_effective_psf(
         if np.abs(on_grid @ (coefficients - before) @ on_grid.T).max() < _CONVERGED * psf.table.max():
             break
     return _as_model(on_grid @ coefficients @ on_grid.T, shape)
+
+
+def _clean_stars(
+    prepared: Sequence[Prepared], spots: Sequence[Spots], radius_px: float, half: int, most: int
+) -> tuple[FloatArray, PsfModel]:
+    """Flux, number of the frame, x and y (N, 4) of the brightest clean stars; the Gaussian of the frame with most."""
+    chosen, models = [], []
+    for number, (frame, found) in enumerate(zip(prepared, spots, strict=True)):
+        if not len(found):
+            continue
+        moments, sigmas = measure_moments(frame, found)
+        height, width = frame.pixels.image.shape
+        at = np.where(np.isfinite(moments[:, :2]), moments[:, :2], np.stack([found.x_peak, found.y_peak], axis=1))
+        near = (np.abs(at[:, None] - at[None, :]).max(axis=2) < 2 * radius_px).sum(axis=1) > 1
+        inside = (at > half + 1).all(axis=1) & (at < [width - half - 2, height - half - 2]).all(axis=1)
+        good = np.flatnonzero(~found.saturated & ~found.edge & ~near & inside & np.isfinite(moments).all(axis=1))
+        chosen += [(moments[s, 2], number, at[s, 0], at[s, 1]) for s in good]
+        x, y = at.T.copy()
+        starts = Starts(x, y, np.zeros(len(x), np.int64), np.full(len(x), np.inf))
+        models.append((len(good), number, frame_psf(frame, found, starts, sigmas, radius_px + _MARGIN_PX)))
+    if len(chosen) < _LEAST_STARS:
+        raise InputError(
+            f"{len(chosen)} stars stand alone, unsaturated and off the border; a star image needs {_LEAST_STARS}"
+        )
+    chosen.sort(reverse=True)
+    return np.array(chosen[:most]), max(models, key=lambda entry: entry[0])[2]
 
 
 def _as_model(table: FloatArray, shape: tuple[float, float, float]) -> PsfModel:
@@ -182,8 +186,8 @@ def _adjust(
         by_y = (basis(k - y - h) - basis(k - y + h)) / (2 * h)
         p = along_y @ coefficients @ along_x.T
         model = flux * p
-        data = frame.image[cut].astype(float) - frame.level[cut]
-        variance = frame.noise[cut].astype(float) ** 2 + np.maximum(model, 0) * frame.inverse_gain
+        data = frame.pixels.image[cut].astype(float) - frame.pixels.level[cut]
+        variance = frame.pixels.noise[cut].astype(float) ** 2 + np.maximum(model, 0) * frame.pixels.inverse_gain
         weight = np.where(np.isfinite(data), 1.0 / np.sqrt(variance), 0.0).ravel()
         data = np.where(np.isfinite(data), data, 0.0)
         nuisance = [along_y @ coefficients @ by_x.T, by_y @ coefficients @ along_x.T, p]

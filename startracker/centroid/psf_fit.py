@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.centroid.moments import Prepared, collect, measure_moments, prepare
-from startracker.centroid.psf_kernel import fit_stars, group_stars, weighted_moments
+from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
+from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import correct_skewness
-from startracker.centroid.window import MEASURED
+from startracker.centroid.window import MEASURED, Peaks, Pixels
 from startracker.detection.background import Background
-from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
@@ -26,7 +25,6 @@ from startracker.settings import CentroidSettings
 __all__ = ["MISFIT_SIGMA", "SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LARGEST_HALF_PX = 8
 _WIDTHS = 2.5
@@ -70,23 +68,9 @@ def weighted_table(
     frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]
 ) -> tuple[FloatArray, PsfModel]:
     """Measurements (N, 6) by weighted moments, or the `moments` given where these fail, and the star image."""
-    psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
-    table = np.asarray(
-        weighted_moments(
-            frame.image,
-            frame.level,
-            frame.noise,
-            psf.table,
-            psf.oversampling,
-            np.array(psf.shape),
-            start[:, 0].copy(),
-            start[:, 1].copy(),
-            halves,
-            ceilings,
-            frame.inverse_gain,
-            frame.settings.bias_correction,
-        )
-    )
+    psf, starts = _start(frame, spots, moments, sigmas)
+    samples = psf.samples._replace(table=psf.table)
+    table = np.asarray(weighted_moments(frame.pixels, samples, starts, psf.shape, frame.settings.bias_correction))
     failed = ~np.isfinite(table).all(axis=1) | spots.saturated
     table[failed] = moments[failed]
     return table, psf
@@ -160,118 +144,60 @@ def _fit(
     if not len(spots):
         return Centroids.none()
     moments, sigmas = measure_moments(frame, spots)
-    psf, start, halves, ceilings = _start(frame, spots, moments, sigmas)
-    table, group, excess = _fit_found(
-        frame.image,
-        frame.level,
-        frame.noise,
-        *psf.samples,
-        start,
-        moments,
-        halves,
-        float(math.ceil(_WIDTHS * psf.sigma_px)),
-        ceilings,
-        frame.inverse_gain,
-        frame.settings.flat_field_error,
-        reweigh,
-    )
+    psf, starts = _start(frame, spots, moments, sigmas)
+    group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
+    fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
+    table, excess = fits[:, :MEASURED].copy(), (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
+    table[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
+    failed = np.flatnonzero(~np.isfinite(table.sum(axis=1)))
+    # a star measured by its moment counts as apart from its group
+    table[failed], group[failed] = moments[failed], len(table) + failed
     common = None
     if frame.settings.psf is None:
-        common = correct_skewness(
-            frame.image,
-            frame.level,
-            frame.noise,
-            table,
-            spots.saturated | spots.edge,
-            int(halves.min()),
-            psf.shape,
-            frame.inverse_gain,
-            frame.settings.flat_field_error,
-        )
+        half = int(starts.half.min())
+        common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
     misfit = misfit_of_brightest(table[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
     return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
 
 
-def _fit_found(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    table: FloatArray,
-    axes: FloatArray,
-    oversampling: int,
-    start: FloatArray,
-    moments: FloatArray,
-    halves: IntArray,
-    apart: float,
-    ceilings: FloatArray,
-    inverse_gain: float,
-    flat_error: float,
-    reweigh: bool,
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Measurements (N, 6) by fits, or by moments where these fail, the number of each star's group, and the excess of
-    χ² of its fit, in standard deviations."""
-    x, y = start[:, 0].copy(), start[:, 1].copy()
-    group = group_stars(x, y, halves + apart)
-    fits = fit_stars(
-        image, level, noise, table, axes, oversampling, group, x, y, halves, ceilings, inverse_gain, flat_error, reweigh
-    )
-    out, excess = fits[:, :MEASURED].copy(), (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
-    out[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
-    failed = np.flatnonzero(~np.isfinite(out).all(axis=1))
-    # a star measured by its moment counts as apart from its group
-    out[failed], group[failed] = moments[failed], len(x) + failed
-    return out, group, excess
-
-
-def _start(
-    frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]
-) -> tuple[PsfModel, FloatArray, IntArray, FloatArray]:
-    """Star image, approximate positions (N, 2), half widths of windows (N,), ceilings (N,) in DN."""
+def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]) -> tuple[PsfModel, Starts]:
+    """Star image, and where and how far the fits look."""
     if not 0.0 <= frame.settings.flat_field_error < 1.0:
         raise InputError(
             f"centroid.flat_field_error is {frame.settings.flat_field_error}; it must be from 0 to below 1"
         )
-    start, flat, ceilings = _start_values(
-        frame.image, frame.level, spots.x_peak, spots.y_peak, spots.pixels, spots.saturated, moments
-    )
+    peaks = Peaks(spots.x_peak, spots.y_peak, spots.pixels, spots.saturated)
+    starts = _start_values(frame.pixels, peaks, moments)
     if frame.settings.psf is None:
         # as wide as the windows will be; an image longer than the moments took it for is cut off, not wrong
-        wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(flat.max()) + 3.0
-        psf = frame_psf(frame, spots, start, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
+        wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(starts.half.max()) + 3.0
+        psf = frame_psf(frame, spots, starts, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
     else:
         psf = load_psf(frame.settings.psf)
     # the pixel at the corner of a window whose star has moved by one pixel must lie in the table
     reach = min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
     half = min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), reach)
-    return psf, start, np.minimum(half + flat, reach), ceilings
+    return psf, starts._replace(half=np.minimum(half + starts.half, reach))
 
 
 @kernel
-def _start_values(
-    image: Image,
-    level: Plane,
-    xs: IntArray,
-    ys: IntArray,
-    pixels: IntArray,
-    saturated: NDArray[np.bool_],
-    moments: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Approximate positions (N, 2), radii of flat tops in whole pixels and ceilings (N,), DN."""
-    count = len(xs)
-    start, flat, ceilings = np.empty((count, 2)), np.zeros(count, np.int64), np.full(count, np.inf)
+def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
+    """Approximate positions; half widths that are the radii of flat tops in whole pixels alone."""
+    count = len(moments)
+    xs, ys = moments[:, 0].copy(), moments[:, 1].copy()
+    flat, ceilings = np.zeros(count, np.int64), np.full(count, np.inf)
     for n in range(count):
-        x, y = xs[n], ys[n]
-        start[n, 0], start[n, 1] = moments[n, 0], moments[n, 1]
-        off = max(abs(start[n, 0] - x), abs(start[n, 1] - y))
+        x, y = peaks.x[n], peaks.y[n]
+        off = max(abs(xs[n] - x), abs(ys[n] - y))
         # a moment that neighbours have drawn off is no start
-        if not math.isfinite(start[n, 0]) or (off > _ASTRAY_PX and not saturated[n]):
-            start[n, 0], start[n, 1] = x, y
-        if saturated[n]:
-            flat[n] = math.ceil(math.sqrt(pixels[n] / math.pi))
-            sky = np.float64(level[y, x])
-            ceilings[n] = sky + _CEILING_SHARE * (np.float64(image[y, x]) - sky)
-    return start, flat, ceilings
+        if not math.isfinite(xs[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
+            xs[n], ys[n] = x, y
+        if peaks.saturated[n]:
+            flat[n] = math.ceil(math.sqrt(peaks.pixels[n] / math.pi))
+            sky = np.float64(pixels.level[y, x])
+            ceilings[n] = sky + _CEILING_SHARE * (np.float64(pixels.image[y, x]) - sky)
+    return Starts(xs, ys, flat, ceilings)
 
 
 def _widths(psf: PsfModel) -> tuple[float, float]:

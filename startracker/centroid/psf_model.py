@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
 
-__all__ = ["PsfModel", "gaussian_axes", "gaussian_psf", "load_psf"]
+__all__ = ["PsfModel", "Samples", "gaussian_axes", "gaussian_psf", "load_psf"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +32,14 @@ _FORMAT = 1
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 _NO_AXES = np.empty((0, 0))
+
+
+class Samples(NamedTuple):
+    """A `PsfModel` for kernels, which read the table only where there are no axes."""
+
+    table: FloatArray
+    axes: FloatArray
+    oversampling: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +73,9 @@ class PsfModel:
         return float((points - 1) / 2 / self.oversampling)
 
     @property
-    def samples(self) -> tuple[FloatArray, FloatArray, int]:
-        """Table, axes and points a pixel, for kernels, which read the table only where there are no axes."""
-        return _NO_AXES if len(self.axes) else self.table, self.axes, self.oversampling
+    def samples(self) -> Samples:
+        """What kernels interpolate."""
+        return Samples(_NO_AXES if len(self.axes) else self.table, self.axes, self.oversampling)
 
     @cached_property
     def noise_area_px(self) -> float:

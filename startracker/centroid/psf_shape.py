@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
-from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.moments import Prepared
-from startracker.centroid.psf_kernel import fit_stars
+from startracker.centroid.frame import MODEL_STARS, Prepared, brightest_alone
+from startracker.centroid.psf_kernel import Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.centroid.psf_sums import normal_equations
-from startracker.centroid.window import read_pixels
-from startracker.detection.plane import Plane
+from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
-from startracker.detection.values import Image
 from startracker.kernels import kernel
+from startracker.linalg import factorise, substitute
 from startracker.sorting import median
 
-__all__ = ["fit_gaussians", "frame_psf", "is_alone"]
+__all__ = ["fit_gaussians", "frame_psf"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Shape: TypeAlias = tuple[float, float, float]
 
-_SHAPE_STARS = 9
-"""Brightest clean stars whose shapes are fitted."""
-_FEWEST_ALONE = 3
+_LOOKED_AT, _FEWEST_ALONE = 18, 3
 _LARGEST_HALF_PX = 8
 _NODES = np.polynomial.legendre.leggauss(3)[0] / 2.0
 _WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
@@ -39,158 +37,130 @@ _STREAK_RATIO = 1.5
 
 
 @kernel
-def fit_gaussians(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    xs: FloatArray,
-    ys: FloatArray,
-    half: int,
-    xx: float,
-    yy: float,
-    inverse_gain: float,
-) -> FloatArray:
-    """Variances along x and y and covariance (N, 3), px², of pixel-integrated Gaussians fitted to stars; NaN: none.
+def fit_gaussians(pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape) -> Shape:
+    """Median variances along x and y and covariance, px², of pixel-integrated Gaussians fitted to stars; NaN: none.
 
-    Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; pixels are integrated by
-    3×3 Gauss-Legendre nodes. `xx`, `yy` are the start.
+    Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; `shape` is the start.
     """
-    height, width = image.shape
-    out = np.full((len(xs), 3), np.nan)
-    side, nodes = 2 * half + 1, len(_NODES)
-    gradient, normal, right = np.empty(6), np.zeros((6, 6)), np.empty(6)
-    slopes, pixels = np.empty((6, side * side)), np.empty((5, side * side))
-    signal, dark, weights, residuals, work = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4]
-    # the Gaussian is a product of one factor along x, one along y and one of both, which steps from pixel to pixel
-    along_x, along_y = np.empty(nodes * side), np.empty(nodes * side)
-    both, step_y = np.empty((nodes, nodes * side)), np.empty(nodes * side)
-    for index in range(len(xs)):
-        cx, cy = round(xs[index]), round(ys[index])
-        x, y, a, b, c = xs[index], ys[index], xx, yy, 0.0
-        flux = -1.0
-        low_x, high_x = max(cx - half, 0), min(cx + half + 1, width)
-        low_y, high_y = max(cy - half, 0), min(cy + half + 1, height)
-        wide, high = high_x - low_x, high_y - low_y
-        read_pixels(image, level, noise, low_x, low_y, wide, high, np.inf, signal, dark)
-        for _ in range(_STEPS):
-            above, below = 0.0, 0.0
-            determinant = a * b - c * c
-            ia, ib, ic = b / determinant, a / determinant, -c / determinant
-            scale = 1.0 / (2.0 * math.pi * math.sqrt(determinant))
-            for k in range(nodes * wide):
-                u = low_x + k // nodes + _NODES[k % nodes] - x
-                along_x[k] = scale * _WEIGHTS[k % nodes] * math.exp(-0.5 * ia * u * u)
-                if k < nodes:
-                    step_y[k] = math.exp(-ic * u)
-            for t in range(nodes):
-                v = low_y + _NODES[t] - y
-                for k in range(nodes):
-                    both[t, k] = math.exp(-ic * (low_x + _NODES[k] - x) * v)
-                step_x = math.exp(-ic * v)
-                for k in range(nodes, nodes * wide):
-                    both[t, k] = step_x * both[t, k - nodes]
-            step_both = math.exp(-ic)
-            for k in range(nodes, nodes * wide):
-                step_y[k] = step_both * step_y[k - nodes]
-            for k in range(nodes * high):
-                v = low_y + k // nodes + _NODES[k % nodes] - y
-                along_y[k] = _WEIGHTS[k % nodes] * math.exp(-0.5 * ib * v * v)
-            pixel = np.uint64(0)
-            for j in range(low_y, high_y):
-                for i in range(low_x, high_x):
-                    total, u1, v1, uu, uv, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-                    for t in range(nodes):
-                        v = j + _NODES[t] - y
-                        row, row_u, row_uu = 0.0, 0.0, 0.0
-                        for s in range(nodes):
-                            k, u = (i - low_x) * nodes + s, i + _NODES[s] - x
-                            p = along_x[k] * both[t, k]
-                            row, row_u, row_uu = row + p, row_u + p * u, row_uu + p * u * u
-                            both[t, k] *= step_y[k]
-                        g = along_y[(j - low_y) * nodes + t]
-                        total, u1, uu = total + g * row, u1 + g * row_u, uu + g * row_uu
-                        v1, uv, vv = v1 + g * row * v, uv + g * row_u * v, vv + g * row * v * v
-                    d, variance = signal[pixel], dark[pixel]
-                    gradient[0], gradient[1], gradient[2] = ia * u1 + ic * v1, ic * u1 + ib * v1, total
-                    gradient[3] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
-                    gradient[4] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
-                    gradient[5] = ia * ic * uu + (ia * ib + ic * ic) * uv + ic * ib * vv - ic * total
-                    light = flux * total if flux > 0.0 else max(d, 0.0)
-                    weight = 1.0 / (variance + light * inverse_gain)
-                    above += weight * total * d
-                    below += weight * total * total
-                    if flux > 0.0:
-                        residual = d - flux * total
-                        for m in range(6):
-                            slopes[m, pixel] = flux * gradient[m]
-                        weights[pixel], residuals[pixel] = weight, residual
-                    pixel += np.uint64(1)
-            if flux <= 0.0:
-                flux = above / below
-                if not flux > 0.0:
-                    break
-                continue
-            normal_equations(slopes, weights, residuals, wide * high, normal, right, work)
-            for m in range(6):
-                normal[m, m] *= 1.0 + 1e-9
-                if not normal[m, m] > 0.0:
-                    normal[m, m] = 1.0
-            if not factorise(normal, 6):
-                break
-            substitute(normal, 6, right)
-            largest = 0.0
-            for k in range(6):
-                largest = max(largest, abs(right[k])) if math.isfinite(right[k]) else np.inf
-            if not math.isfinite(largest):
-                break
-            short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
-            x, y, flux = x + short * right[0], y + short * right[1], flux * math.exp(short * right[2])
-            a, b, c = a + short * right[3], b + short * right[4], c + short * right[5]
-            if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
-                break
-            if largest < _CONVERGED:
-                out[index, 0], out[index, 1], out[index, 2] = a, b, c
-                break
-    return out
+    found, told = np.empty((3, len(stars))), 0
+    work, slopes = np.empty((5, (2 * half + 1) ** 2)), np.empty((6, (2 * half + 1) ** 2))
+    factors = np.empty((3 + len(_NODES), len(_NODES) * (2 * half + 1)))
+    for n in stars:
+        xx, yy, xy = _fit_gaussian(pixels, starts.x[n], starts.y[n], half, shape, work, slopes, factors)
+        if math.isfinite(xx):
+            found[0, told], found[1, told], found[2, told] = xx, yy, xy
+            told += 1
+    if told == 0:
+        return np.nan, np.nan, np.nan
+    return median(found[0, :told]), median(found[1, :told]), median(found[2, :told])
 
 
-def is_alone(positions: FloatArray, chosen: IntArray, reach: float) -> NDArray[np.bool_]:
-    """Which of the chosen positions have no other nearer than `reach` on both axes."""
-    near: NDArray[np.bool_] = np.all(np.abs(positions - positions[chosen][:, None]) < reach, axis=2)
-    near[np.arange(len(chosen)), chosen] = False
-    return np.asarray(~np.any(near, axis=1))
-
-
-def _frame_shape(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    saturated: NDArray[np.bool_],
-    edge: NDArray[np.bool_],
-    positions: FloatArray,
+@kernel
+def _fit_gaussian(
+    pixels: Pixels,
+    x: float,
+    y: float,
     half: int,
-    start_xx: float,
-    start_yy: float,
-    inverse_gain: float,
-) -> tuple[FloatArray, FloatArray, tuple[float, float, float], int]:
-    """Positions x and y of the brightest clean stars, medians of their shapes, and how many tell theirs."""
-    clean = np.flatnonzero(~(saturated | edge) & np.isfinite(positions[:, 0] + positions[:, 1]))[: 2 * _SHAPE_STARS]
-    alone = clean[is_alone(positions, clean, 2.0 * _LARGEST_HALF_PX)]
-    clean = (alone if len(alone) >= _FEWEST_ALONE else clean)[:_SHAPE_STARS]
-    x, y = positions[clean, 0], positions[clean, 1]
-    shapes = fit_gaussians(image, level, noise, x, y, half, start_xx, start_yy, inverse_gain)
-    told = np.isfinite(shapes[:, 0])
-    xx, yy, xy = start_xx, start_yy, 0.0
-    if told.any():
-        xx, yy, xy = median(shapes[told, 0]), median(shapes[told, 1]), median(shapes[told, 2])
-        if not xx * yy - xy * xy > SMALLEST_SIGMA_PX**4:
-            xx, yy, xy = start_xx, start_yy, 0.0
-    return x, y, (xx, yy, xy), int(np.count_nonzero(told))
+    shape: Shape,
+    work: FloatArray,
+    slopes: FloatArray,
+    factors: FloatArray,
+) -> Shape:
+    """Shape of one star; `work` (5, W²), `slopes` (6, W²) and `factors` (6, 3 W) are working space."""
+    height, width = pixels.image.shape
+    (a, b, c), cx, cy, flux, failed = shape, round(x), round(y), -1.0, (np.nan, np.nan, np.nan)
+    left, top = max(cx - half, 0), max(cy - half, 0)
+    wide, high = min(cx + half + 1, width) - left, min(cy + half + 1, height) - top
+    signal, dark, weights, residuals, count = work[0], work[1], work[2], work[3], wide * high
+    read_pixels(pixels, left, top, wide, high, np.inf, signal, dark)
+    normal, right = np.zeros((6, 6)), np.empty(6)
+    for _ in range(_STEPS):
+        _gaussian_slopes((left - x, top - y), wide, high, (a, b, c), slopes, factors)
+        above, below = 0.0, 0.0
+        for n in range(count):
+            light = flux * slopes[2, n] if flux > 0.0 else max(signal[n], 0.0)
+            weights[n] = 1.0 / (dark[n] + light * pixels.inverse_gain)
+            above += weights[n] * slopes[2, n] * signal[n]
+            below += weights[n] * slopes[2, n] * slopes[2, n]
+            residuals[n] = signal[n] - light
+        if flux <= 0.0:
+            flux = above / below
+            if not flux > 0.0:
+                return failed
+            continue
+        slopes[:, :count] *= flux
+        normal_equations(slopes, weights, residuals, count, normal, right, work[4])
+        for m in range(6):
+            normal[m, m] *= 1.0 + 1e-9
+            if not normal[m, m] > 0.0:
+                normal[m, m] = 1.0
+        if not factorise(normal, 6):
+            return failed
+        substitute(normal, 6, right)
+        largest = 0.0
+        for k in range(6):
+            largest = max(largest, abs(right[k])) if math.isfinite(right[k]) else np.inf
+        if not math.isfinite(largest):
+            return failed
+        short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
+        x, y, flux = x + short * right[0], y + short * right[1], flux * math.exp(short * right[2])
+        a, b, c = a + short * right[3], b + short * right[4], c + short * right[5]
+        if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
+            return failed
+        if largest < _CONVERGED:
+            return a, b, c
+    return failed
 
 
-def frame_psf(
-    frame: Prepared, spots: Spots, positions: FloatArray, sigmas: tuple[float, float], reach_px: float
-) -> PsfModel:
+@kernel
+def _gaussian_slopes(
+    corner: tuple[float, float], wide: int, high: int, shape: Shape, out: FloatArray, factors: FloatArray
+) -> None:
+    """Slopes (6, N) by x, y, ln(flux), xx, yy, xy of a unit Gaussian in the pixels of a window, whose first pixel is at
+    `corner` from its centre; pixels are integrated by 3 × 3 Gauss-Legendre nodes.
+
+    The Gaussian is a product of one factor along x, one along y and one of both, which steps from pixel to pixel.
+    """
+    nodes, (left, top), (a, b, c) = len(_NODES), corner, shape
+    along_x, along_y, step_y, both = factors[0], factors[1], factors[2], factors[3:]
+    determinant = a * b - c * c
+    ia, ib, ic = b / determinant, a / determinant, -c / determinant
+    scale = 1.0 / (2.0 * math.pi * math.sqrt(determinant))
+    for k in range(nodes * wide):
+        u = left + k // nodes + _NODES[k % nodes]
+        along_x[k] = scale * _WEIGHTS[k % nodes] * math.exp(-0.5 * ia * u * u)
+        step_y[k] = math.exp(-ic * u) if k < nodes else math.exp(-ic) * step_y[k - nodes]
+    for t in range(nodes):
+        v = top + _NODES[t]
+        step_x = math.exp(-ic * v)
+        for k in range(nodes * wide):
+            both[t, k] = math.exp(-ic * (left + _NODES[k]) * v) if k < nodes else step_x * both[t, k - nodes]
+    for k in range(nodes * high):
+        v = top + k // nodes + _NODES[k % nodes]
+        along_y[k] = _WEIGHTS[k % nodes] * math.exp(-0.5 * ib * v * v)
+    pixel = np.uint64(0)
+    for j in range(high):
+        for i in range(wide):
+            total, u1, v1, uu, uv, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for t in range(nodes):
+                v = top + j + _NODES[t]
+                row, row_u, row_uu = 0.0, 0.0, 0.0
+                for s in range(nodes):
+                    k, u = i * nodes + s, left + i + _NODES[s]
+                    p = along_x[k] * both[t, k]
+                    row, row_u, row_uu = row + p, row_u + p * u, row_uu + p * u * u
+                    both[t, k] *= step_y[k]
+                g = along_y[j * nodes + t]
+                total, u1, uu = total + g * row, u1 + g * row_u, uu + g * row_uu
+                v1, uv, vv = v1 + g * row * v, uv + g * row_u * v, vv + g * row * v * v
+            out[0, pixel], out[1, pixel], out[2, pixel] = ia * u1 + ic * v1, ic * u1 + ib * v1, total
+            out[3, pixel] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
+            out[4, pixel] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
+            out[5, pixel] = ia * ic * uu + (ia * ib + ic * ic) * uv + ic * ib * vv - ic * total
+            pixel += np.uint64(1)
+
+
+def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float, float], reach_px: float) -> PsfModel:
     """The star image of a frame.
 
     The median ellipse of the brightest clean stars. Where it is elongated, a round Gaussian moved along a line
@@ -199,41 +169,37 @@ def frame_psf(
 
     Parameters
     ----------
-    positions : array, shape (N, 2)
-        Of the spots, approximate.
+    starts : Starts
+        Approximate positions of the spots.
     sigmas : (float, float)
         Widths along x and y by the moments, for the start and in case no star tells.
     reach_px : float
         Least half width of the table.
     """
-    start_xx, start_yy = (max(sigma**2, SMALLEST_SIGMA_PX**2) for sigma in sigmas)
     half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
-    x, y, (xx, yy, xy), told = _frame_shape(
-        frame.image,
-        frame.level,
-        frame.noise,
-        spots.saturated,
-        spots.edge,
-        positions,
-        half,
-        start_xx,
-        start_yy,
-        frame.inverse_gain,
-    )
+    unfit = spots.saturated | spots.edge
+    chosen = brightest_alone(starts.x, starts.y, spots.flux, unfit, _LOOKED_AT)
+    if len(chosen) < _FEWEST_ALONE:
+        chosen = np.flatnonzero(~unfit & np.isfinite(starts.x + starts.y))[:MODEL_STARS]
+    xx, yy, xy = start = max(sigmas[0], SMALLEST_SIGMA_PX) ** 2, max(sigmas[1], SMALLEST_SIGMA_PX) ** 2, 0.0
+    found = fit_gaussians(frame.pixels, starts, chosen, half, start)
+    if found[0] * found[1] - found[2] ** 2 > SMALLEST_SIGMA_PX**4:
+        xx, yy, xy = found
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
     minor, major = middle - spread, middle + spread
-    if major < _STREAK_RATIO**2 * minor or not told:
+    if major < _STREAK_RATIO**2 * minor or math.isnan(found[0]):
         return ellipse
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    window = np.full(len(x), min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX))
+    window = min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX)
+    stars = Starts(starts.x[chosen], starts.y[chosen], np.full(len(chosen), window), np.full(len(chosen), np.inf))
     length = math.sqrt(12.0 * (major - minor))
     along, across = length * math.cos(angle), length * math.sin(angle)
     round_one = gaussian_psf(minor, minor, radius_px=radius)
     lines = [round_one.smeared(f * along, f * across) for f in _LENGTHS]
-    misfits = [_misfit(frame, model, x, y, window) for model in lines]
-    if min(misfits) > _misfit(frame, ellipse, x, y, window):
+    misfits = [_misfit(frame, model, stars) for model in lines]
+    if min(misfits) > _misfit(frame, ellipse, stars):
         return ellipse
     square, slope, _ = np.polyfit(_LENGTHS, misfits, 2)
     if not square > 0:
@@ -242,20 +208,7 @@ def frame_psf(
     return round_one.smeared(best * along, best * across)
 
 
-def _misfit(frame: Prepared, model: PsfModel, x: FloatArray, y: FloatArray, halves: IntArray) -> float:
+def _misfit(frame: Prepared, model: PsfModel, stars: Starts) -> float:
     """Median χ² per degree of freedom of stars; one that the image does not fit at all counts against it."""
-    fits = fit_stars(
-        frame.image,
-        frame.level,
-        frame.noise,
-        *model.samples,
-        np.arange(len(x)),
-        x,
-        y,
-        halves,
-        np.full(len(x), np.inf),
-        frame.inverse_gain,
-        frame.settings.flat_field_error,
-        True,
-    )
+    fits = fit_stars(frame.pixels, model.samples, stars, np.arange(len(stars.x)), True)
     return float(np.median(np.nan_to_num(fits[:, 6] / fits[:, 7], nan=1e6)))

@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.centroid.psf_model import Samples
 from startracker.kernels import kernel, kernel_with
 
-__all__ = ["fill", "fill_window", "interpolate", "interpolated", "normal_equations", "sums", "sums_of_one"]
+__all__ = ["fill_window", "interpolate", "interpolated", "normal_equations", "weigh_pixels"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @kernel
@@ -57,66 +57,14 @@ def interpolated(
 
 
 @kernel
-def fill(
-    table: FloatArray,
-    axes: FloatArray,
-    oversampling: int,
-    x: float,
-    y: float,
-    px: IntArray,
-    py: IntArray,
-    low_x: int,
-    low_y: int,
-    out: FloatArray,
-    weights: FloatArray,
-    lines: FloatArray,
-) -> None:
-    """Light of a star at (x, y) in pixels (px, py), and its derivatives by dx and dy, to the rows of `out` (3, N).
+def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: FloatArray, lines: FloatArray) -> None:
+    """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, to `out` (3, N).
 
-    Where the table is the product of two `axes` (x, y), its interpolation is the product of theirs, and it is not read.
-
-    Parameters
-    ----------
-    low_x, low_y : int
-        No pixel is left of, or above, this one, nor L or more beyond it.
-    weights, lines : array
-        Working space, of the shapes (2, 8) and (4, L).
+    The first pixel is at (dx, dy) from the star. Where the table is a sum of products of two axes its interpolation is
+    that of theirs, and it is not read. `lines` (4, L) is working space, L no less than `wide` and `high`.
     """
-    size = axes.shape[1] if len(axes) else table.shape[0]
-    first_x = interpolate(size, oversampling, -x, weights, 0)
-    first_y = interpolate(size, oversampling, -y, weights, 1)
-    if not len(axes):
-        for n in range(len(px)):
-            at_x, at_y = first_x + px[n] * oversampling, first_y + py[n] * oversampling
-            out[0, n], out[1, n], out[2, n] = interpolated(table, oversampling, at_x, at_y, weights, 0)
-        return
-    share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
-    share, by_x, by_y = out[0], out[1], out[2]
-    out[:, : len(px)] = 0.0
-    for term in range(0, len(axes), 2):
-        _along(axes[term], oversampling, first_x + low_x * oversampling, weights[0], share_x, slope_x)
-        _along(axes[term + 1], oversampling, first_y + low_y * oversampling, weights[1], share_y, slope_y)
-        for n in range(len(px)):
-            i, j = np.uint64(px[n] - low_x), np.uint64(py[n] - low_y)
-            share[n] += share_x[i] * share_y[j]
-            by_x[n] += slope_x[i] * share_y[j]
-            by_y[n] += share_x[i] * slope_y[j]
-
-
-@kernel
-def fill_window(
-    table: FloatArray,
-    axes: FloatArray,
-    oversampling: int,
-    dx: float,
-    dy: float,
-    wide: int,
-    high: int,
-    out: FloatArray,
-    weights: FloatArray,
-    lines: FloatArray,
-) -> None:
-    """`fill` for all pixels of a window, row by row, whose first one is at (dx, dy) from the star."""
+    table, axes, oversampling = psf.table, psf.axes, psf.oversampling
+    weights = np.empty((2, 8))
     size = axes.shape[1] if len(axes) else table.shape[0]
     first_x = interpolate(size, oversampling, dx, weights, 0)
     first_y = interpolate(size, oversampling, dy, weights, 1)
@@ -130,8 +78,8 @@ def fill_window(
         return
     share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
     for term in range(0, len(axes), 2):
-        _along(axes[term], oversampling, first_x, weights[0], share_x, slope_x)
-        _along(axes[term + 1], oversampling, first_y, weights[1], share_y, slope_y)
+        _along(axes[term], oversampling, first_x, wide, weights[0], share_x, slope_x)
+        _along(axes[term + 1], oversampling, first_y, high, weights[1], share_y, slope_y)
         n = np.uint64(0)
         for j in range(high):
             s, t = share_y[j], slope_y[j]
@@ -146,10 +94,16 @@ def fill_window(
 
 @kernel
 def _along(
-    axis: FloatArray, oversampling: int, first: int, weights: FloatArray, value: FloatArray, slope: FloatArray
+    axis: FloatArray,
+    oversampling: int,
+    first: int,
+    count: int,
+    weights: FloatArray,
+    value: FloatArray,
+    slope: FloatArray,
 ) -> None:
-    """Values and slopes of one axis at every pixel from the point `first` on; zero outside."""
-    for k in range(len(value)):
+    """Values and slopes of one axis at so many pixels from the point `first` on; zero outside."""
+    for k in range(count):
         i = first + k * oversampling
         value[k], slope[k] = 0.0, 0.0
         if 1 <= i <= len(axis) - 3:
@@ -158,83 +112,47 @@ def _along(
             slope[k] = oversampling * (weights[4] * p0 + weights[5] * p1 + weights[6] * p2 + weights[7] * p3)
 
 
-@kernel
-def sums(
+# sums in any order: added up in the order of the pixels each sum waits for the one before, five times as long
+@kernel_with(fastmath={"reassoc"})
+def weigh_pixels(
     shares: FloatArray,
     flux: FloatArray,
     signal: FloatArray,
     dark: FloatArray,
-    variances: FloatArray,
-    inverse_gain: float,
-    flat_error: float,
+    noise: tuple[float, float],
     weigh: bool,
-    gradient: FloatArray,
-    normal: FloatArray,
-    right: FloatArray,
+    rows: FloatArray,
 ) -> float:
-    """χ² of the model of stars in pixels; Fisher matrix and score go to `normal` and `right`.
+    """χ² of the model of M stars in N pixels; makes `shares` the model's slopes by ln(flux), x and y of each star.
 
-    `shares` (M, 3, N) are the stars' light of flux 1 and its derivatives, see `fill`. Pixels have a signal and a
-    variance of the dark; their variances are kept in `variances`, and made anew where `weigh` is set. `gradient` is
-    working space.
+    Parameters
+    ----------
+    shares : (3 M, N)
+        Light of each star of flux 1, and its derivatives by dx and dy, see `fill_window`.
+    flux : (M,)
+    signal, dark : (N,)
+        Of the pixels above the background, and its variance in the dark.
+    noise : (float, float)
+        DN an electron, and relative error of the flat field.
+    weigh : bool
+        Whether the variances are made anew.
+    rows : (4, N)
+        Variances, which are kept where they are not made anew; gets weights, residuals; the last is working space.
     """
-    m, size = len(flux), 3 * len(flux)
-    normal[:], right[:] = 0.0, 0.0
+    variances, weights, residuals, model = rows[0], rows[1], rows[2], rows[3]
+    model[:] = 0.0
+    for star in range(len(flux)):
+        light, by_x, by_y, f = shares[3 * star], shares[3 * star + 1], shares[3 * star + 2], flux[star]
+        for n in range(len(signal)):
+            light[n], by_x[n], by_y[n] = f * light[n], -f * by_x[n], -f * by_y[n]
+            model[n] += light[n]
     chi2 = 0.0
-    for n in range(len(variances)):
-        model = 0.0
-        for star in range(m):
-            light = flux[star] * shares[star, 0, n]
-            model += light
-            gradient[3 * star] = -flux[star] * shares[star, 1, n]
-            gradient[3 * star + 1] = -flux[star] * shares[star, 2, n]
-            gradient[3 * star + 2] = light
+    for n in range(len(signal)):
         if weigh:
-            light = max(model, 0.0)
-            variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2
-        weight = 1.0 / variances[n]
-        residual = signal[n] - model
-        chi2 += weight * residual * residual
-        for a in range(size):
-            g = weight * gradient[a]
-            right[a] += g * residual
-            for b in range(a + 1):
-                normal[a, b] += g * gradient[b]
-    return chi2
-
-
-# sums in any order: added up in the order of the pixels each sum waits for the one before, five times as long
-@kernel_with(fastmath={"reassoc"})
-def sums_of_one(
-    shares: FloatArray,
-    flux: float,
-    signal: FloatArray,
-    dark: FloatArray,
-    variances: FloatArray,
-    inverse_gain: float,
-    flat_error: float,
-    weigh: bool,
-    normal: FloatArray,
-    right: FloatArray,
-) -> float:
-    """The sums of `sums` for a star alone, whose `shares` are (3, N), without an array in the loop, to rounding."""
-    chi2, rx, ry, rf, xx, xy, yy, xf, yf, ff = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    share, by_x, by_y = shares[0], shares[1], shares[2]
-    for n in range(len(variances)):
-        model, gx, gy = flux * share[n], -flux * by_x[n], -flux * by_y[n]
-        if weigh:
-            light = max(model, 0.0)
-            variances[n] = dark[n] + light * inverse_gain + (flat_error * light) ** 2
-        weight = 1.0 / variances[n]
-        residual = signal[n] - model
-        chi2 += weight * residual * residual
-        wx, wy, wf = weight * gx, weight * gy, weight * model
-        rx, ry, rf = rx + wx * residual, ry + wy * residual, rf + wf * residual
-        xx, xy, yy = xx + wx * gx, xy + wy * gx, yy + wy * gy
-        xf, yf, ff = xf + wf * gx, yf + wf * gy, ff + wf * model
-    right[0], right[1], right[2] = rx, ry, rf
-    normal[0, 0], normal[1, 0], normal[1, 1] = xx, xy, yy
-    normal[2, 0], normal[2, 1], normal[2, 2] = xf, yf, ff
+            light_here = max(model[n], 0.0)
+            variances[n] = dark[n] + light_here * noise[0] + (noise[1] * light_here) ** 2
+        weights[n], residuals[n] = 1.0 / variances[n], signal[n] - model[n]
+        chi2 += weights[n] * residuals[n] * residuals[n]
     return chi2
 
 
@@ -250,7 +168,7 @@ def normal_equations(
 ) -> None:
     """Normal matrix, its lower half, and right side of so many weighted pixels, whose model has the slopes (M, N).
 
-    The sums are in any order, as those of `sums_of_one`; `work` is working space for N numbers.
+    The sums are in any order; `work` is working space for N numbers.
     """
     for a in range(len(slopes)):
         slope, total = slopes[a], 0.0

@@ -21,26 +21,27 @@ of an error that all positions share.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.centroid.cholesky import factorise, substitute
-from startracker.centroid.window import read_pixels
-from startracker.detection.plane import Plane
-from startracker.detection.values import Image
+from startracker.centroid.frame import brightest_alone
+from startracker.centroid.window import Pixels, read_pixels
 from startracker.kernels import kernel
+from startracker.linalg import factorise, substitute
 
-__all__ = ["REFERENCE_CONTRAST", "correct_skewness", "shifts"]
+__all__ = ["REFERENCE_CONTRAST", "correct_skewness", "expansions_of", "shifts"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Shape: TypeAlias = tuple[float, float, float]
+"""Variances along x and y and covariance of the star image, px²."""
 
 REFERENCE_CONTRAST = 50.0
 """Photon noise over background noise (variances) in the brightest pixel of the stars that calibrations rest upon."""
-_STARS, _FEWEST = 9, 3
-_APART_PX = 16.0
+_LOOKED_AT, _FEWEST = 27, 3
 _NARROWEST = 0.3
 """Variance along the narrower axis, px²: pixels do not resolve the third moments of a narrower image."""
 _LONGEST = 1.5**2
@@ -53,10 +54,10 @@ _PIXEL = 1.0 / 12.0
 
 
 @kernel
-def _expansion(u: float, v: float, xx: float, yy: float, xy: float, out: FloatArray) -> None:
+def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
     """A unit Gaussian at (u, v) from its centre, and what one unit of x, y, its variances and covariance, and its third
     cumulants adds, to `out` (10,); the pixel's width is taken into the variances."""
-    xx, yy = xx + _PIXEL, yy + _PIXEL
+    xx, yy, xy = shape[0] + _PIXEL, shape[1] + _PIXEL, shape[2]
     determinant = xx * yy - xy * xy
     a, b, c = yy / determinant, xx / determinant, -xy / determinant
     s, t = a * u + c * v, c * u + b * v
@@ -68,41 +69,30 @@ def _expansion(u: float, v: float, xx: float, yy: float, xy: float, out: FloatAr
 
 
 @kernel
-def shifts(
-    variance: float, flux: float, half: int, xx: float, yy: float, xy: float, inverse_gain: float, flat_error: float
-) -> FloatArray:
-    """A (2, 4), px per px³: how far a fit of a Gaussian is off the mean of an image, by its third cumulants.
-
-    Parameters
-    ----------
-    variance : float
-        Of a pixel in the dark, DN².
-    flux : float
-        Of the star, DN.
-    half : int
-        Half width of the fit's window.
-    xx, yy, xy : float
-        Variances and covariance of the Gaussian, px².
-    inverse_gain, flat_error : float
-        DN an electron, and the relative error of the flat field: of the weights.
-    """
-    found: FloatArray = _shifts(_expansions(half, xx, yy, xy), variance, flux, inverse_gain, flat_error)
-    return found
-
-
-@kernel
-def _expansions(half: int, xx: float, yy: float, xy: float) -> FloatArray:
+def expansions_of(half: int, shape: Shape) -> FloatArray:
     """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
     side = 2 * half + 1
     out = np.empty((side * side, _PARAMETERS))
     for n in range(side * side):
-        _expansion(float(n % side - half), float(n // side - half), xx, yy, xy, out[n])
+        _expansion(float(n % side - half), float(n // side - half), shape, out[n])
     return out
 
 
 @kernel
-def _shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
-    """`shifts` by the expansions over the window."""
+def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
+    """A (2, 4), px per px³: how far a fit of a Gaussian is off the mean of an image, by its third cumulants.
+
+    Parameters
+    ----------
+    expansions : (W², 10)
+        Of the Gaussian over the window, see `expansions_of`.
+    variance : float
+        Of a pixel in the dark, DN².
+    flux : float
+        Of the star, DN.
+    inverse_gain, flat_error : float
+        DN an electron, and the relative error of the flat field: of the weights.
+    """
     normal, row = np.zeros((3, 3)), np.empty(3)
     right = np.zeros((_CUMULANTS, 3))
     for n in range(len(expansions)):
@@ -118,79 +108,28 @@ def _shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: 
     out = np.zeros((2, _CUMULANTS))
     if factorise(normal, 3):
         for k in range(_CUMULANTS):
-            row[0], row[1], row[2] = right[k, 0], right[k, 1], right[k, 2]
+            row[:] = right[k]
             substitute(normal, 3, row)
             out[0, k], out[1, k] = row[1], row[2]
     return out
 
 
 @kernel
-def _chosen(table: FloatArray, unfit: BoolArray) -> IntArray:
-    """Brightest stars with no other nearby."""
-    out, count = np.empty(_STARS, np.int64), 0
-    looked_at = np.zeros(len(table), np.bool_)
-    for _ in range(min(3 * _STARS, len(table))):
-        best = -1
-        for n in range(len(table)):
-            usable = not (looked_at[n] or unfit[n]) and math.isfinite(table[n, 0] + table[n, 1] + table[n, 2])
-            if usable and (best < 0 or table[n, 2] > table[best, 2]):
-                best = n
-        if best < 0 or count == _STARS:
-            break
-        looked_at[best], alone = True, True
-        for m in range(len(table)):
-            near = abs(table[m, 0] - table[best, 0]) < _APART_PX and abs(table[m, 1] - table[best, 1]) < _APART_PX
-            alone = alone and (not near or m == best)
-        if alone:
-            out[count] = best
-            count += 1
-    return out[:count]
-
-
-@kernel
 def common_skewness(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    table: FloatArray,
-    stars: IntArray,
-    half: int,
-    xx: float,
-    yy: float,
-    xy: float,
-    inverse_gain: float,
-    flat_error: float,
+    pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Third cumulants κ (4,) that stars share, their covariance (4, 4), χ² of κ, and the variance of a dark pixel.
 
     Weighted least squares in each star's flux, position and variances, and the κ of all. The covariance is as much
     larger as the stars' own κ scatter about it. All zero where fewer than three stars count.
     """
-    height, width = image.shape
     side = 2 * half + 1
-    signal, dark = np.empty(side * side), np.empty(side * side)
-    normal, right, column = np.empty((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS), np.empty(_PARAMETERS)
+    work, column = np.empty((2, side * side)), np.empty(_PARAMETERS)
+    normal, right = np.empty((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS)
     total, sums, square, count, variance = np.zeros((_CUMULANTS, _CUMULANTS)), np.zeros(_CUMULANTS), 0.0, 0, 0.0
     for n in stars:
-        x, y, flux = table[n, 0], table[n, 1], table[n, 2]
-        left, top = round(x) - half, round(y) - half
-        if left < 0 or top < 0 or left + side > width or top + side > height:
+        if not _equations_of_star(pixels, table[n], half, shape, normal, right, work, column):
             continue
-        if read_pixels(image, level, noise, left, top, side, side, np.inf, signal, dark) < side * side:
-            continue
-        normal[:], right[:], pixel = 0.0, 0.0, np.uint64(0)
-        for j in range(side):
-            for i in range(side):
-                _expansion(left + i - x, top + j - y, xx, yy, xy, column)
-                light = flux * column[0]
-                weight = flux / (dark[pixel] + light * inverse_gain + (flat_error * light) ** 2)
-                residual = signal[pixel] - light
-                for p in range(_PARAMETERS):
-                    scaled = weight * column[p]
-                    right[p] += scaled * residual
-                    for q in range(p + 1):
-                        normal[p, q] += scaled * flux * column[q]
-                pixel += np.uint64(1)
         if not factorise(normal, _PARAMETERS):
             continue
         # the last rows of Cholesky's factor are that of κ's normal matrix, the others eliminated
@@ -204,7 +143,7 @@ def common_skewness(
                 sums[p] += normal[_FIRST + p, _FIRST + m] * right[_FIRST + m]
                 for q in range(m, _CUMULANTS):
                     total[p, q] += normal[_FIRST + p, _FIRST + m] * normal[_FIRST + q, _FIRST + m]
-        variance += dark[0]
+        variance += work[1, 0]
         count += 1
     mean, covariance = sums.copy(), np.zeros((_CUMULANTS, _CUMULANTS))
     if count < _FEWEST or not factorise(total, _CUMULANTS):
@@ -221,17 +160,45 @@ def common_skewness(
 
 
 @kernel
-def correct_skewness(
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    table: FloatArray,
-    unfit: BoolArray,
+def _equations_of_star(
+    pixels: Pixels,
+    star: FloatArray,
     half: int,
-    shape: tuple[float, float, float],
-    inverse_gain: float,
-    flat_error: float,
-) -> FloatArray:
+    shape: Shape,
+    normal: FloatArray,
+    right: FloatArray,
+    work: FloatArray,
+    column: FloatArray,
+) -> bool:
+    """Normal equations of one star's flux, position, variances and third cumulants; whether its window is whole.
+
+    `work` (2, W²) gets the pixels' signal and variance in the dark; `column` (10,) is working space.
+    """
+    side = 2 * half + 1
+    x, y, flux, signal, dark = star[0], star[1], star[2], work[0], work[1]
+    left, top = round(x) - half, round(y) - half
+    if left < 0 or top < 0 or left + side > pixels.image.shape[1] or top + side > pixels.image.shape[0]:
+        return False
+    if read_pixels(pixels, left, top, side, side, np.inf, signal, dark) < side * side:
+        return False
+    normal[:], right[:], pixel = 0.0, 0.0, np.uint64(0)
+    for j in range(side):
+        for i in range(side):
+            _expansion(left + i - x, top + j - y, shape, column)
+            light = flux * column[0]
+            weight = flux / (dark[pixel] + light * pixels.inverse_gain + (pixels.flat_error * light) ** 2)
+            residual = signal[pixel] - light
+            for p in range(_PARAMETERS):
+                scaled = weight * column[p]
+                right[p] += scaled * residual
+                for q in range(p + 1):
+                    normal[p, q] += scaled * flux * column[q]
+            pixel += np.uint64(1)
+    return True
+
+
+@kernel
+def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
     """Take the shift against stars of `REFERENCE_CONTRAST` off the positions of fits; the rest as a covariance.
 
     κ is left out where it may be noise, and shrunk by 1 − (7.8/χ²)² where it is not, which is steady at the limit.
@@ -244,8 +211,6 @@ def correct_skewness(
         Stars that are saturated or at the border.
     half : int
         Half width of the fits' windows.
-    shape : (float, float, float)
-        Variances along x and y and covariance of the star image, px².
 
     Returns
     -------
@@ -257,21 +222,19 @@ def correct_skewness(
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
-    stars = _chosen(table, unfit)
-    mean, covariance, chi2, dark = common_skewness(
-        image, level, noise, table, stars, half, xx, yy, xy, inverse_gain, flat_error
-    )
+    stars = brightest_alone(table[:, 0], table[:, 1], table[:, 2], unfit, _LOOKED_AT)
+    mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
         return common
-    kept = 1.0 - (_LEAST_CHI2 / chi2) ** 2
+    kept, inverse_gain = 1.0 - (_LEAST_CHI2 / chi2) ** 2, pixels.inverse_gain
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
-    expansions = _expansions(half, xx, yy, xy)
-    reference = _shifts(expansions, dark, at_reference, inverse_gain, 0.0)
+    expansions = expansions_of(half, shape)
+    reference = shifts(expansions, dark, at_reference, inverse_gain, 0.0)
     for n in range(len(table)):
         if not (math.isfinite(table[n, 0] + table[n, 2]) and table[n, 2] > 0.0) or unfit[n]:
             continue
-        here = _shifts(expansions, dark, table[n, 2], inverse_gain, flat_error)
+        here = shifts(expansions, dark, table[n, 2], inverse_gain, pixels.flat_error)
         for axis in range(2):
             for k in range(_CUMULANTS):
                 table[n, axis] -= kept * (here[axis, k] - reference[axis, k]) * mean[k]

@@ -1,1 +1,4 @@
-"""The tracker in integers: formats, tables, roots, angles, attitude, and their export to C (Yee 1999, chapter 3)."""
+"""The tracker in integer arithmetic: formats, tables, square roots, angles, attitude, and the export to C.
+
+After Yee 1999, chapter 3.
+"""

@@ -1,9 +1,9 @@
 """Integer arithmetic of the triad pipeline (Yee 1999, chapter 3): the `Arithmetic` of `startracker.identification`.
 
-Centroids and coordinates of 10.22, degrees a pixel of 12.20, separations of 6.10, angles of 10.6, directions of 2.30;
-each word of 16 or 32 bits, products in 64. Real numbers enter through `image`, `sky`, `separation_of` and `angle_of`
-alone, and leave through `separation_degrees` and `angle_degrees`; everything between refuses them. A quantity that does
-not fit its format raises `FixedPointOverflow`.
+Formats: centroids and coordinates 10.22, degrees per pixel 12.20, separations 6.10, angles 10.6, directions 2.30. Words
+have 16 or 32 bits and products 64. Real numbers are only accepted by `image`, `sky`, `separation_of` and `angle_of` and
+only returned by `separation_degrees` and `angle_degrees`. A quantity that does not fit its format raises
+`FixedPointOverflow`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from startracker.kernels import kernel
 __all__ = ["FULL_TURN", "SCALE", "FixedArithmetic", "FixedImage", "FixedSky", "inner_angles", "vector_separations"]
 
 SCALE = Format(12, 20)
-"""Degrees a pixel: with 20 bits of fraction eight of the ten separations of Table 4.17 come out to the last bit."""
+"""Degrees per pixel: with 20 fraction bits eight of the ten separations of Table 4.17 are exact to the last bit."""
 FULL_TURN = 360 * ANGLE.one
 _ANGLE_BITS, _COSINE_BITS = ANGLE.fraction_bits, COSINE.fraction_bits
 _VECTOR_SHIFT = 8  # vectors of 10.22 to 10.14, whose squares fit
@@ -48,7 +48,7 @@ class FixedImage:
     xy : (N, 2)
         Centroids of 10.22, x right, y up, from the image's centre.
     scale_deg : (2,)
-        Degrees a pixel of 12.20.
+        Degrees per pixel of 12.20.
     """
 
     xy: Integers
@@ -74,7 +74,7 @@ class FixedSky:
 
 @dataclass(frozen=True)
 class FixedArithmetic:
-    """Two's complement integers; `startracker.identification.arithmetic.Arithmetic` says what each method computes."""
+    """Two's complement integers; `startracker.identification.arithmetic.Arithmetic` documents each method."""
 
     @property
     def separation_format(self) -> Format:
@@ -91,9 +91,9 @@ class FixedArithmetic:
         """360° in the format of angles."""
         return 360 * self.angle_format.one
 
-    # ------------------------------------------------------------------ what goes in: real numbers, to integers
+    # ------------------------------------------------------------------ input: real numbers to integers
     def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> FixedImage:
-        """Centroids truncated to 10.22 and scales to 12.20; arrays of integers are of these formats already."""
+        """Centroids truncated to 10.22 and scales to 12.20; integer arrays must already have these formats."""
         return FixedImage(_entered(CENTROID, xy_px, "centroid").reshape(-1, 2), _entered(SCALE, scale_deg, "scale"))
 
     def sky(self, ra_deg: ArrayLike, dec_deg: ArrayLike, max_separation_deg: float) -> FixedSky:
@@ -102,7 +102,7 @@ class FixedArithmetic:
         Raises
         ------
         FixedPointOverflow
-            A largest separation of 32° or more.
+            If the maximum separation is 32° or more.
         """
         SEPARATION.encode(max_separation_deg)
         ra, dec = np.asarray(ra_deg, dtype=np.float64), np.asarray(dec_deg, dtype=np.float64)
@@ -120,15 +120,15 @@ class FixedArithmetic:
 
     # ------------------------------------------------------------------ separations
     def image_separations(self, image: FixedImage, i: ArrayLike, j: ArrayLike) -> Integers:
-        """Pythagoras' theorem up to 11.65°, the tables beyond (section 3.4)."""
+        """By Pythagoras' theorem up to 11.65°, by the tables beyond (section 3.4)."""
         step = np.abs(image.xy[integers(i)] - image.xy[integers(j)])
-        check_product(step, image.scale_deg, "pixels times degrees a pixel")
+        check_product(step, image.scale_deg, "pixels times degrees per pixel")
         fraction = CENTROID.fraction_bits + SCALE.fraction_bits - SEPARATION.fraction_bits
         along = SEPARATION.check((step * image.scale_deg) >> fraction, "separation along an axis")
         return separation(along[..., 0], along[..., 1])
 
     def catalog_separations(self, sky: FixedSky, i: ArrayLike, j: ArrayLike) -> Integers:
-        """See `vector_separations`; to 180°, as stars anywhere are compared, so in 32 bits."""
+        """See `vector_separations`. Up to 180°, as any two stars may be compared, therefore in 32 bits."""
         return vector_separations(sky.directions[integers(i)], sky.directions[integers(j)], self.separation_format)
 
     # ------------------------------------------------------------------ rotation angles
@@ -138,18 +138,18 @@ class FixedArithmetic:
         return _direction(step[..., 1], step[..., 0])
 
     def catalog_directions(self, sky: FixedSky, i: ArrayLike, j: ArrayLike) -> Integers:
-        """The same of (−Δα, Δδ), Δα within ±180°."""
+        """The same for (−Δα, Δδ), Δα within ±180°."""
         first, second = integers(i), integers(j)
         half, whole = 180 * DEGREES.one, 360 * DEGREES.one
         east = (sky.ra[second] - sky.ra[first] + half) % whole - half
         return _direction(sky.dec[second] - sky.dec[first], -east)
 
     def rotations(self, catalog: ArrayLike, image: ArrayLike) -> Integers:
-        """Catalogue minus image, modulo a turn."""
+        """Catalogue minus image, modulo 360°."""
         return (integers(catalog) - integers(image)) % self.full_turn
 
     def mean_rotations(self, first: ArrayLike, second: ArrayLike) -> Integers:
-        """Half-way on the shorter way round, downwards."""
+        """Midpoint of the shorter arc, rounded down."""
         return (integers(first) + (self._between(second, first) >> 1)) % self.full_turn
 
     # ------------------------------------------------------------------ enclosed angles
@@ -175,14 +175,14 @@ class FixedArithmetic:
         return np.asarray(np.abs(integers(first) - integers(second)) <= integers(tolerance))
 
     def angles_agree(self, first: ArrayLike, second: ArrayLike, tolerance: Any) -> NDArray[np.bool_]:
-        """The same on the shorter way round."""
+        """The same for angles, along the shorter arc."""
         return np.asarray(np.abs(self._between(first, second)) <= integers(tolerance))
 
     def group_mean(self, origin: Any, total: Any, count: int) -> int:
-        """Running mean, its quotient downwards."""
+        """Running mean; the quotient is rounded down."""
         return (int(integers(origin)) + int(integers(total)) // int(count)) % self.full_turn
 
-    # ------------------------------------------------------------------ what comes out, for people
+    # ------------------------------------------------------------------ output: integers to real numbers
     def separation_degrees(self, separations: ArrayLike) -> NDArray[np.float64]:
         """As real numbers."""
         return self.separation_format.decode(separations)
@@ -203,9 +203,9 @@ def _entered(format: Format, value: ArrayLike, what: str) -> Integers:
 
 
 def _direction(y: Integers, x: Integers) -> Integers:
-    """Angles of vectors (Δx, Δy) of 10.22, of 10.6, in [0°, 360°), by the table of arccosines of the first quadrant.
+    """Angles of 10.6 in [0°, 360°) of vectors (Δx, Δy) of 10.22, from the arccosine table of the first quadrant.
 
-    The arccosine is taken of the smaller component over the length, where the table is fine; 0 for no vector.
+    The table is entered with the smaller component over the length, where its resolution is fine; 0 for a zero vector.
     """
     along, across = np.abs(x) >> _VECTOR_SHIFT, np.abs(y) >> _VECTOR_SHIFT
     length = square_root(along * along + across * across)
@@ -249,9 +249,9 @@ def _length(vector: Integers) -> Integers:
 
 
 def _angle_at(vertex: Integers, first: Integers, second: Integers, format: Format) -> Integers:
-    """Angle (...) at a vertex (..., 3) between two directions; 0 where one is the vertex itself.
+    """Angle (...) at a vertex (..., 3) between two directions; 0 where one of them equals the vertex.
 
-    tan A = v · (u × w) / (u · w − (u · v)(w · v)), with the differences u and w from the vertex, which stay exact for
+    tan A = v · (u × w) / (u · w − (u · v)(w · v)), with the differences u and w from the vertex, which are exact for
     close stars.
     """
     u, w = first - vertex, second - vertex

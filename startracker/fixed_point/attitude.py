@@ -1,13 +1,13 @@
 """Plate constants in 64-bit integers: centre, roll and attitude of an image (Yee 1999, section 2.4).
 
-Her 32 bits could not hold them (section 3.5). The fit is the one of `startracker.estimation.plate`: standard
-coordinates on the plane that touches the sky at the centre, a linear map from the image to them by least squares, the
-centre moved to where the origin falls, again until it stands. Three things make it fit into 64 bits. Directions are
-unit vectors of 2.30, whose products have 60 bits. Each round fits only what the rounds before left over, so that a
-quotient need be good to a few bits. And sums are shifted to 30 bits before their products are taken. Stars nearly in a
-line leave a scale and a rotation alone (four constants), as in `startracker.estimation.plate_constants`.
+Yee's 32 bits are too few for them (section 3.5). The fit is that of `startracker.estimation.plate`: standard
+coordinates on the tangent plane at the centre, a least-squares linear map from the image to them, and iteration with
+the centre moved to the image of the origin until it converges. It fits into 64 bits because directions are unit vectors
+of 2.30, whose products have 60 bits; because each iteration only fits the remaining residuals, so that quotients need
+only a few correct bits; and because sums are shifted to 30 bits before they are multiplied. If the stars are nearly
+collinear, only a scale and a rotation are fitted (four constants), as in `startracker.estimation.plate_constants`.
 
-The C export (`c/tracker_attitude.c`) does the same operations in the same order.
+The C export (`c/tracker_attitude.c`) performs the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from startracker.fixed_point.vectors import DIRECTION, cross, normalize
 __all__ = ["MAX_STARS", "IntegerAttitude", "NotSolved", "matrix_angles", "plate_attitude", "unit"]
 
 MAX_STARS = 16
-"""More would overflow the sums of products."""
+"""Sums of products would overflow for more."""
 _ROUNDS = 40
 _SETTLED = 8  # units of 2.30: 0.0015″
 _LEAST_ROUNDS = 4
 _PIXEL_SHIFT = 6  # centroids of 10.22 to 10.16
-_MAP_BITS = 24  # of fraction more in the map than in its product
+_MAP_BITS = 24  # additional fraction bits of the map relative to its product
 _SLENDER_SHIFT = 10  # determinant below trace² × 2⁻¹⁰: the shear would be noise
 _LEAST_LENGTH = 1 << 10
 _NEAREST_DEPTH = DIRECTION.one // 2  # cosine of 60°
@@ -40,12 +40,12 @@ _NO_PLATE = "the stars fit no plate"
 
 
 class NotSolved(ArithmeticError):
-    """Why no attitude follows from the stars given, in words."""
+    """No attitude can be computed from the given stars; the message says why."""
 
 
 @dataclass(frozen=True)
 class IntegerAttitude:
-    """Attitude of an image, integers only.
+    """Attitude of an image in integers.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class IntegerAttitude:
         Rows: the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30:
         v_camera = matrix @ v_catalogue.
     ra, dec, roll : int
-        Of the boresight, degrees of 10.22; roll is the position angle of the image's up, east of north.
+        Of the boresight, degrees of 10.22; roll is the position angle of the image's up direction, east of north.
     """
 
     matrix: Integers
@@ -75,7 +75,8 @@ def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> IntegerAttitude:
     Raises
     ------
     NotSolved
-        Too few or too many stars, all in one place or 60° from the centre; no image of them, or its mirror image.
+        Too few or too many stars; coincident stars; stars 60° from the centre; an image that is mirrored or whose shape
+        does not match the stars.
     FixedPointOverflow
         Centroids or directions outside their formats.
     """
@@ -89,7 +90,7 @@ def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> IntegerAttitude:
     fit = _Fit(image)
     center = unit(sky.sum(axis=0))
     smallest = int(np.argmin(np.abs(center)))
-    plate = np.zeros((2, 2), dtype=np.int64)  # 2.30 a 2⁻¹⁶ pixel, with _MAP_BITS more
+    plate = np.zeros((2, 2), dtype=np.int64)  # 2.30 per 2⁻¹⁶ pixel, with _MAP_BITS more
     for rounds in range(1, _ROUNDS + 1):
         east, north = _axes(center, smallest)
         left = _standard(sky, east, north, center) - ((image @ plate.T) >> _MAP_BITS)
@@ -106,11 +107,11 @@ def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> IntegerAttitude:
         if rounds >= _LEAST_ROUNDS and int(np.abs(offset).max()) <= _SETTLED:
             return _attitude(center, east, north, plate)
         center = unit(center + ((int(offset[0]) * east + int(offset[1]) * north) >> 30))
-    raise NotSolved(f"the centre does not settle in {_ROUNDS} rounds: check the stars")
+    raise NotSolved(f"the centre does not converge in {_ROUNDS} iterations: check the stars")
 
 
 class _Fit:
-    """Least squares of a linear map of the image (M, 2), 10.16 about its mean; four constants where it is a line."""
+    """Least-squares linear map of the image (M, 2), 10.16 about its mean; four constants for collinear stars."""
 
     def __init__(self, image: Integers) -> None:
         self.image = image
@@ -120,13 +121,13 @@ class _Fit:
         total = self.xx + self.yy
         determinant = self.xx * self.yy - self.xy * self.xy
         self.full = determinant > (total * total) >> _SLENDER_SHIFT
-        # determinant × 2⁻³⁰, or the trace: a divisor good to 16 bits and more
+        # determinant × 2⁻³⁰, or the trace: a divisor accurate to at least 16 bits
         self.divisor = determinant >> 30 if self.full else total
         if self.divisor < 1 << 12:
-            raise NotSolved("plate constants need stars in different places")
+            raise NotSolved("plate constants need stars at different positions")
 
     def of(self, left: Integers) -> Integers:
-        """The map (2, 2) of what is left over (M, 2) of 2.30: 2.30 a 2⁻¹⁶ pixel, with _MAP_BITS more."""
+        """Map (2, 2) fitted to the residuals (M, 2) of 2.30: 2.30 per 2⁻¹⁶ pixel, with _MAP_BITS more."""
         x, y = self.image[:, 0], self.image[:, 1]
         u, v = left[:, 0], left[:, 1]
         (ux, uy, vx, vy), shift = _thirty_bits([int(u @ x), int(u @ y), int(v @ x), int(v @ y)])
@@ -146,26 +147,27 @@ class _Fit:
 
 
 def unit(vector: ArrayLike) -> Integers:
-    """A vector of components below 2³⁶ in magnitude, made one unit long, of 2.30.
+    """Unit vector of 2.30 of a vector with components below 2³⁶ in magnitude.
 
     Raises
     ------
     FixedPointOverflow
-        A longer one.
+        If a component is larger.
     NotSolved
-        One of no length to speak of.
+        If the vector is too short.
     """
     v = integers(vector).copy()
     largest = int(np.abs(v).max())
     if largest >= 1 << 36:
         raise FixedPointOverflow("length of a vector", largest, "36 bits")
     if not normalize(v, _LEAST_LENGTH):
-        raise NotSolved("directions that cancel have no mean")
+        raise NotSolved("the directions cancel, so that their mean is undefined")
     return v
 
 
 def _axes(center: Integers, smallest: int) -> tuple[Integers, Integers]:
-    """Two axes across a direction, right-handed with it; the first lies towards the coordinate axis `smallest`."""
+    """Two axes perpendicular to a direction, right-handed with it; the first is close to the coordinate axis
+    `smallest`."""
     first = -((int(center[smallest]) * center) >> 30)
     first[smallest] += DIRECTION.one
     first, second = unit(first), np.empty(3, np.int64)
@@ -182,10 +184,10 @@ def _standard(sky: Integers, east: Integers, north: Integers, center: Integers) 
 
 
 def _attitude(center: Integers, east: Integers, north: Integers, plate: Integers) -> IntegerAttitude:
-    """The rotation nearest to the plate's map, and its angles."""
+    """Attitude from the rotation closest to the plate's map."""
     turning = int(plate[0, 0]) * (int(plate[1, 1]) >> 4) - int(plate[0, 1]) * (int(plate[1, 0]) >> 4)
     if turning <= 0:
-        raise NotSolved("the stars are the mirror image of the picture, or none of it")
+        raise NotSolved("the image is mirrored, or its shape does not match the stars")
     reach, swing = int(plate[0, 0] + plate[1, 1]), int(plate[1, 0] - plate[0, 1])
     cosine, sine, _ = unit(_long(np.array([reach, swing, 0])))
     matrix = np.vstack([(cosine * east + sine * north) >> 30, (cosine * north - sine * east) >> 30, center])
@@ -204,14 +206,14 @@ def matrix_angles(matrix: Integers) -> tuple[int, int, int]:
 
 
 def _long(vector: Integers) -> Integers:
-    """A vector of less than 34 bits, shifted left while it has less than 30: short ones keep their direction."""
+    """A vector of less than 34 bits, shifted left to 30 bits, so that the direction of short vectors is preserved."""
     while 0 < int(np.abs(vector).max()) < 1 << 30:
         vector = vector * 2
     return vector
 
 
 def _thirty_bits(sums: list[int]) -> tuple[list[int], int]:
-    """Integers shifted right alike until all are below 2³⁰ in magnitude, and by how much."""
+    """Integers shifted right by a common amount until all are below 2³⁰ in magnitude, and that amount."""
     shift, largest = 0, max(abs(s) for s in sums)
     while largest >= 1 << 30:
         largest, shift = largest >> 1, shift + 1
@@ -219,7 +221,7 @@ def _thirty_bits(sums: list[int]) -> tuple[list[int], int]:
 
 
 def _shifted(value: int, power: int) -> int:
-    """value × 2^power, downwards; what has no chance of being a plate's map is refused before it is too long."""
+    """value × 2^power, rounded down; a value too large for a plate's map is rejected before it overflows."""
     if power <= 0:
         return value >> -power
     if abs(value) >> max(33 - power, 0):

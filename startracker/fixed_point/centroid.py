@@ -1,4 +1,4 @@
-"""Centroids in integers, pixel by pixel as a cluster grows (Yee 1999, sections 2.2 and 4.2.4.1)."""
+"""Running centroids in integers, updated pixel by pixel (Yee 1999, sections 2.2 and 4.2.4.1)."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ _SIGNAL = Format(32, 0)
 
 
 def running_centroid(x: ArrayLike, y: ArrayLike, signal: ArrayLike) -> Integers:
-    """Centroid (2,) of 10.22 of a cluster's pixels, met one by one.
+    """Centroid (2,) of 10.22 of the pixels of a cluster, accumulated one by one.
 
-    c ← (c S + x f) / (S + f), S ← S + f: eqs. 2.1 and 2.2 as a running mean. The product of two words of 32 bits has
-    64, for which she recommends a processor of that length; each quotient is truncated towards zero, which after n
-    pixels leaves an error of less than n × 2⁻²², towards the origin.
+    c ← (c S + x f) / (S + f), S ← S + f: eqs. 2.1 and 2.2 as a running mean. The product of two 32-bit words has 64
+    bits, for which Yee recommends a 64-bit processor. Each quotient is truncated towards zero, which after n pixels
+    gives an error of less than n × 2⁻²² towards the origin.
 
     Parameters
     ----------
     x, y : array_like of int, shape (N,)
-        Pixels, whole numbers, counted from the image's centre.
+        Pixel coordinates from the image centre.
     signal : array_like of int, shape (N,)
-        DN of each, not negative; the first is positive.
+        DN of each pixel, not negative; the first is positive.
 
     Raises
     ------
     FixedPointOverflow
-        A pixel outside 10.22, a sum of signals of 2³¹ or more.
+        A pixel outside 10.22, or a sum of signals of 2³¹ or more.
     ValueError
-        No pixel, or a first one without signal.
+        No pixels, or a first pixel without signal.
     """
     dn = _SIGNAL.check(signal, "signal")
     if dn.size == 0 or dn.flat[0] <= 0 or dn.min() < 0:
-        raise ValueError("a cluster begins with a pixel that has a signal, and none is negative")
+        raise ValueError("the first pixel of a cluster must have a signal, and no signal may be negative")
     _SIGNAL.check(dn.sum(), "sum of the signals")
     points = np.stack([CENTROID.from_integer(integers(x)), CENTROID.from_integer(integers(y))], axis=1)
     return np.asarray(_mean(points, dn))

@@ -1,4 +1,4 @@
-"""Angles of vectors in 64-bit integers, by rotations through ever smaller angles (Volder 1959, CORDIC)."""
+"""Angles of vectors in 64-bit integers by CORDIC (Volder 1959)."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from startracker.kernels import kernel
 __all__ = ["DEGREES", "FINE_BITS", "STEPS_DEG", "angles_deg", "fine_angles"]
 
 DEGREES = Format(10, 22)
-"""Right ascension, declination and roll, degrees: 0.0009″ a unit."""
+"""Right ascension, declination and roll, degrees: 0.0009″ per unit."""
 FINE_BITS = 40
-"""Of fraction in the degrees that `fine_angles` gives."""
+"""Fraction bits of the degrees returned by `fine_angles`."""
 _STEPS = 40
 STEPS_DEG = tuple(round(math.ldexp(math.degrees(math.atan(2.0**-k)), FINE_BITS)) for k in range(_STEPS))
 """atan 2⁻ᵏ, degrees."""
 
 
 def fine_angles(y: ArrayLike, x: ArrayLike) -> Integers:
-    """Four-quadrant arctangents of y/x, degrees in (−90°, 270°] with 40 bits of fraction; 0 for (0, 0).
+    """Four-quadrant arctangents of y/x, degrees in (−90°, 270°] with 40 fraction bits; 0 for (0, 0).
 
-    Vectors of whole numbers are scaled up first, so that short ones lose nothing; the error is below
+    The vectors are scaled up first, so that short ones do not lose precision; the error is below
     57.3 × 2⁻³⁹ + 40 × 2⁻⁴¹ < 2⁻³² degrees.
 
     Raises
     ------
     FixedPointOverflow
-        A component of 2⁴⁰ or more in magnitude.
+        If a component is 2⁴⁰ or more in magnitude.
     """
     a, b = np.broadcast_arrays(integers(y), integers(x))
     if a.size:
@@ -48,7 +48,7 @@ def _rotated(y: Integers, x: Integers, steps: Integers) -> Integers:
         largest = max(abs(a), abs(b))
         if largest == 0:
             continue
-        while largest < 1 << 58:  # the rotations lengthen by 1.65 × √2 at most
+        while largest < 1 << 58:  # the rotations increase the length by at most 1.65 × √2
             largest, a, b = largest << 1, a << 1, b << 1
         total = 0
         if b < 0:

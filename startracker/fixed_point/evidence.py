@@ -1,12 +1,12 @@
-"""How improbable a match of observed stars and guide stars is by chance, in integers.
+"""Evidence of a match of observed stars and guide stars against chance, in integers.
 
-The weight is log₂ of the Bayes factor of `startracker.identification.bayes_factor`, with 12 bits of fraction; every
-table entry and every logarithm is rounded so that the factor comes out smaller than it is. The null hypothesis differs:
-each point lies with the density that the points around it show, at least that of the image. For the k-th nearest of n
-points at the distance d that is k/((n − 1) π d²), and the largest of k = 1 … n − 1 counts, so that a clump of points
-explains itself. Matches must span the field besides (`Tables.spread`).
+The evidence is log₂ of the Bayes factor of `startracker.identification.bayes_factor`, with 12 fraction bits; every
+table entry and logarithm is rounded so that the factor is never overestimated. The null hypothesis differs: each point
+has the local density of the points around it, at least that of the image. For the k-th nearest of n points at the
+distance d the density is k/((n − 1) π d²), and the largest for k = 1 … n − 1 is used, so that a cluster of points is
+not evidence. In addition, matches must span the field (`Tables.spread`).
 
-The C export (`c/tracker_verification.c`) does the same operations in the same order.
+The C export (`c/tracker_verification.c`) performs the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -22,54 +22,55 @@ from startracker.kernels import kernel
 __all__ = ["LOG_BITS", "NEVER", "PLANE_BITS", "Tables", "local_areas", "log2", "log_sum", "spans", "weigh"]
 
 PLANE_BITS = 12
-"""Of fraction in pixels of the plane."""
+"""Fraction bits of pixels in the tangent plane."""
 LOG_BITS = 12
-"""Of fraction in logarithms to base 2."""
+"""Fraction bits of logarithms to base 2."""
 NEVER = -(1 << 28)
-"""Logarithm of what does not happen."""
-_LOG_UP = 24  # what `log2` may be too small by: 4096 log₂(1 + 1/256), rounded up
-_SUM_STEP = 8  # of logarithms' differences to positions in the table of sums
+"""Logarithm of zero."""
+_LOG_UP = 24  # maximum error of `log2`: 4096 log₂(1 + 1/256), rounded up
+_SUM_STEP = 8  # shift from differences of logarithms to indices into the table of sums
 
 
 class Tables(NamedTuple):
-    """Guide stars and constants of one camera, made by `startracker.identification.integer_acceptance`.
+    """Guide stars and constants of one camera, computed by `startracker.identification.integer_acceptance`.
 
     Parameters
     ----------
     guide : (G, 3)
         Directions of 2.30, brightest first.
     focal, ratio : int
-        Focal length across, 2⁻¹² pixels; that across over that down, of 12.20.
+        Horizontal focal length, 2⁻¹² pixels; ratio of the horizontal to the vertical focal length, of 12.20.
     half : (2,)
-        Half the image in the plane.
+        Half the image size in the plane.
     gates : (R,)
-        Squares of the radii within which a point is a guide star, one after the other.
+        Squares of the successive matching radii.
     same, same_roll : int
-        Largest differences of the elements of two matrices of 2.30 that are one attitude: of the boresight, of the axis
-        to the right. Either moves the image by the widest gate at most.
+        Maximum differences between the elements of two matrices of 2.30 that count as the same attitude: of the
+        boresight, and of the axis to the right. Either moves the image by at most the widest gate.
     spread : int
-        Least determinant of the second moments of the matched points over the square of their number, of whole
-        pixels; a share of that of an evenly filled image.
+        Minimum determinant of the second moments of the matched points over the square of their number, in pixels; a
+        fraction of that of a uniformly filled image.
     log_area : int
-        log₂ of the image's area in units of the plane, downwards.
+        log₂ of the image's area in units of the plane, rounded down.
     log_pi : int
-        log₂ π, downwards.
+        log₂ π, rounded down.
     log_cell : (S,)
-        log₂ 2πσ² of each width σ averaged over, in units of the plane, upwards.
+        log₂ 2πσ² of each width σ averaged over, in units of the plane, rounded up.
     quadratic, farthest : (S,)
-        log₂ e / 2σ² × 2³² a unit of squared distance, upwards; squared distance beyond which nothing matches.
+        log₂ e / 2σ² × 2³² per unit of squared distance, rounded up; squared distance beyond which nothing matches.
     log_volume : (S,)
-        log₂ of the prior of the width and of the volume of attitudes of one match of one pixel's lever, downwards.
+        log₂ of the prior of the width and of the volume of attitudes of one match with a lever arm of one pixel,
+        rounded down.
     log_table, sum_table : (256,), (T,)
-        log₂(1 + k/256), and log₂(1 + 2⁻ˣ) of x = (k + 1)/16: both downwards.
+        log₂(1 + k/256), and log₂(1 + 2⁻ˣ) of x = (k + 1)/16, both rounded down.
     distracting : (N + 1,)
-        log₂ of the weight of k stars that are no guide stars.
+        log₂ of the weight of k false stars.
     seeing : (N + 1, D + 1)
-        log₂ of the weight of M guide stars that are seen and k that are not.
+        log₂ of the weight of M guide stars detected and k not detected.
     total : (N + 1, D + 1)
-        log₂ of what all numbers of stars weigh together, for n observed and up to D guide stars, upwards.
+        log₂ of the total weight of all numbers of stars, for n observed and up to D guide stars, rounded up.
     threshold : int
-        log₂ of the least factor that is accepted, upwards.
+        log₂ of the minimum factor that is accepted, rounded up.
     """
 
     guide: Integers
@@ -96,7 +97,7 @@ class Tables(NamedTuple):
 
 @kernel
 def log2(n: int, table: Integers) -> int:
-    """log₂ of n ≥ 1, downwards."""
+    """log₂ of n ≥ 1, rounded down."""
     bits, m = 0, n
     while m > 1:
         m >>= 1
@@ -108,7 +109,7 @@ def log2(n: int, table: Integers) -> int:
 
 @kernel
 def log_sum(a: int, b: int, table: Integers) -> int:
-    """log₂(2ᵃ + 2ᵇ), downwards."""
+    """log₂(2ᵃ + 2ᵇ), rounded down."""
     high, low = max(a, b), min(a, b)
     k = (high - low) >> _SUM_STEP
     return high + table[k] if k < len(table) else high
@@ -116,7 +117,7 @@ def log_sum(a: int, b: int, table: Integers) -> int:
 
 @kernel
 def local_areas(points: Integers, tables: Tables) -> Integers:
-    """log₂ of the area (N,) that one point has to itself where each lies, that of the image at most, downwards."""
+    """log₂ of the area per point (N,) at each point, at most that of the image, rounded down."""
     n = len(points)
     out = np.empty(n, np.int64)
     square = np.empty(n, np.int64)
@@ -142,7 +143,7 @@ def local_areas(points: Integers, tables: Tables) -> Integers:
 
 @kernel
 def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tuple[bool, int]:
-    """Whether matched points span the field, and the sum of their squared distances from their mean."""
+    """Whether the matched points span the field, and the sum of their squared distances from their mean."""
     mx = my = 0
     for i in range(len(points)):
         if index[i] >= 0:
@@ -163,7 +164,7 @@ def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tupl
 
 @kernel
 def weigh(square: Integers, index: Integers, area: Integers, count: int, in_field: int, lever: int, t: Tables) -> int:
-    """log₂ of the Bayes factor of the matches at hand, downwards."""
+    """log₂ of the Bayes factor of the given matches, rounded down."""
     n = len(index)
     gain = np.empty(count, np.int64)
     rank = np.empty(count, np.int64)

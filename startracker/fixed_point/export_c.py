@@ -1,9 +1,9 @@
-"""The integer tracker as C99 source: tables as constant arrays, and the algorithm (Yee 1999, section 4.2.5).
+"""Export of the integer tracker as C99 source: constant tables and the algorithm (Yee 1999, section 4.2.5).
 
-`export_c` returns the files: the C of ``c/`` with its names prefixed, ``<prefix>_tables.h`` and ``<prefix>_tables.c``
-with the numbers of one camera, sub-catalogue and set of thresholds, a ``main.c`` and a Makefile. Every buffer has a
-fixed size, the largest that these tables can ask for; only triads that pass all tests may be too many, which is a
-status.
+`export_c` returns the files: the C sources of ``c/`` with prefixed names, ``<prefix>_tables.h`` and
+``<prefix>_tables.c`` with the tables of one camera, sub-catalogue and set of thresholds, a ``main.c`` and a Makefile.
+Every buffer has a fixed size, the maximum that these tables require. Only the number of triads that pass all tests can
+exceed its buffer, which gives a status.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["MODULES", "CExport", "export_c"]
 
 MODULES = ("integers", "attitude", "verification", "triads")
-"""Modules of the solver that are the same for every camera: ``<prefix>_<module>.c``."""
+"""Modules of the solver that do not depend on the camera: ``<prefix>_<module>.c``."""
 _SOURCES = ("tracker.h", "tracker_internal.h", *(f"tracker_{module}.c" for module in MODULES), "main.c")
 _NAME = re.compile(r"\b(tracker|TRACKER)(?=_|\.h)")
 _MAKEFILE = """\
@@ -52,18 +52,18 @@ clean:
 
 @dataclass(frozen=True)
 class CExport:
-    """Source files, and what their tables take.
+    """Source files, and the memory of their tables.
 
     Parameters
     ----------
     prefix : str
-        That all its names begin with.
+        Prefix of all names.
     files : dict of str to str
-        Name to text.
+        File name to text.
     table_bytes : dict of str to int
-        Array to its size.
+        Array name to size in bytes.
     most_steps : int
-        Comparisons of catalogue pairs in the search for triads, at most.
+        Maximum number of comparisons of catalogue pairs in the search for triads.
     """
 
     prefix: str
@@ -80,47 +80,47 @@ def export_c(
     max_groups: int,
     prefix: str = "tracker",
 ) -> CExport:
-    """Write the tracker of one camera in C.
+    """Export the tracker of one camera to C.
 
     Parameters
     ----------
     tracker : IntegerTracker
         Camera and tables.
     limits : TriadLimits
-        Thresholds, one separation tolerance for all pairs.
+        Thresholds, with one separation tolerance for all pairs.
     max_stars, max_triads, max_groups : int
-        Brightest points that make triads; triads that there is room for; groups that are verified.
+        Number of brightest points used for triads; capacity for triads; number of groups that are verified.
     prefix : str
-        Of all files and names.
+        Prefix of all files and names.
 
     Raises
     ------
     InputError
-        A prefix that is no name of C; tables of another arithmetic, several separation tolerances, more stars or pairs
-        than 16-bit indices reach.
+        A prefix that is not a C identifier; tables of another arithmetic; several separation tolerances; more stars or
+        pairs than 16-bit indices can address.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix) or prefix.endswith("_"):
         raise InputError(f"--prefix: must be lower-case letters, digits and underscores, as 'vega_1', not '{prefix}'")
     tables, check = tracker.tables, tracker.verification
     arithmetic, sky = tables.arithmetic, tables.sky
     if not (isinstance(arithmetic, FixedArithmetic) and isinstance(sky, FixedSky)):
-        raise InputError("only tables of integers can be exported; build them with FixedArithmetic")
+        raise InputError("only integer tables can be exported; build them with FixedArithmetic")
     if isinstance(limits.separation_tolerance_deg, tuple):
-        raise InputError("the export has one separation tolerance for all pairs; give one number")
+        raise InputError("the export uses one separation tolerance for all pairs; give one number")
     if len(tables) == 0 or len(tables.first) == 0:
-        raise InputError("the sub-catalogue has no pair of stars; raise the magnitude limit or the largest separation")
+        raise InputError("the sub-catalogue has no pair of stars; raise the magnitude limit or the maximum separation")
     tolerance = arithmetic.separation_of(limits.separation_tolerance_deg)
     every = np.arange(SEPARATION.largest + 1)
     low, high = tables.windows(every, np.full_like(every, tolerance))
     window = int((high - low).max())
     if len(tables) >= 1 << 16 or 2 * window >= 1 << 16:
         raise InputError(
-            f"{len(tables)} stars with up to {window} pairs within the tolerance: more than 16-bit indices reach "
-            "(65535 stars, 32767 pairs); take fewer stars or a smaller tolerance"
+            f"{len(tables)} stars with up to {window} pairs within the tolerance: more than 16-bit indices can address "
+            "(65535 stars, 32767 pairs); use fewer stars or a smaller tolerance"
         )
     triangles = max_stars * (max_stars - 1) * (max_stars - 2) // 6
     most_steps = triangles * 2 * window * _most_partners(tables, tolerance) ** 2
-    # the same words as `combine_separation`, which this package cannot import
+    # the same computation as `combine_separation`, which this package cannot import
     scale = SCALE.encode(tracker.camera.scale_deg)
     probe = arithmetic.image([[0.0, 0.0], [limits.combine_px, 0.0], [0.0, limits.combine_px]], scale)
     combine = int(arithmetic.image_separations(probe, [0, 0], [1, 2]).max())
@@ -167,30 +167,33 @@ def export_c(
         _Table("uint16_t", "cosine", "cosines of 1.15 by angles of 6.10", cosine_table()),
         _Table("int16_t", "arccosine", "degrees of 6.10 by cosines of 1.15", arccosine),
         _Table("uint16_t", "quadrant", "degrees of 10.6 by cosines of 1.15", quadrant_table()),
-        _Table("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 bits of fraction", np.array(STEPS_DEG)),
+        _Table("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG)),
         _Table("int32_t", "star_number", "catalogue numbers", tables.id),
         _Table("uint16_t", "star_rank", "order of brightness", integers(tables.v_mag)),
         _Table("int32_t", "star_ra", "degrees of 10.22", sky.ra),
         _Table("int32_t", "star_dec", "degrees of 10.22", sky.dec),
         _Table("int32_t", "star_direction", "unit vectors of 2.30", sky.directions),
         _Table("int16_t", "pair_separation", "degrees of 6.10, ascending", tables.separation),
-        _Table("uint16_t", "pair_first", "places of stars", tables.first),
-        _Table("uint16_t", "pair_second", "places of stars", tables.second),
+        _Table("uint16_t", "pair_first", "indices of stars", tables.first),
+        _Table("uint16_t", "pair_second", "indices of stars", tables.second),
         _Table("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", check.guide),
         _Table("int32_t", "guide_number", "their catalogue numbers", tracker.guide_number),
-        _Table("uint16_t", "guide_of_star", "the guide star that a star belongs to", tracker.guide_of_star),
-        _Table("int64_t", "gate", "squared radii of the matching, units of the plane", check.gates),
+        _Table("uint16_t", "guide_of_star", "guide star of each star", tracker.guide_of_star),
+        _Table("int64_t", "gate", "squared matching radii, units of the plane", check.gates),
         _Table("int32_t", "log_cell", "log2 of 2 pi sigma^2, of each width", check.log_cell),
-        _Table("int64_t", "quadratic", "log2(e) / 2 sigma^2, 32 bits of fraction", check.quadratic),
+        _Table("int64_t", "quadratic", "log2(e) / 2 sigma^2, 32 fraction bits", check.quadratic),
         _Table("int64_t", "farthest", "largest squared distance", check.farthest),
         _Table("int32_t", "log_volume", "log2 of prior and volume", check.log_volume),
         _Table("int16_t", "log_table", "log2(1 + k / 256)", check.log_table),
         _Table("int16_t", "sum_table", "log2(1 + 2^-x)", check.sum_table),
         _Table("int32_t", "distracting", "log2 of the weight of k false stars", check.distracting),
-        _Table("int32_t", "seeing", "log2 of the weight of m stars seen and k not", check.seeing),
-        _Table("int32_t", "total", "log2 of the weight of n points before k guide stars", check.total),
+        _Table("int32_t", "seeing", "log2 of the weight of m stars detected and k not", check.seeing),
+        _Table("int32_t", "total", "log2 of the total weight, n points, up to k guide stars", check.total),
     ]
-    head = ["/* Numbers of one camera and sub-catalogue; made by boresight export-c. */", "#ifndef TRACKER_TABLES_H"]
+    head = [
+        "/* Tables of one camera and sub-catalogue; generated by boresight export-c. */",
+        "#ifndef TRACKER_TABLES_H",
+    ]
     head += ["#define TRACKER_TABLES_H", "", "#include <stdint.h>", "", "#ifdef __cplusplus", 'extern "C" {', "#endif"]
     head += ["", f"#define TRACKER_MOST_STEPS {most_steps}LL"]
     head += [f"#define TRACKER_{name} {value}" for name, value in constants.items()]
@@ -210,7 +213,7 @@ def _prefixed(text: str, prefix: str) -> str:
 
 
 def _most_partners(tables: TriadTables, tolerance: int) -> int:
-    """Most partners that any star has within a window of separations."""
+    """Maximum number of partners of any star within a window of separations."""
     star = np.concatenate([tables.first, tables.second])
     separation = np.concatenate([tables.separation, tables.separation])
     order = np.lexsort((separation, star))
@@ -236,7 +239,7 @@ class _Table:
         return f"const {self.type} tracker_{self.name}" + "".join(f"[{n}]" for n in self.values.shape)
 
     def definition(self) -> Iterable[str]:
-        """Its lines; every value is checked against the type's range."""
+        """Lines of the definition; every value is checked against the range of the type."""
         limits = np.iinfo(self.type[:-2])
         if self.values.min() < limits.min or self.values.max() > limits.max:
             raise InputError(f"{self.name}: {self.values.min()} to {self.values.max()} does not fit {self.type}")

@@ -1,9 +1,9 @@
 """Binary fixed-point numbers M.N in two's complement (Yee 1999, sections 3.2 and 3.3).
 
-A number of M.N is an integer of M + N bits that counts units of 2⁻ᴺ; the sign is the first of the M. Arrays of int64
-hold them whatever the format, so that every result can be seen whole and be checked against the range of its format:
-what does not fit raises `FixedPointOverflow` with the operation and the value, and is never wrapped. Only `encode` and
-`decode` know floating point; every other operation refuses arrays that are not of integers.
+A number of format M.N is an integer of M + N bits in units of 2⁻ᴺ; the sign is the first of the M bits. All formats are
+stored in int64 arrays, so that every result can be checked against the range of its format: a result out of range
+raises `FixedPointOverflow` with the operation and the value, and never wraps around. Only `encode` and `decode` use
+floating point; every other operation rejects arrays that are not integers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class FixedPointOverflow(BoresightError, OverflowError):
     value : int
         The integer that did not fit.
     format : str
-        Format or word length that it did not fit into.
+        Format or word length that was exceeded.
     """
 
     def __init__(self, operation: str, value: int, format: str) -> None:
@@ -51,12 +51,12 @@ class FixedPointOverflow(BoresightError, OverflowError):
 
 
 def integers(value: Any) -> Integers:
-    """The value as an array of int64; anything but integers and truth values is refused.
+    """The value as an array of int64; only integers and booleans are accepted.
 
     Raises
     ------
     TypeError
-        Where an element is a floating-point number, or an object.
+        If the array is of floating-point numbers or objects.
     """
     array = np.asarray(value)
     if array.dtype == np.int64:
@@ -67,9 +67,9 @@ def integers(value: Any) -> Integers:
 
 
 def check_product(a: ArrayLike, b: ArrayLike, operation: str) -> None:
-    """Raise `FixedPointOverflow` where the product of two arrays could leave 64 bits.
+    """Raise `FixedPointOverflow` if the product of two arrays could exceed 64 bits.
 
-    Judged by the largest magnitudes of the two, so also for element-wise products that would fit.
+    The test uses the largest magnitudes of both, so it can also reject element-wise products that would fit.
     """
     left, right = integers(a), integers(b)
     if left.size and right.size:
@@ -79,12 +79,12 @@ def check_product(a: ArrayLike, b: ArrayLike, operation: str) -> None:
 
 
 def divide(dividend: ArrayLike, divisor: ArrayLike) -> Integers:
-    """Quotient truncated towards zero, as C99 and the processor's own instruction give it.
+    """Quotient truncated towards zero, as in C99.
 
     Raises
     ------
     FixedPointOverflow
-        Division by zero, whose quotient no format holds.
+        Division by zero.
     """
     n, d = integers(dividend), integers(divisor)
     if not d.all():
@@ -99,7 +99,7 @@ class Format:
     Parameters
     ----------
     integer_bits, fraction_bits : int
-        M, with the sign's bit where there is one, and N.
+        M, including the sign bit if there is one, and N.
     signed : bool
         Two's complement; else unsigned.
     """
@@ -110,38 +110,38 @@ class Format:
 
     def __post_init__(self) -> None:
         if self.fraction_bits < 0 or self.integer_bits < int(self.signed) or not 1 <= self.bits <= 64:
-            raise ValueError(f"no fixed-point format: {self.integer_bits}.{self.fraction_bits}")
+            raise ValueError(f"not a fixed-point format: {self.integer_bits}.{self.fraction_bits}")
 
     def __str__(self) -> str:
         return f"{self.integer_bits}.{self.fraction_bits}" + ("" if self.signed else " unsigned")
 
     @property
     def bits(self) -> int:
-        """Length of the word, M + N."""
+        """Word length, M + N."""
         return self.integer_bits + self.fraction_bits
 
     @property
     def one(self) -> int:
-        """The integer that stands for 1."""
+        """The integer that represents 1."""
         return 1 << self.fraction_bits
 
     @property
     def smallest(self) -> int:
-        """The least integer, −2^(M+N−1) or 0."""
+        """The smallest integer, −2^(M+N−1) or 0."""
         return -(1 << (self.bits - 1)) if self.signed else 0
 
     @property
     def largest(self) -> int:
-        """The greatest integer."""
+        """The largest integer."""
         return (1 << (self.bits - int(self.signed))) - 1
 
     def check(self, value: ArrayLike, operation: str = "a value") -> Integers:
-        """The integers themselves, all of them in range.
+        """Return the integers unchanged after checking their range.
 
         Raises
         ------
         FixedPointOverflow
-            Where one is not.
+            If one is out of range.
         """
         array = integers(value)
         outside = (array < self.smallest) | (array > self.largest)
@@ -149,9 +149,9 @@ class Format:
             raise FixedPointOverflow(operation, int(array[outside].flat[0]), str(self))
         return array
 
-    # ------------------------------------------------------------------ at the edges, while tables are made
+    # ------------------------------------------------------------------ conversion, while tables are built
     def encode(self, value: ArrayLike, *, rounded: bool = False) -> Integers:
-        """Real numbers × 2ᴺ, truncated towards zero as an assignment to an integer does, or rounded to the nearest.
+        """Real numbers × 2ᴺ, truncated towards zero as by assignment to an integer in C, or rounded to nearest.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class Format:
         """
         real = np.asarray(value, dtype=np.float64)
         if not np.isfinite(real).all():
-            raise ValueError("fixed-point numbers are finite")
+            raise ValueError("fixed-point numbers must be finite")
         scaled = np.ldexp(real, self.fraction_bits)
         scaled = np.rint(scaled) if rounded else np.trunc(scaled)
         outside = (scaled < self.smallest) | (scaled > self.largest)
@@ -171,12 +171,12 @@ class Format:
         return scaled.astype(np.int64)
 
     def decode(self, value: ArrayLike) -> NDArray[np.float64]:
-        """The real numbers that integers of this format stand for."""
+        """The real numbers represented by integers of this format."""
         return np.ldexp(integers(value).astype(np.float64), -self.fraction_bits)
 
     # ------------------------------------------------------------------ arithmetic, integers only
     def from_integer(self, value: ArrayLike) -> Integers:
-        """Whole numbers in this format: shifted left by N."""
+        """Integers converted to this format: shifted left by N."""
         return self.check(integers(value) * self.one, "conversion of an integer")
 
     def add(self, a: ArrayLike, b: ArrayLike) -> Integers:
@@ -188,24 +188,24 @@ class Format:
         return self.check(integers(a) - integers(b), "subtraction")
 
     def multiply_integer(self, a: ArrayLike, n: ArrayLike) -> Integers:
-        """A number of this format times a whole number."""
+        """A number of this format times an integer."""
         check_product(a, n, "multiplication by an integer")
         return self.check(integers(a) * integers(n), "multiplication by an integer")
 
     def multiply(self, a: ArrayLike, b: ArrayLike, b_fraction_bits: int | None = None) -> Integers:
-        """a × b: the product of 2N bits of fraction, shifted right by N, which truncates downwards.
+        """a × b: the product with 2N fraction bits is shifted right by N, which rounds down.
 
         Parameters
         ----------
         a, b : array_like of int
-            Numbers of this format; `b` may have `b_fraction_bits` bits of fraction instead.
+            Numbers of this format; `b` may have `b_fraction_bits` fraction bits instead.
         """
         check_product(a, b, "multiplication")
         shift = self.fraction_bits if b_fraction_bits is None else b_fraction_bits
         return self.check((integers(a) * integers(b)) >> shift, "multiplication")
 
     def divide_integer(self, a: ArrayLike, n: ArrayLike) -> Integers:
-        """A number of this format divided by a whole number, truncated towards zero."""
+        """A number of this format divided by an integer, truncated towards zero."""
         return self.check(divide(a, n), "division by an integer")
 
     def divide(self, a: ArrayLike, b: ArrayLike) -> Integers:
@@ -214,16 +214,16 @@ class Format:
         return self.check(divide(integers(a) * self.one, b), "division")
 
     def text(self, value: int) -> str:
-        """The bits with their point, such as ``0011.1000``."""
+        """The bits with the binary point, such as ``0011.1000``."""
         bits = f"{int(value) & ((1 << self.bits) - 1):0{self.bits}b}"
         return f"{bits[: self.integer_bits]}.{bits[self.integer_bits :]}"
 
 
 CENTROID = Format(10, 22)
-"""Pixels of a centroid: up to 511 either way (Yee 1999, section 4.2.4.1)."""
+"""Centroids in pixels, ±511 (Yee 1999, section 4.2.4.1)."""
 SEPARATION = Format(6, 10)
-"""Degrees of an angular separation: below 32° (section 4.2.4.2)."""
+"""Angular separations in degrees, below 32° (section 4.2.4.2)."""
 COSINE = Format(1, 15, signed=False)
 """Cosines from 0 to 1 (section 3.4)."""
 ANGLE = Format(10, 6)
-"""Degrees of enclosed and rotation angles (section 3.3.3)."""
+"""Enclosed and rotation angles in degrees (section 3.3.3)."""

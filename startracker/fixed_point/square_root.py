@@ -12,14 +12,14 @@ from startracker.kernels import kernel
 __all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "root", "separation", "square_root"]
 
 CROSSOVER = 11929
-"""11.65° in 6.10: up to here Pythagoras' theorem errs less than the tables; see `separation`."""
+"""11.65° in 6.10: below it Pythagoras' theorem is more accurate than the tables; see `separation`."""
 
 
 def square_root(value: ArrayLike) -> Integers:
-    """⌊√n⌋ of integers 0 ≤ n < 2⁶², by Newton and Raphson's x ← (x + n/x)/2.
+    """⌊√n⌋ of integers 0 ≤ n < 2⁶² by the Newton–Raphson iteration x ← (x + n/x)/2.
 
-    Begun at a power of two that is not below the root, the iteration falls until it stands at the root: it ends by
-    itself, and exactly. A fixed-point root of M.N is the integer root of the number times 2ᴺ.
+    Started at a power of two not below the root, the iteration decreases monotonically to the exact root. The root of a
+    number of format M.N is the integer root of the number times 2ᴺ.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def square_root(value: ArrayLike) -> Integers:
     """
     n = integers(value)
     if n.size and (n.min() < 0 or n.max() >= 1 << 62):
-        raise ValueError("square roots are of integers from 0 to below 2**62")
+        raise ValueError("square roots need integers from 0 to below 2**62")
     return np.asarray(_roots(n.ravel())).reshape(n.shape)
 
 
@@ -72,21 +72,22 @@ def by_tables(chi: ArrayLike, psi: ArrayLike) -> Integers:
     Raises
     ------
     FixedPointOverflow
-        A separation beyond the table of arccosines, 32° or more.
+        A separation beyond the arccosine table, 32° or more.
     """
     cosine, (arccosine, discarded) = cosine_table(), arccosine_table()
     x, y = np.abs(SEPARATION.check(chi, "angle")), np.abs(SEPARATION.check(psi, "angle"))
     largest = len(cosine) - 1
     product = (cosine[np.minimum(x, largest)] * cosine[np.minimum(y, largest)]) >> COSINE.fraction_bits
-    place = product - discarded
-    SEPARATION.check(np.where((place < 0) | (x > largest) | (y > largest), SEPARATION.largest + 1, 0), "separation")
-    return np.asarray(arccosine[place])
+    entry = product - discarded
+    SEPARATION.check(np.where((entry < 0) | (x > largest) | (y > largest), SEPARATION.largest + 1, 0), "separation")
+    return np.asarray(arccosine[entry])
 
 
 def separation(chi: ArrayLike, psi: ArrayLike, crossover: int = CROSSOVER) -> Integers:
-    """Angular separation of 6.10 of stars that are χ and ψ apart along the image's axes (6.10).
+    """Angular separation of 6.10 of stars separated by χ and ψ along the image axes (6.10).
 
-    Pythagoras' theorem up to the crossover, the tables beyond, each where it errs less: the greatest error is 0.02°.
+    Pythagoras' theorem up to the crossover and the tables beyond, whichever is more accurate; the maximum error is
+    0.02°.
 
     Raises
     ------

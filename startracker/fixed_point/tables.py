@@ -1,4 +1,4 @@
-"""The tables of the integer build, made once in floating point and read as integers only (Yee 1999, section 3.3)."""
+"""Tables of the integer tracker, computed once in floating point and stored as integers (Yee 1999, section 3.3)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["EnclosedTable", "arccosine_table", "cosine_table", "enclosed_table",
 
 @lru_cache
 def cosine_table(angle: Format = SEPARATION, cosine: Format = COSINE) -> Integers:
-    """cos x of every x ≥ 0 of the format of angles, degrees; the index is x itself.
+    """cos x for every x ≥ 0 of the format of angles, degrees; the index is x.
 
     2^(M₁+N₁−1) entries, truncated: 32,768 of 1.15 for angles of 6.10.
     """
@@ -26,14 +26,14 @@ def cosine_table(angle: Format = SEPARATION, cosine: Format = COSINE) -> Integer
 
 @lru_cache
 def arccosine_table(angle: Format = SEPARATION, cosine: Format = COSINE) -> tuple[Integers, int]:
-    """Arccosines, degrees, of every y of the format of cosines whose arccosine the format of angles holds.
+    """Arccosines, degrees, of every y of the format of cosines whose arccosine fits the format of angles.
 
     Returns
     -------
     table : int array
-        Of the format of angles, rounded to the nearest.
+        In the format of angles, rounded to nearest.
     discarded : int
-        How many of the least y have no entry: the index is y − discarded. 27,789 for 6.10 and 1.15, which leaves
+        Number of the smallest y that have no entry: the index is y − discarded. 27,789 for 6.10 and 1.15, which leaves
         4,980 entries.
     """
     y = cosine.decode(np.arange(cosine.one + 1))
@@ -51,14 +51,14 @@ def quadrant_table(angle: Format = ANGLE, cosine: Format = COSINE) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class EnclosedTable:
-    """Her database of enclosed angles (section 3.3.3): a row of six words of 16 bits for each triangle.
+    """Yee's database of enclosed angles (section 3.3.3): six 16-bit words for each triangle.
 
     Parameters
     ----------
     stars : int array, shape (T, 3)
-        Places i < j < k of the stars, ascending.
+        Indices i < j < k of the stars, ascending.
     angles : int array, shape (T, 3)
-        Inner angles there, degrees of 10.6, truncated.
+        Inner angles at these stars, degrees of 10.6, truncated.
     """
 
     stars: Integers
@@ -66,14 +66,14 @@ class EnclosedTable:
 
     @property
     def bytes(self) -> int:
-        """Of memory."""
+        """Memory in bytes."""
         return 2 * (self.stars.size + self.angles.size)
 
 
 def enclosed_table(vectors: ArrayLike, first: ArrayLike, second: ArrayLike) -> EnclosedTable:
-    """Enclosed angles of every triangle whose three sides are among the pairs given.
+    """Enclosed angles of every triangle whose three sides are among the given pairs.
 
-    cos A = (cos a − cos b cos c) / (sin b sin c) (eq. 3.1), computed by half angles, which stay exact for slender
+    cos A = (cos a − cos b cos c) / (sin b sin c) (eq. 3.1), computed with half angles, which are accurate for narrow
     triangles: tan²(A/2) = sin(s−b) sin(s−c) / (sin s sin(s−a)), s = (a + b + c)/2.
 
     Parameters
@@ -100,7 +100,7 @@ def enclosed_table(vectors: ArrayLike, first: ArrayLike, second: ArrayLike) -> E
 
 @kernel
 def _triangles(first: Integers, second: Integers, count: int) -> Integers:
-    """Triangles (T, 3), ascending, of pairs sorted by first, then second star."""
+    """Triangles (T, 3), ascending, from pairs sorted by first and then second star."""
     start = np.searchsorted(first, np.arange(count + 1))
     found = 0
     out = np.empty((0, 3), np.int64)

@@ -1,6 +1,6 @@
-"""Directions in integers: unit vectors of 2.30, their products, and vectors made one unit long.
+"""Directions in integers: unit vectors of 2.30, their products and normalisation.
 
-The C export (`c/tracker_integers.c`) does the same operations in the same order.
+The C export (`c/tracker_integers.c`) performs the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ _ONE = 1 << 30
 
 @kernel
 def quotient(n: int, d: int) -> int:
-    """Quotient by d > 0, truncated towards zero as in C."""
+    """n / d for d > 0, truncated towards zero as in C."""
     return n // d if n >= 0 else -(-n // d)
 
 
 @kernel
 def dot(a: Integers, b: Integers) -> int:
-    """Scalar product of 2.30, downwards."""
+    """Scalar product of 2.30, rounded down."""
     product: int = (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) >> 30
     return product
 
 
 @kernel
 def cross(a: Integers, b: Integers, out: Integers) -> None:
-    """Vector product of 2.30 into `out` (3,), downwards."""
+    """Vector product of 2.30 into `out` (3,), rounded down."""
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         out[k] = (a[i] * b[j] - a[j] * b[i]) >> 30
@@ -39,7 +39,7 @@ def cross(a: Integers, b: Integers, out: Integers) -> None:
 
 @kernel
 def normalize(v: Integers, least: int) -> bool:
-    """Make a vector of components below 2³⁶ one unit long, in place; False where all of them are below `least`."""
+    """Normalise a vector with components below 2³⁶ in place; False if all components are below `least`."""
     largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
     if largest < least:
         return False

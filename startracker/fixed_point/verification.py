@@ -1,11 +1,11 @@
-"""An attitude checked against every observed star and every guide star of the field, in integers.
+"""Verification of an attitude against all observed stars and all guide stars of the field, in integers.
 
-Match, refit, weigh, as `startracker.identification.verification` does in floating point. Observed stars and predictions
-are compared in one plane: the tangent plane at the boresight in units of 2⁻¹² pixel, whose y is scaled by the ratio of
-the two focal lengths. The attitude is refitted as a rigid motion of that plane (shift and rotation by least squares,
-the focal length as stated), which repeated converges to the sphere's.
+The steps are those of `startracker.identification.verification` in floating point: match, refit, compute the evidence.
+Observed and predicted positions are compared in the tangent plane at the boresight in units of 2⁻¹² pixel, with y
+scaled by the ratio of the two focal lengths. The attitude is refitted as a rigid motion of that plane (shift and
+rotation by least squares with fixed focal length), which converges on iteration to the fit on the sphere.
 
-What matches weigh is in `startracker.fixed_point.evidence`. The C export (`c/tracker_verification.c`) does the same
+The evidence is in `startracker.fixed_point.evidence`. The C export (`c/tracker_verification.c`) performs the same
 operations in the same order.
 """
 
@@ -21,9 +21,9 @@ from startracker.kernels import kernel
 __all__ = ["FEW_FIT", "FIT", "MOST_EXTRA", "NOT_SPREAD", "plane", "verify"]
 
 FEW_FIT, NOT_SPREAD, FIT = 0, 1, 2
-"""What `verify` says: fewer than three stars agree; they clump or lie in a line; their evidence counts."""
+"""States of `verify`: fewer than three stars match; the matches are clustered or collinear; the evidence is valid."""
 MOST_EXTRA = 10
-"""Guide stars of a field that are looked at, the brightest: twice the points and these."""
+"""The brightest guide stars of a field are used: twice the number of points plus this."""
 _ONE = 1 << 30
 _ROUNDS = 8
 _SETTLED = 8  # units of the plane: 0.002 pixel
@@ -33,7 +33,7 @@ _LARGEST_ANGLE = 1 << 27  # of 2.30: 7°
 
 
 def plane(xy: Integers, tables: Tables) -> Integers:
-    """Centroids (N, 2) of 10.22, y up, in the plane, y down."""
+    """Centroids (N, 2) of 10.22 with y up, converted to the plane with y down."""
     shift = 22 - PLANE_BITS
     return np.stack([xy[:, 0] >> shift, -((xy[:, 1] * tables.ratio) >> (shift + 20))], axis=1)
 
@@ -60,7 +60,7 @@ def _turn(matrix: Integers, x: int, y: int, z: int) -> bool:
 
 @kernel
 def _predict(matrix: Integers, guide: Integers, focal: int, out: Integers) -> bool:
-    """Position (2,) of a guide star in the plane; False for one 45° or more off the axis on either side."""
+    """Position (2,) of a guide star in the plane; False if it is 45° or more off-axis in x or y."""
     u, v, w = dot(matrix[0], guide), dot(matrix[1], guide), dot(matrix[2], guide)
     if w <= 0 or abs(u) > w or abs(v) > w:
         return False
@@ -70,7 +70,7 @@ def _predict(matrix: Integers, guide: Integers, focal: int, out: Integers) -> bo
 
 @kernel
 def _field(matrix: Integers, tables: Tables, most: int, out: Integers) -> int:
-    """Guide stars on the image, brightest first, `most` of them at most; how many."""
+    """Guide stars on the image, brightest first, at most `most`; returns their number."""
     at = np.empty(2, np.int64)
     count = 0
     for g in range(len(tables.guide)):
@@ -84,14 +84,15 @@ def _field(matrix: Integers, tables: Tables, most: int, out: Integers) -> int:
 
 
 @kernel
-def _match(points: Integers, places: Integers, gate: int, index: Integers, square: Integers, owner: Integers) -> int:
-    """Nearest position (K, 2) of each point (N, 2) within the gate, each used once by the nearer; how many have one."""
+def _match(points: Integers, predicted: Integers, gate: int, index: Integers, square: Integers, owner: Integers) -> int:
+    """Match each point (N, 2) to the nearest predicted position (K, 2) within the gate, one to one; returns the number
+    of matches."""
     count = 0
-    owner[: len(places)] = -1
+    owner[: len(predicted)] = -1
     for i in range(len(points)):
         best, at = gate + 1, -1
-        for k in range(len(places)):
-            dx, dy = places[k, 0] - points[i, 0], places[k, 1] - points[i, 1]
+        for k in range(len(predicted)):
+            dx, dy = predicted[k, 0] - points[i, 0], predicted[k, 1] - points[i, 1]
             distance = dx * dx + dy * dy
             if distance < best:
                 best, at = distance, k
@@ -110,28 +111,28 @@ def _match(points: Integers, places: Integers, gate: int, index: Integers, squar
 
 
 @kernel
-def _refit(matrix: Integers, points: Integers, places: Integers, index: Integers, count: int, focal: int) -> int:
-    """One step of the fit, in place: 0: no step, 1: not settled yet, 2: settled."""
+def _refit(matrix: Integers, points: Integers, predicted: Integers, index: Integers, count: int, focal: int) -> int:
+    """One iteration of the fit, in place. Returns 0 if it failed, 1 if not yet converged, 2 if converged."""
     px = py = ex = ey = 0
     for i in range(len(points)):
         if index[i] >= 0:
-            px += places[index[i], 0]
-            py += places[index[i], 1]
-            ex += points[i, 0] - places[index[i], 0]
-            ey += points[i, 1] - places[index[i], 1]
+            px += predicted[index[i], 0]
+            py += predicted[index[i], 1]
+            ex += points[i, 0] - predicted[index[i], 0]
+            ey += points[i, 1] - predicted[index[i], 1]
     px, py = quotient(px, count), quotient(py, count)
     ex, ey = quotient(ex, count), quotient(ey, count)
     turning = lever = 0
     for i in range(len(points)):
         if index[i] >= 0:
-            x, y = places[index[i], 0] - px, places[index[i], 1] - py
-            turning += x * (points[i, 1] - places[index[i], 1]) - y * (points[i, 0] - places[index[i], 0])
+            x, y = predicted[index[i], 0] - px, predicted[index[i], 1] - py
+            turning += x * (points[i, 1] - predicted[index[i], 1]) - y * (points[i, 0] - predicted[index[i], 0])
             lever += x * x + y * y
     lever >>= 16
     if lever == 0:
         return 0
     angle = quotient(turning * 16384, lever)
-    # about the boresight, and how far that moves
+    # correct the shift for the rotation about the boresight
     shift_x = ex + ((angle * py) >> 30)
     shift_y = ey - ((angle * px) >> 30)
     x, y = quotient(-shift_y * _ONE, focal), quotient(shift_x * _ONE, focal)
@@ -142,14 +143,14 @@ def _refit(matrix: Integers, points: Integers, places: Integers, index: Integers
 
 @kernel
 def verify(start: Integers, points: Integers, area: Integers, t: Tables) -> tuple[int, int, int, Integers, Integers]:
-    """Match, refit until it settles, weigh; at one gate after the other.
+    """Match, refit until convergence and compute the evidence, for each gate in turn.
 
     Parameters
     ----------
     start : (3, 3)
-        Attitude of 2.30 to begin with, rows: x (right), y (down), boresight.
+        Initial attitude of 2.30, rows: x (right), y (down), boresight.
     points, area : (N, 2), (N,)
-        Observed stars in the plane, and what `local_areas` says of them.
+        Observed stars in the plane, and their `local_areas`.
     t : Tables
 
     Returns
@@ -157,10 +158,10 @@ def verify(start: Integers, points: Integers, area: Integers, t: Tables) -> tupl
     state : int
         `FEW_FIT`, `NOT_SPREAD` or `FIT`.
     evidence : int
-        log₂ of the Bayes factor where it is `FIT`.
+        log₂ of the Bayes factor if the state is `FIT`.
     matched : int
     index : (N,)
-        Guide star of each point, −1: none.
+        Guide star of each point, −1 for none.
     matrix : (3, 3)
     """
     n = len(points)
@@ -168,7 +169,7 @@ def verify(start: Integers, points: Integers, area: Integers, t: Tables) -> tupl
     most = min(2 * n + MOST_EXTRA, t.seeing.shape[1] - 1)
     field = np.empty(most, np.int64)
     in_field = _field(matrix, t, most, field)
-    places = np.empty((in_field, 2), np.int64)
+    predicted = np.empty((in_field, 2), np.int64)
     owner = np.empty(in_field, np.int64)
     index, last, square = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
     state, evidence, matched = FEW_FIT, NEVER, 0
@@ -179,15 +180,15 @@ def verify(start: Integers, points: Integers, area: Integers, t: Tables) -> tupl
         last[:] = -2
         for _ in range(_ROUNDS):
             for k in range(in_field):
-                if not _predict(matrix, t.guide[field[k]], t.focal, places[k]):
+                if not _predict(matrix, t.guide[field[k]], t.focal, predicted[k]):
                     return state, evidence, matched, best_index, best_matrix
-            count = _match(points, places, gate, index, square, owner)
+            count = _match(points, predicted, gate, index, square, owner)
             if count < 3:
                 return state, evidence, matched, best_index, best_matrix
             if settled and np.array_equal(index, last):
                 break
             last[:] = index
-            step = _refit(matrix, points, places, index, count, t.focal)
+            step = _refit(matrix, points, predicted, index, count, t.focal)
             if step == 0:
                 return state, evidence, matched, best_index, best_matrix
             settled = step == 2

@@ -1,8 +1,9 @@
-"""The triad pipeline's arithmetic in 64-bit integers, as Yee 1999 recommends (section 5.2): no tables, exact geometry.
+"""The triad pipeline in 64-bit integers, as recommended by Yee 1999 (section 5.2): exact geometry without tables.
 
-Separations and angles of 10.22, centroids of 22.22, directions of 2.30. What her 16 bits must look up or call plane is
-computed on the sphere: arctangents by rotations (`cordic`) of vectors that products of 62 bits make. Separations are
-good to 0.001″, so that stars are matched within their centroids' errors instead of within tenths of a degree.
+Formats: separations and angles 10.22, centroids 22.22, directions 2.30. What the 16-bit version looks up in tables or
+approximates by plane geometry is computed on the sphere: arctangents by CORDIC (`cordic`), with products of 62 bits.
+Separations are accurate to 0.001″, so that stars are matched within their centroid errors instead of tenths of a
+degree.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from startracker.fixed_point.vectors import DIRECTION
 __all__ = ["WIDE_CENTROID", "WideArithmetic", "WideImage", "WideSky"]
 
 WIDE_CENTROID = Format(22, 22)
-"""Pixels, of any detector."""
+"""Pixels, of a detector of any size."""
 _SCALE = Format(4, 38)
-"""Radians a pixel."""
+"""Radians per pixel."""
 _LENGTH_SHIFT = 3
 
 
@@ -46,7 +47,7 @@ class WideSky:
 class WideArithmetic(FixedArithmetic):
     """As `FloatArithmetic(exact=True)` of `startracker.identification.arithmetic`, in integers.
 
-    Its methods take the stars that its own `image` and `sky` make, not those of 16 bits: hence the "own stars" below.
+    Its methods take the types returned by its own `image` and `sky`, not the 16-bit ones: hence "own stars" below.
     """
 
     @property
@@ -60,7 +61,7 @@ class WideArithmetic(FixedArithmetic):
         return DEGREES
 
     def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> WideImage:  # type: ignore[override]  # own stars
-        """Centroids truncated to 22.22; pixels are those of a tangent plane.
+        """Centroids truncated to 22.22, on the tangent plane.
 
         Raises
         ------
@@ -85,16 +86,16 @@ class WideArithmetic(FixedArithmetic):
         return WideSky(DIRECTION.encode(directions, rounded=True))
 
     def image_separations(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
-        """Between the stars' directions (eq. D.1)."""
+        """Angles between the directions of the stars (eq. D.1)."""
         return vector_separations(image.directions[integers(i)], image.directions[integers(j)], DEGREES)
 
     def image_directions(self, image: WideImage, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
-        """Arctangent of the step in pixels."""
+        """Arctangent of the difference in pixels."""
         step = image.xy[integers(j)] - image.xy[integers(i)]
         return _angles(step[..., 1], step[..., 0])
 
     def catalog_directions(self, sky: WideSky, i: ArrayLike, j: ArrayLike) -> Integers:  # type: ignore[override]  # own stars
-        """As great circles leave star i, by components along its parallel and its meridian."""
+        """Direction of the great circle at star i, from its components along the parallel and the meridian."""
         a, b = sky.directions[integers(i)], sky.directions[integers(j)]
         step = b - a
         east = (a[..., 0] * step[..., 1] - a[..., 1] * step[..., 0]) >> 30
@@ -105,7 +106,7 @@ class WideArithmetic(FixedArithmetic):
     def image_enclosed(  # type: ignore[override]  # own stars
         self, image: WideImage, i: ArrayLike, j: ArrayLike, k: ArrayLike
     ) -> tuple[Integers, Integers, Integers]:
-        """On the sphere."""
+        """Angles on the sphere."""
         a, b, c = (image.directions[integers(index)] for index in (i, j, k))
         return inner_angles(a, b, c, DEGREES)
 

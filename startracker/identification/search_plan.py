@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, poisson
+from scipy.special import bdtrc, pdtr, pdtrc, pdtrik  # scipy.stats would take 36 MB and half a second to load
 
 from startracker.identification.bayes_factor import SCALE_LOG_PRIOR, SCALES, count_table
 from startracker.identification.verification import MOST_EXTRA
@@ -123,18 +123,25 @@ def plan(
     """
     neighbours = np.array([count for count in _NEIGHBOURS if count < n - 1] + [n - 1])[:, None]
     votes = np.arange(2, min(fewest - 1, MOST_VOTES) + 1)[None, :]
-    hit = binom.sf(votes - 1, neighbours, (fewest - 1) / (n - 1)) * (votes <= neighbours)
+    hit = bdtrc(np.minimum(votes - 1, neighbours), neighbours, (fewest - 1) / (n - 1)) * (votes <= neighbours)
     # the L nearest of n on a square lie within a circle of L/n of its area, at 2/3 of its radius on average
     looked = pairs * neighbours * (2.0 / 3.0) * np.sqrt(neighbours / n / math.pi)
-    by_chance = poisson.sf(votes - 1, 2.0 * looked * rolls / (ROLLS * guides)) * ROLLS * guides * votes
+    by_chance = pdtrc(votes - 1, 2.0 * looked * rolls / (ROLLS * guides)) * ROLLS * guides * votes
     each = _PAIR_NS * looked + _CANDIDATE_NS * by_chance + _STAR_NS * guides
     enough = np.ceil(n * (1.0 - miss ** (1.0 / fewest)) / np.maximum(hit, 1e-9))
     poles = np.minimum(np.minimum(enough, most_ns // each), n)
     missed = np.maximum((1.0 - poles / n * hit) ** fewest, miss)
     # the others are about half a field's width from the pair, which errs by a long lever
     others = (n - 2) * gate * (1.5 + 0.5 * n * math.pi / neighbours)
-    hopeless = poisson.isf(rare, others) + 1 > fewest - 2
+    hopeless = _poisson_quantile(1.0 - rare, others) + 1 > fewest - 2
     order = np.lexsort([(poles * each).ravel(), missed.ravel(), (hopeless | (hit == 0.0)).ravel()])
     row, column = np.unravel_index(order[0], missed.shape)
     cut_short = bool(poles[row, column] < min(enough[row, column], n))
     return Plan(int(poles[row, column]), int(neighbours[row, 0]), int(votes[0, column]), cut_short)
+
+
+def _poisson_quantile(q: float, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smallest count k with P(N ≤ k) ≥ q, N Poisson-distributed."""
+    k = np.ceil(pdtrik(q, mean))
+    below = np.maximum(k - 1.0, 0.0)
+    return np.asarray(np.where(pdtr(below, mean) >= q, below, k))

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.centroid.cholesky import factorise, substitute
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
+from startracker.linalg import factorise, substitute
 
 __all__ = ["ANGLE", "FLUX", "HALF", "LINE", "PLACE", "SHAPE", "SIGMA", "SKY", "X", "Y"]
 __all__ += ["best_stretch", "fit_trail", "measure_trails", "residual_of"]

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from startracker.centroid import first_moment
-from startracker.centroid.moments import measure_psf_sigma
+from startracker.centroid.frame import measure_psf_sigma
 from startracker.detection import METHODS, estimate, find_components
 from startracker.settings import CentroidSettings, DetectionSettings
 

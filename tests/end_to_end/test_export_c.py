@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.integer_lists import PATTERNS, Camera, pattern_list, scene
 from simulator.cli import app
 from simulator.randomness import stream
-from simulator.study.exported_c.attacks import PATTERNS, Camera, pattern_list, scene
 from simulator.study.exported_c.build import FLAGS, HOST, M68K, compile_export
 from simulator.study.exported_c.centroid_lists import KINDS, centroid_list, list_text
 from simulator.theses.yee1999.catalogue import sub_catalog

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.integer_lists import PATTERNS, Answer, Scene, errors_px
 from benchmarks.integer_tracker import FIELDS, WRONG_PX, attack_fields, attack_patterns, make_target
-from simulator.study.exported_c.attacks import PATTERNS, Answer, Scene, errors_px
 from simulator.study.exported_c.build import HOST
 
 pytestmark = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")

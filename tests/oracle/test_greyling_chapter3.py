@@ -191,7 +191,7 @@ def test_spectrum_against_the_thesis_irradiances():
 
 def test_illuminance_of_a_star():
     # 2.54e-6 lx of V = 0 (Allen 1973, Astrophysical Quantities: outside the atmosphere; 1 %)
-    assert photometry.illuminance_lux("photopic") == pytest.approx(2.54e-6, rel=0.01)
+    assert photometry.illuminance_lux() == pytest.approx(2.54e-6, rel=0.01)
     assert 10 ** (photometry.ZERO_LUX / 2.5) == pytest.approx(2.65e-6, abs=0.005e-6)
 
 

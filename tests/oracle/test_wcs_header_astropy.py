@@ -86,7 +86,7 @@ def test_the_stated_error_is_what_astropy_finds(fov_deg):
 
 def test_a_lens_that_no_polynomial_follows_is_refused():
     attitude = Attitude.from_radec_roll(85.0, 8.6, 33.0)
-    with pytest.raises(InputError, match=r"errs by .* px at order 13"):
+    with pytest.raises(InputError, match=r"error of a WCS .* px at order 13"):
         wcs_header(Camera.from_fov(90.0, 1920, 1080, Distortion(-0.25, 0.08, 0.0, 0.0, -0.01)), attitude)
     with pytest.raises(InputError, match="beyond the fold"):
         wcs_header(Camera.from_fov(80.0, 1000, 1000, Distortion(k1=-0.35)), attitude)

@@ -220,7 +220,7 @@ def test_frames_that_do_not_join():
 
 @pytest.mark.parametrize("quat", [[0, 0, 0, 0], [0, 0, math.nan, 1], [0, math.inf, 0, 1], [0, 0, 1], [[0, 0, 0, 1]]])
 def test_quaternions_that_are_none(quat):
-    with pytest.raises(InputError, match="finite quaternion"):
+    with pytest.raises(InputError, match="finite, non-zero quaternion"):
         Attitude(np.array(quat, dtype=float))
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from startracker.centroid import METHODS, moments, psf_fit
+from startracker.centroid import METHODS, psf_fit
+from startracker.centroid.frame import SYSTEMATIC_PX as MOMENT_FLOOR_PX
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
 
@@ -106,7 +107,7 @@ def test_fits_reach_the_bound(method, shape, flux):
 def test_covariances_tell_the_truth(method, shape, flux):
     # eᵀ C⁻¹ e has mean 2 and variance 4: ± 2/√900 = 0.067; 5 % for the noise of measured widths and signals
     found, error, _, _ = measure(method, shape, flux)
-    floor_px = moments.SYSTEMATIC_PX if method == "weighted_moment" else psf_fit.SYSTEMATIC_PX
+    floor_px = MOMENT_FLOOR_PX if method == "weighted_moment" else psf_fit.SYSTEMATIC_PX
     covariance = found.covariance - floor_px**2 * np.eye(2)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert squared.mean() == pytest.approx(2.0, abs=3 * 0.067 + 0.1)

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import first_moment
-from startracker.centroid.moments import SYSTEMATIC_PX
+from startracker.centroid.frame import SYSTEMATIC_PX
 from startracker.detection import Background, estimate, find_components
 from startracker.settings import CentroidSettings, DetectionSettings
 

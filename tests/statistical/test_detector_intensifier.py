@@ -10,9 +10,10 @@ import pytest
 from simulator.build import detector_parameters
 from simulator.detector.excess_noise import bunch_e, excess_noise_factor
 from simulator.detector.intensifier import multiply
+from simulator.detector.parameters import Intensifier, Video
 from simulator.detector.video import video_signal
 from simulator.randomness import stream
-from simulator.scenario.schema import DetectorSection, IntensifierSection, VideoSection
+from simulator.scenario.schema import DetectorSection
 from simulator.study.trials.bounds import pixel_variance_e2
 from tests.detectors import build_fixed_pattern, detect
 
@@ -24,7 +25,7 @@ def detector(intensifier=None, **keys):
         "width": SIDE, "height": SIDE, "pixel_pitch_um": 10, "exposure_s": 0.1, "full_well_e": 1e12, "adc_bits": None,
         "gain_e_per_dn": 1.0,
     }  # fmt: skip
-    return DetectorSection(**(plain | keys), intensifier=IntensifierSection(**(intensifier or {})))
+    return DetectorSection(**(plain | keys), intensifier=Intensifier(**(intensifier or {})))
 
 
 def frame(section, mean_e, seed=1):
@@ -41,7 +42,7 @@ def blocks(image, size):
 @pytest.mark.parametrize("variance", [0.0, 0.5, 1.0])
 def test_gain_of_one_electron_has_the_stated_moments(variance):
     n = 200_000
-    section = IntensifierSection(gain=300.0, gain_variance=variance)
+    section = Intensifier(gain=300.0, gain_variance=variance)
     for counts in (1.0, 7.0):
         gains = multiply(np.full(n, counts), section, np.random.default_rng(3))
         sigma = 300.0 * np.sqrt(variance * counts)
@@ -117,7 +118,7 @@ def test_an_absent_intensifier_draws_nothing_and_changes_nothing():
 
 @pytest.mark.parametrize("blur", [0.0, 1.2])
 def test_video_noise_has_its_deviation_and_correlation(blur):
-    noise = video_signal(np.zeros((400, 400)), VideoSection(noise_dn=5.0, line_blur_px=blur), np.random.default_rng(2))
+    noise = video_signal(np.zeros((400, 400)), Video(noise_dn=5.0, line_blur_px=blur), np.random.default_rng(2))
     effective = noise.size / max(1.0, 2.0 * np.sqrt(np.pi) * blur)
     # towards the ends of the lines mirrored noise adds up; they are left out
     inner = noise[:, 10:-10]
@@ -134,7 +135,7 @@ def test_video_noise_has_its_deviation_and_correlation(blur):
 def test_video_spreads_along_lines_alone_and_keeps_the_signal():
     spot = np.zeros((21, 41))
     spot[10, 20] = 100.0
-    seen = video_signal(spot, VideoSection(line_blur_px=1.5), np.random.default_rng(2))
+    seen = video_signal(spot, Video(line_blur_px=1.5), np.random.default_rng(2))
     assert seen.sum() == pytest.approx(100.0, rel=1e-12)
     assert np.count_nonzero(seen.sum(axis=1)) == 1
     columns = np.arange(41)
@@ -142,7 +143,7 @@ def test_video_spreads_along_lines_alone_and_keeps_the_signal():
 
 
 def test_eight_bits_round_and_clip_after_the_video():
-    section = detector({"gain": 10.0}, adc_bits=8, gain_e_per_dn=2.0, offset_dn=20.0, video=VideoSection(noise_dn=3.0))
+    section = detector({"gain": 10.0}, adc_bits=8, gain_e_per_dn=2.0, offset_dn=20.0, video=Video(noise_dn=3.0))
     image = frame(section, 20.0)
     assert image.dtype == np.uint16
     assert image.max() <= 255
@@ -156,7 +157,7 @@ def test_eight_bits_round_and_clip_after_the_video():
 def test_the_bounds_take_the_same_variance():
     section = detector(
         {"gain": 80.0, "gain_variance": 0.7, "dark_e_s": 30.0},
-        adc_bits=10, gain_e_per_dn=20.0, offset_dn=40.0, read_noise_e=90.0, video=VideoSection(noise_dn=2.0),
+        adc_bits=10, gain_e_per_dn=20.0, offset_dn=40.0, read_noise_e=90.0, video=Video(noise_dn=2.0),
     )  # fmt: skip
     image = frame(section, 15.0).astype(float)
     stated = (

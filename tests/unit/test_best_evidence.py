@@ -88,7 +88,7 @@ def test_points_that_may_be_pieces_of_streaks_are_still_refused(tracker):
     train = look(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
     solution, _, _ = answer(tracker, pieces, train)
     assert solution.status is Status.NO_MATCH
-    assert "pieces of streaks" in solution.reason
+    assert "fragments of trails" in solution.reason
 
 
 @pytest.mark.parametrize("inside_is_better", [True, False])

@@ -76,7 +76,7 @@ def test_fixed_width_columns():
     assert table.text(4, 8).tolist() == ["ab", "c", "d e"]
     np.testing.assert_array_equal(table.number(1, 3), [12.0, np.nan, -3.0])
     np.testing.assert_array_equal(table.number(1, 3, missing=0.0), [12.0, 0.0, -3.0])
-    with pytest.raises(InputError, match="t: bytes 4 to 6 hold what is no number"):
+    with pytest.raises(InputError, match="t: bytes 4 to 6 are not a number"):
         table.number(4, 6)
     with pytest.raises(InputError, match="empty"):
         FixedWidth.from_bytes(b"", width=8, where="t")

@@ -5,18 +5,10 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import METHODS, maximum_likelihood
+from startracker.centroid.frame import MODEL_STARS, brightest_alone
 from startracker.centroid.psf_kernel import MOST_TOGETHER, group_stars
 from startracker.centroid.psf_model import gaussian_psf
-from startracker.centroid.psf_shape import is_alone
-from startracker.centroid.psf_sums import (
-    fill,
-    fill_window,
-    interpolate,
-    interpolated,
-    normal_equations,
-    sums,
-    sums_of_one,
-)
+from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.detection import Background, Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
@@ -233,46 +225,27 @@ def test_light_in_pixels_is_the_interpolated_table(tilt, axes):
     first = [interpolate(len(psf.table), psf.oversampling, -place, weights, n) for n, place in enumerate((x, y))]
     places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
     expected = np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places]).T
-    out, lines = np.empty((2, 3, len(i))), np.empty((4, 19))
-    fill(psf.table, psf.axes, psf.oversampling, x, y, i, j, 32, 10, out[0], weights, lines)
-    fill_window(psf.table, psf.axes, psf.oversampling, 32 - x, 10 - y, 19, 16, out[1], weights, lines)
-    np.testing.assert_allclose(out[0], expected, rtol=1e-11, atol=1e-18)
-    np.testing.assert_allclose(out[1], expected, rtol=1e-11, atol=1e-18)
+    out = np.empty((3, len(i)))
+    fill_window(psf.samples, 32 - x, 10 - y, 19, 16, out, np.empty((4, 19)))
+    np.testing.assert_allclose(out, expected, rtol=1e-11, atol=1e-18)
     assert (expected[0] > 0).sum() in range(50, 130)
     assert (expected == 0.0).all(axis=0).any()
 
 
 @pytest.mark.parametrize("weigh", [True, False])
-def test_sums_over_pixels_against_matrix_products(weigh):
+@pytest.mark.parametrize("stars", [1, 2])
+def test_model_of_stars_in_pixels(weigh, stars):
     random = np.random.default_rng(5)
-    every, flux = random.uniform(-0.1, 0.4, (2, 3, 56)), np.array([900.0, 500.0])
-    signal, dark, kept = random.normal(20, 5, 56), random.uniform(4, 9, 56), random.uniform(5, 50, 56)
-    for stars in ([0], [0, 1]):
-        shares = every[stars]
-        p, by_x, by_y = (shares * flux[stars, None, None]).transpose(1, 0, 2)
-        gradient = np.stack([-by_x, -by_y, p], axis=1).reshape(-1, 56)
-        total = p.sum(axis=0)
-        light = np.maximum(total, 0.0)
-        variance = dark + 0.5 * light + (0.01 * light) ** 2 if weigh else kept
-        size, variances = 3 * len(stars), kept.copy()
-        normal, right = np.zeros((size, size)), np.zeros(size)
-        pixels = signal, dark, variances, 0.5, 0.01, weigh
-        chi2 = sums(shares, flux[stars], *pixels, np.empty(size), normal, right)
-        np.testing.assert_allclose(variances, variance, rtol=1e-12)
-        assert chi2 == pytest.approx(((signal - total) ** 2 / variance).sum(), rel=1e-12)
-        np.testing.assert_allclose(right, gradient @ ((signal - total) / variance), rtol=1e-9)
-        np.testing.assert_allclose(normal, np.tril((gradient / variance) @ gradient.T), rtol=1e-9, atol=1e-12)
-        if len(stars) == 1:
-            # sums of n terms in any two orders are within n roundings of the sum of the terms' sizes
-            normal[:], right[:] = 0.0, 0.0
-            again = sums_of_one(shares[0], flux[0], *pixels, normal, right)
-            size, weight = np.abs(gradient), 1.0 / variance
-            eps, away = 60 * np.finfo(float).eps, np.abs(signal - total)
-            assert abs(again - weight @ away**2) <= eps * again
-            exact, terms = gradient @ (weight * (signal - total)), size @ (weight * away)
-            assert (np.abs(right - exact) <= eps * terms).all()
-            exact, terms = (gradient * weight) @ gradient.T, (size * weight) @ size.T
-            assert (np.abs(normal - np.tril(exact)) <= eps * terms).all()
+    shares, flux = random.uniform(-0.1, 0.4, (3 * stars, 56)), np.array([900.0, 500.0])[:stars]
+    signal, dark, rows = random.normal(20, 5, 56), random.uniform(4, 9, 56), random.uniform(5, 50, (4, 56))
+    kept, expected = rows[0].copy(), shares * np.repeat(flux, 3)[:, None] * np.tile([1, -1, -1], stars)[:, None]
+    total = expected[::3].sum(axis=0)
+    light = np.maximum(total, 0.0)
+    variance = dark + 0.5 * light + (0.01 * light) ** 2 if weigh else kept
+    chi2 = weigh_pixels(shares, flux, signal, dark, (0.5, 0.01), weigh, rows)
+    np.testing.assert_allclose(shares, expected, rtol=1e-12)
+    np.testing.assert_allclose(rows[:3], [variance, 1.0 / variance, signal - total], rtol=1e-12, atol=1e-12)
+    assert chi2 == pytest.approx(((signal - total) ** 2 / variance).sum(), rel=1e-12)
 
 
 def test_normal_equations_against_matrix_products():
@@ -287,10 +260,11 @@ def test_normal_equations_against_matrix_products():
 
 
 def test_stars_alone():
-    positions = np.random.default_rng(6).uniform(0, 100, (40, 2))
-    positions[[7, 21]] = np.nan
-    chosen = np.array([1, 4, 5, 9, 12, 30, 39])
-    near = np.abs(positions[chosen, None] - positions).max(axis=2) < 9.0
-    alone = is_alone(positions, chosen, 9.0)
-    assert np.array_equal(alone, near.sum(axis=1) == 1)
-    assert 0 < alone.sum() < len(chosen)
+    random = np.random.default_rng(6)
+    (x, y), flux, unfit = random.uniform(0, 300, (2, 60)), random.uniform(1, 9, 60), random.random(60) < 0.2
+    x[[7, 21]] = np.nan
+    near = np.maximum(np.abs(x[:, None] - x), np.abs(y[:, None] - y)) < 16.0
+    bright = [n for n in np.argsort(-flux) if not unfit[n] and np.isfinite(x[n])][:18]
+    expected = [n for n in bright if near[n].sum() == 1]
+    assert brightest_alone(x, y, flux, unfit, 18).tolist() == expected[:MODEL_STARS]
+    assert 2 < len(expected) < len(bright)

@@ -15,8 +15,8 @@ from startracker.centroid.bias import (
     moment_bias,
     window_moments,
 )
-from startracker.centroid.moments import SYSTEMATIC_PX, measure_psf_sigma
-from startracker.centroid.window import read_window
+from startracker.centroid.frame import SYSTEMATIC_PX, measure_psf_sigma
+from startracker.centroid.window import Pixels, read_window
 from startracker.detection import Background, Spots, estimate, find_components
 from startracker.detection.plane import as_plane
 from startracker.errors import InputError
@@ -128,7 +128,7 @@ def test_read_window_against_numpy():
     rng = np.random.default_rng(1)
     image, level = rng.normal(50, 9, (20, 30)).astype(np.float32), np.full((20, 30), 30, np.float32)
     noise = rng.uniform(1, 3, (20, 30)).astype(np.float32)
-    found = read_window(image, as_plane(level), as_plane(noise), 12, 9, 2, 0.5)
+    found = read_window(Pixels(image, as_plane(level), as_plane(noise), 0.5, 0.0), 12, 9, 2)
     k = np.arange(-2, 3)
     signal = (image - level).astype(float)[7:12, 10:15]
     variance = noise.astype(float)[7:12, 10:15] ** 2 + np.maximum(signal, 0) * 0.5

@@ -5,7 +5,8 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import maximum_likelihood
-from startracker.centroid.skewness import common_skewness, shifts
+from startracker.centroid.skewness import common_skewness, expansions_of, shifts
+from startracker.centroid.window import Pixels
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
 
@@ -52,8 +53,8 @@ def test_the_kernel_is_the_joint_least_squares_fit():
     image = (image + rng.normal(size=image.shape) * np.sqrt(NOISE**2 + image / GAIN)).astype(np.float32)
     background = Background(np.zeros_like(image), np.full_like(image, NOISE))
     table, chosen, half, (xx, yy, xy_) = np.column_stack([xy, flux]), np.arange(5), 3, (0.95, 0.85, 0.05)
-    planes = background.level_plane, background.noise_plane
-    found, covariance, chi2, dark = common_skewness(image, *planes, table, chosen, half, xx, yy, xy_, 1.0 / GAIN, 0.01)
+    pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.01)
+    found, covariance, chi2, dark = common_skewness(pixels, table, chosen, half, (xx, yy, xy_))
     inverse = np.linalg.inv([[xx + 1 / 12, xy_], [xy_, yy + 1 / 12]])
 
     def gaussian(u, v):
@@ -103,7 +104,8 @@ def test_a_common_shift_is_stated_and_its_dependence_on_brightness_removed():
     xy, flux = stars()
     found, places = measure(frame(PARTS, xy, flux), xy, flux)
     off = places - xy
-    plain = [shifts(NOISE**2, f, 3, 0.95, 0.81, 0.0, 1.0 / GAIN, 0.0)[0, 0] * KAPPA for f in flux]
+    expansions = expansions_of(3, (0.95, 0.81, 0.0))
+    plain = [shifts(expansions, NOISE**2, f, 1.0 / GAIN, 0.0)[0, 0] * KAPPA for f in flux]
     assert np.ptp(plain) > 0.01
     # the series leaves out what is of higher order in the skewness: a fifth
     assert np.ptp(off[:, 0]) < 0.3 * np.ptp(plain)

@@ -26,7 +26,7 @@ def test_the_numbers_told_are_those_of_the_image(image):
     assert text.startswith("320×256 pixels, float32")
     assert "25 % at saturation (4095)" in text
     background = estimate(image)
-    level, noise = background_step(background).text.removeprefix("level ").split(" DN, noise of a pixel ")
+    level, noise = background_step(background).text.removeprefix("level ").split(" DN, noise per pixel ")
     low, middle, high = (float(word) for word in level.split(" / "))
     assert low <= middle <= high
     assert middle == pytest.approx(100.0, abs=1.0)

@@ -139,7 +139,7 @@ def test_refusals():
         plate_attitude(xy[:2], sky[:2])
     with pytest.raises(NotSolved, match="mirror"):
         plate_attitude(xy * [1, -1], sky)
-    with pytest.raises(NotSolved, match="different places"):
+    with pytest.raises(NotSolved, match="different positions"):
         plate_attitude(np.repeat(xy[:1], 5, axis=0), sky)
     with pytest.raises(NotSolved, match="60°"):
         plate_attitude(xy, np.vstack([sky[:4], -sky[4:]]))

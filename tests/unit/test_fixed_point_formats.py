@@ -97,5 +97,5 @@ def test_products_beyond_64_bits_are_seen():
 
 @pytest.mark.parametrize(("whole", "fraction"), [(0, 4), (4, -1), (40, 30)])
 def test_no_such_format(whole, fraction):
-    with pytest.raises(ValueError, match="no fixed-point format"):
+    with pytest.raises(ValueError, match="not a fixed-point format"):
         Format(whole, fraction)

@@ -121,7 +121,7 @@ def faulty_files(folder):
         ("blank.fits", "finite"),
         ("line.fits", "no two-dimensional image"),
         ("nothing.fits", "no two-dimensional image"),
-        ("a\0b.png", "is no file name"),
+        ("a\0b.png", "is not a file name"),
     ],
 )
 def test_faulty_files_are_one_clear_line(tmp_path, name, says):
@@ -168,9 +168,9 @@ def test_a_raw_mosaic_file_is_read_and_nonsense_refused(tmp_path):
     assert any("RGGB" in note for note in loaded.notes)
     with pytest.raises(InputError, match="must be one of RGGB"):
         read_image(path, bayer="RGB")
-    with pytest.raises(InputError, match="no raw mosaic"):
+    with pytest.raises(InputError, match="not a raw mosaic"):
         read_image(save(tmp_path / "colour.png", COLOUR), bayer="RGGB")
-    with pytest.raises(InputError, match="one plane"):
+    with pytest.raises(InputError, match="2-D array"):
         bayer_to_grey(np.zeros((4, 4, 3)))
 
 

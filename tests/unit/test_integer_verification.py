@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.integer_lists import Camera, scene
 from simulator.randomness import stream
-from simulator.study.exported_c.attacks import Camera, scene
 from simulator.theses.yee1999.catalogue import sub_catalog
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import local_areas, log2, log_sum

@@ -1,5 +1,7 @@
 """A spinning body through the stages: pointing of a trial, states of a sequence, sampling over a turn, coverage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,7 +52,7 @@ def test_a_sequence_follows_the_same_spin(scenario):
 
 def test_trials_are_spread_over_a_turn(scenario):
     assert round_s(scenario.pointing, 6000.0) == pytest.approx(12.5)
-    still = scenario.pointing.model_copy(update={"spin": type(scenario.pointing.spin)()})
+    still = replace(scenario.pointing, spin=type(scenario.pointing.spin)())
     assert round_s(still, 6000.0) == 6000.0
     plain = Scenario.load("oedipus")
     path = along_path(plain, 12)

@@ -26,16 +26,19 @@ CLASSES = {
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its name, its class, and the keys of the scenario that switch it off (`off`, by dotted path)."""
+    """One effect that can be switched off."""
 
     name: str
     kind: str
-    off: Callable[[Scenario], Changes]
+    """Its class, a key of `CLASSES`."""
+    keys: Changes | Callable[[Scenario], Changes]
+    """Keys of the scenario, by dotted path, with the values that switch it off."""
 
-
-def _fixed(**changes: Any) -> Callable[[Scenario], Changes]:
-    named = {path.replace("__", "."): value for path, value in changes.items()}
-    return lambda scenario: named
+    def off(self, scenario: Scenario) -> Changes:
+        """Keys of a scenario that switch it off; none where that changes nothing of what its camera sees or does."""
+        changes = self.keys(scenario) if callable(self.keys) else self.keys
+        now = flatten(scenario)
+        return changes if any(now[path] != value for path, value in changes.items()) else {}
 
 
 def _no_converter(scenario: Scenario) -> Changes:
@@ -66,59 +69,48 @@ def _perfect_catalogue(scenario: Scenario) -> Changes:
 
 
 EFFECTS: tuple[Effect, ...] = (
-    Effect("shot noise", "temporal", _fixed(detector__shot_noise=False)),
-    Effect("read noise", "temporal", _fixed(detector__read_noise_e=0.0, detector__reset_capacitance_ff=0.0)),
+    Effect("shot noise", "temporal", {"detector.shot_noise": False}),
+    Effect("read noise", "temporal", {"detector.read_noise_e": 0.0, "detector.reset_capacitance_ff": 0.0}),
     Effect("gain of the intensifier", "temporal", _even_gain),
-    Effect("video noise", "temporal", _fixed(detector__video__noise_dn=0.0)),
+    Effect("video noise", "temporal", {"detector.video.noise_dn": 0.0}),
     Effect("quantisation", "temporal", _no_converter),
-    Effect("cosmic rays", "temporal", _fixed(detector__cosmic_rays__rate_cm2_s=0.0)),
-    Effect("sky background", "temporal", _fixed(sky__background=False)),
-    Effect("stray light", "temporal", _fixed(optics__baffle__pst=None)),
-    Effect("dark current", "temporal", _fixed(detector__dark_current_e_s=0.0, detector__intensifier__dark_e_s=0.0)),
-    Effect("dark non-uniformity", "pixel_spatial", _fixed(detector__dsnu=0.0)),
+    Effect("cosmic rays", "temporal", {"detector.cosmic_rays.rate_cm2_s": 0.0}),
+    Effect("sky background", "temporal", {"sky.background": False}),
+    Effect("stray light", "temporal", {"optics.baffle.pst": None}),
+    Effect("dark current", "temporal", {"detector.dark_current_e_s": 0.0, "detector.intensifier.dark_e_s": 0.0}),
+    Effect("dark non-uniformity", "pixel_spatial", {"detector.dsnu": 0.0}),
     Effect(
         "hot and dead pixels",
         "pixel_spatial",
-        _fixed(
-            detector__hot_pixel_fraction=0.0,
-            detector__hot_columns=0,
-            detector__dead_pixel_fraction=0.0,
-            detector__dead_columns=0,
-        ),
+        {
+            "detector.hot_pixel_fraction": 0.0,
+            "detector.hot_columns": 0,
+            "detector.dead_pixel_fraction": 0.0,
+            "detector.dead_columns": 0,
+        },
     ),
-    Effect("response non-uniformity", "pixel_spatial", _fixed(detector__prnu=0.0)),
-    Effect("charge transfer", "pixel_spatial", _fixed(detector__cti_parallel=0.0, detector__cti_serial=0.0)),
-    Effect("non-linearity", "pixel_spatial", _fixed(detector__nonlinearity=(0.0, 0.0))),
+    Effect("response non-uniformity", "pixel_spatial", {"detector.prnu": 0.0}),
+    Effect("charge transfer", "pixel_spatial", {"detector.cti_parallel": 0.0, "detector.cti_serial": 0.0}),
+    Effect("non-linearity", "pixel_spatial", {"detector.nonlinearity": (0.0, 0.0)}),
     Effect("faint neighbours", "fov_spatial", _no_faint_stars),
     Effect("catalogue errors", "fov_spatial", _perfect_catalogue),
     Effect(
         "field aberrations",
         "fov_spatial",
-        _fixed(
-            optics__psf__field__coma_waves=0.0,
-            optics__psf__field__astigmatism_waves=0.0,
-            optics__psf__field__curvature_waves=0.0,
-        ),
+        {
+            "optics.psf.field.coma_waves": 0.0,
+            "optics.psf.field.astigmatism_waves": 0.0,
+            "optics.psf.field.curvature_waves": 0.0,
+        },
     ),
-    Effect("colour of the image", "fov_spatial", _fixed(optics__psf__polychromatic=False)),
-    Effect("ghosts", "fov_spatial", _fixed(optics__ghosts=())),
-    Effect("tether", "fov_spatial", _fixed(tether__diameter_mm=0.0)),
-    Effect("planets and Moon", "fov_spatial", _fixed(sky__planets=False)),
-    Effect("thermal focal length", "bias", _fixed(optics__thermal__expansion_ppm_k=0.0)),
-    Effect("light deflection", "bias", _fixed(sky__light_deflection=False)),
+    Effect("colour of the image", "fov_spatial", {"optics.psf.polychromatic": False}),
+    Effect("ghosts", "fov_spatial", {"optics.ghosts": ()}),
+    Effect("tether", "fov_spatial", {"tether.diameter_mm": 0.0}),
+    Effect("planets and Moon", "fov_spatial", {"sky.planets": False}),
+    Effect("thermal focal length", "bias", {"optics.thermal.expansion_ppm_k": 0.0}),
+    Effect("light deflection", "bias", {"sky.light_deflection": False}),
     Effect("smear by rates", "rate", _no_rate),
-    Effect("jitter", "rate", _fixed(pointing__jitter__rms_arcsec=(0.0, 0.0, 0.0))),
+    Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0)}),
 )
 """What can be switched off; the tracker stays as it is. The aberration of light, proper motion, parallax and the lens'
 distortion are not among them: the tracker knows and corrects them exactly."""
-
-
-def effective(scenario: Scenario, changes: Changes) -> Changes:
-    """The changes themselves where they change what the scenario's camera sees or does; nothing otherwise."""
-    now = flatten(scenario)
-    return changes if any(now[path] != value for path, value in changes.items()) else {}
-
-
-def changed(scenario: Scenario, changes: Changes) -> Scenario:
-    """The scenario with keys, by dotted path, set to other values."""
-    return scenario.changed(flatten(scenario) | changes)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect, changed, effective
+from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
 from simulator.study.budget.outliers import Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
@@ -26,32 +26,22 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one effect, or class, adds to the error.
-
-    Parameters
-    ----------
-    name, kind : str
-        Effect and class.
-    rms_off_deg : dict
-        Rms error by camera axis without it, degrees.
-    added_deg2 : dict
-        Mean square that it adds, by axis, degrees²: that with it less that without, over the trials that both solve.
-        Negative where the error is larger without.
-    interval_deg2 : dict
-        95 % bootstrap interval of these, of the paired trials; None at an end for too few.
-    trials : int
-        Trials that both solve, but for those set apart.
-    solved : int
-        Trials solved without it, but for those set apart.
-    """
+    """What one effect, or class, adds to the error."""
 
     name: str
     kind: str
+    """Effect and class."""
     rms_off_deg: dict[str, float]
+    """Rms error by camera axis without it, degrees."""
     added_deg2: dict[str, float]
+    """Mean square that it adds, by axis, degrees²: that with it less that without, over the trials that both solve.
+    Negative where the error is larger without."""
     interval_deg2: dict[str, list[float | None]]
+    """95 % bootstrap interval of these, of the paired trials; None at an end for too few."""
     trials: int
+    """Trials that both solve, but for those set apart."""
     solved: int
+    """Trials solved without it, but for those set apart."""
 
     def added_rms_deg(self, axis: str) -> float:
         """Square root of what it adds, with the sign of that."""
@@ -60,41 +50,28 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """Error budget of a scenario.
-
-    Parameters
-    ----------
-    scenario : str
-        Its name.
-    seed, trials : int
-        Seed and number of trials of every run.
-    solved : int
-        Trials solved rightly with everything on.
-    rms_deg : dict
-        Rms error by camera axis with everything on, degrees.
-    mean_deg : dict
-        Mean error: the bias.
-    effects, classes : tuple of Contribution
-        One effect off; all effects of a class off.
-    remainder : Contribution or None
-        All effects off at once: its `rms_off_deg` is what the algorithms alone leave. None where nothing is on.
-    outliers : tuple of Outlier
-        Trials that are set apart, and in no other figure.
-    interrupted : bool
-        Whether it was stopped before all runs were done; what is there is complete.
-    """
+    """Error budget of a scenario."""
 
     scenario: str
+    """Its name."""
     seed: int
     trials: int
+    """Seed and number of trials of every run."""
     solved: int
+    """Trials solved rightly with everything on."""
     rms_deg: dict[str, float]
+    """Rms error by camera axis with everything on, degrees."""
     mean_deg: dict[str, float]
+    """Mean error: the bias."""
     effects: tuple[Contribution, ...]
     classes: tuple[Contribution, ...]
+    """One effect off; all effects of a class off."""
     remainder: Contribution | None
+    """All effects off at once: its `rms_off_deg` is what the algorithms alone leave. None where nothing is on."""
     outliers: tuple[Outlier, ...] = ()
+    """Trials that are set apart, and in no other figure."""
     interrupted: bool = False
+    """Whether it was stopped before all runs were done; what is there is complete."""
 
     def table(self) -> str:
         """The budget as text: an effect a line, arcseconds, the largest about the first axis first."""
@@ -164,7 +141,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     """
     if trials < 2:
         raise InputError(f"trials: an error budget takes at least 2 a run, not {trials}")
-    effects = [(effect, changes) for effect in EFFECTS if (changes := effective(scenario, effect.off(scenario)))]
+    effects = [(effect, changes) for effect in EFFECTS if (changes := effect.off(scenario))]
     groups = {kind: [pair for pair in effects if pair[0].kind == kind] for kind in CLASSES}
     groups = {kind: members for kind, members in groups.items() if members}
     runs: list[tuple[str, str, Changes]] = [("everything on", "", {})]
@@ -173,22 +150,9 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     if effects:
         runs.append(("everything", "", _joined(effects)))
 
-    done: list[_Run] = []
-    interrupted = False
-    for k, (_, _, changes) in enumerate(runs):
-        found = run_trials(
-            changed(scenario, changes),
-            trials,
-            workers=workers,
-            progress=_shifted(progress, k * trials, len(runs) * trials),
-        )
-        if found.interrupted:
-            interrupted = True
-            break
-        done.append(_errors(found.table))
+    done = _errors_of_runs(scenario, [changes for _, _, changes in runs], trials, workers, progress)
     if len(done) < min(2, len(runs)):
         raise BoresightError("interrupted before the first effect was compared: nothing to report")
-
     outliers = find_outliers([name for name, _, _ in runs][: len(done)], *zip(*done, strict=True))
     kept = np.ones(trials, np.bool_)
     kept[[outlier.index for outlier in outliers]] = False
@@ -196,18 +160,13 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     if not right.any():
         raise BoresightError("no trial is solved with everything on: there is no error to divide up")
     rows = [
-        _contribution(name, kind, base, right, result.errors, result.solved & kept, scenario.seed)
+        _contribution(
+            name, kind, done[0]._replace(right=right), result._replace(solved=result.solved & kept), scenario.seed
+        )
         for (name, kind, _), result in zip(runs[1:], done[1:], strict=False)
     ]
-    singles = rows[: len(effects)]
-    many = rows[len(effects) : len(runs) - 2] if effects else []
-    of_class = {row.kind: row for row in many} | {
-        kind: row
-        for kind, members in groups.items()
-        if len(members) == 1
-        for row in singles
-        if row.name == members[0][0].name
-    }
+    singles, many = rows[: len(effects)], rows[len(effects) : len(runs) - 2] if effects else []
+    of_class = {row.kind: row for row in singles if len(groups[row.kind]) == 1} | {row.kind: row for row in many}
     return Budget(
         scenario.name,
         scenario.seed,
@@ -216,11 +175,29 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
         _by_axis(np.sqrt(np.mean(base[right] ** 2, axis=0))),
         _by_axis(base[right].mean(axis=0)),
         tuple(singles),
-        tuple(_renamed(of_class[kind], CLASSES[kind]) for kind in CLASSES if kind in of_class),
+        tuple(replace(of_class[kind], name=CLASSES[kind]) for kind in CLASSES if kind in of_class),
         rows[-1] if effects and len(done) == len(runs) else None,
         outliers,
-        interrupted,
+        interrupted=len(done) < len(runs),
     )
+
+
+def _errors_of_runs(
+    scenario: Scenario, changes: list[Changes], trials: int, workers: int, progress: Progress | None
+) -> list[_Run]:
+    """Errors of a run with each of the changes; of fewer where it is interrupted."""
+    done: list[_Run] = []
+    for k, keys in enumerate(changes):
+
+        def told(finished: int, _: int, before: int = k * trials) -> None:
+            if progress:
+                progress(before + finished, len(changes) * trials)
+
+        found = run_trials(scenario.changed(keys), trials, workers=workers, progress=told)
+        if found.interrupted:
+            break
+        done.append(_errors(found.table))
+    return done
 
 
 def _joined(members: list[tuple[Effect, Changes]]) -> Changes:
@@ -228,10 +205,6 @@ def _joined(members: list[tuple[Effect, Changes]]) -> Changes:
     for _, changes in members:
         joined |= changes
     return joined
-
-
-def _shifted(progress: Progress | None, before: int, total: int) -> Progress | None:
-    return None if progress is None else lambda finished, _: progress(before + finished, total)
 
 
 class _Run(NamedTuple):
@@ -248,20 +221,14 @@ def _errors(table: Any) -> _Run:
     return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved)
 
 
-def _contribution(
-    name: str,
-    kind: str,
-    base: FloatArray,
-    base_right: NDArray[np.bool_],
-    errors: FloatArray,
-    right: NDArray[np.bool_],
-    seed: int,
-) -> Contribution:
-    both = base_right & right
-    difference = base[both] ** 2 - errors[both] ** 2
+def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:
+    """What an effect adds: `base` with it, over the trials that `right` marks, `without` over those that are solved."""
+    both = base.right & without.solved
+    difference = base.errors[both] ** 2 - without.errors[both] ** 2
     added = difference.mean(axis=0) if both.any() else np.full(3, math.nan)
     intervals = moment_intervals(difference, seed)["mean"]
-    off = np.sqrt(np.mean(errors[right] ** 2, axis=0)) if right.any() else np.full(3, math.nan)
+    errors = without.errors[without.solved]
+    off = np.sqrt(np.mean(errors**2, axis=0)) if len(errors) else np.full(3, math.nan)
     return Contribution(
         name,
         kind,
@@ -269,16 +236,12 @@ def _contribution(
         _by_axis(added),
         {axis: plain(None if intervals is None else intervals[k]) for k, axis in enumerate(CAMERA_AXES)},
         int(both.sum()),
-        int(right.sum()),
+        int(without.solved.sum()),
     )
 
 
 def _by_axis(values: FloatArray) -> dict[str, float]:
     return {axis: float(v) for axis, v in zip(CAMERA_AXES, values, strict=True)}
-
-
-def _renamed(row: Contribution, name: str) -> Contribution:
-    return replace(row, name=name)
 
 
 def _root(square: float) -> float:

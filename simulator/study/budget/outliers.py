@@ -31,33 +31,22 @@ _MOST_LISTED = 10
 
 @dataclass(frozen=True)
 class Outlier:
-    """A trial that is set apart.
-
-    Parameters
-    ----------
-    index : int
-        Its index: ``boresight render --index`` shows it.
-    axis : str
-        Axis of the camera about which it errs most.
-    error_deg : float
-        That error, in the run where it is largest.
-    sigmas : float
-        The same in robust standard deviations of the errors with everything on.
-    wrong : bool
-        Whether the attitude is called wrong in a run, and not only off.
-    runs : tuple of str
-        Runs in which it is an outlier: ``everything on``, or the effect that is off.
-    of : int
-        Number of runs.
-    """
+    """A trial that is set apart."""
 
     index: int
+    """Its index: ``boresight render --index`` shows it."""
     axis: str
+    """Axis of the camera about which it errs most."""
     error_deg: float
+    """That error, in the run where it is largest."""
     sigmas: float
+    """The same in robust standard deviations of the errors with everything on."""
     wrong: bool
+    """Whether the attitude is called wrong in a run, and not only off."""
     runs: tuple[str, ...]
+    """Runs in which it is an outlier: ``everything on``, or the effect that is off."""
     of: int
+    """Number of runs."""
 
     def __str__(self) -> str:
         what = "wrong" if self.wrong else "off"

@@ -6,16 +6,17 @@ Every attitude stands for the same share, of the sky or of the time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_mounting, build_orbit, build_scenes, pointing_parameters
+from simulator.build import build_mounting, build_orbit, build_scenes
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import level_matrices, round_s
 from simulator.mission.sampling import trial_time_s
+from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import barycentric_position_au
@@ -38,19 +39,13 @@ NO_EARTH = 2.0
 
 @dataclass(frozen=True)
 class Exclusion:
-    """Exclusion angles, degrees; 0: none.
-
-    Parameters
-    ----------
-    sun_deg, moon_deg : float
-        Least angle between the boresight and the centre of the body.
-    earth_deg : float
-        Least angle between the boresight and the Earth's limb, lit or not.
-    """
+    """Exclusion angles, degrees; 0: none."""
 
     sun_deg: float = 0.0
     moon_deg: float = 0.0
+    """Least angle between the boresight and the centre of the body."""
     earth_deg: float = 0.0
+    """Least angle between the boresight and the Earth's limb, lit or not."""
 
     def __post_init__(self) -> None:
         for name in ("sun_deg", "moon_deg", "earth_deg"):
@@ -61,33 +56,22 @@ class Exclusion:
 
 @dataclass(frozen=True, eq=False)
 class Boresights:
-    """Attitudes of a camera, all of equal weight.
-
-    Parameters
-    ----------
-    kind : str
-        ``sky`` or ``path``.
-    matrices : (N, 3, 3)
-        ICRS → camera.
-    t_s : (N,)
-        Seconds after the scenario's epoch.
-    nadir : (N, 3)
-        Direction of the Earth's centre.
-    limb_cosine : (N,)
-        Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing.
-    excluded : dict of (N,) bool
-        By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken.
-    rolls : int
-        Attitudes a direction, which follow one another.
-    """
+    """Attitudes of a camera, all of equal weight."""
 
     kind: str
+    """``sky`` or ``path``."""
     matrices: FloatArray
+    """(N, 3, 3): ICRS → camera."""
     t_s: FloatArray
+    """(N,): Seconds after the scenario's epoch."""
     nadir: FloatArray
+    """(N, 3): Direction of the Earth's centre."""
     limb_cosine: FloatArray
+    """(N,): Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing."""
     excluded: dict[str, BoolArray]
+    """(N,): By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken."""
     rolls: int = 1
+    """Attitudes a direction, which follow one another."""
 
     def __len__(self) -> int:
         return len(self.matrices)
@@ -191,7 +175,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
             "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
         )
     orbit = build_orbit(scenario)
-    period_s = round_s(pointing_parameters(scenario.pointing), orbit.period_s)
+    period_s = round_s(scenario.pointing, orbit.period_s)
     t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
     r_km, v_km_s = orbit.state(t_s)
     if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
@@ -215,13 +199,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
 
 def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
     """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place, or spins."""
-    steady = scenario.model_copy(
-        update={
-            "pointing": scenario.pointing.model_copy(
-                update={"error_deg": 0.0, "jitter": type(scenario.pointing.jitter)()}
-            )
-        }
-    )
+    steady = scenario.model_copy(update={"pointing": replace(scenario.pointing, error_deg=0.0, jitter=NO_JITTER)})
     scenes = build_scenes(steady)
     scenes.plan(t_s)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters, pointing_parameters
+from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
@@ -46,54 +46,36 @@ _B_V = 0.6
 
 @dataclass(frozen=True)
 class Pixel:
-    """A pixel without a star.
-
-    Parameters
-    ----------
-    sky_e, dark_e : float
-        Mean electrons of the diffuse sky and of the dark current.
-    noise_e : float
-        Standard deviation, electrons.
-    top_e : float
-        Electrons at which it saturates.
-    """
+    """A pixel without a star."""
 
     sky_e: float
     dark_e: float
+    """Mean electrons of the diffuse sky and of the dark current."""
     noise_e: float
+    """Standard deviation, electrons."""
     top_e: float
+    """Electrons at which it saturates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What the camera of a scenario detects, and the error of its centroids.
-
-    Parameters
-    ----------
-    camera : Camera
-        The calibrated camera.
-    pixel : Pixel
-        Background and noise of a pixel without a star.
-    photometer : Photometer
-        Electrons a second of stars in the middle of the field.
-    gathered_s : float
-        Exposure times the mean illumination of the field against its middle.
-    snr_per_electron : float
-        Signal-to-noise ratio of the detection for each electron of a star.
-    least_snr : float
-        Ratio from which on a star counts as detected.
-    electrons, sigma_px : (K,) arrays
-        Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels.
-    """
+    """What the camera of a scenario detects, and the error of its centroids."""
 
     camera: Camera
+    """The calibrated camera."""
     pixel: Pixel
+    """Background and noise of a pixel without a star."""
     photometer: Photometer
+    """Electrons a second of stars in the middle of the field."""
     gathered_s: float
+    """Exposure times the mean illumination of the field against its middle."""
     snr_per_electron: float
+    """Signal-to-noise ratio of the detection for each electron of a star."""
     least_snr: float
+    """Ratio from which on a star counts as detected."""
     electrons: FloatArray
     sigma_px: FloatArray
+    """(K,): Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels."""
 
     @property
     def least_electrons(self) -> float:
@@ -118,7 +100,7 @@ class Sensitivity:
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
     """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
-    pointing = pointing_parameters(scenario.pointing)
+    pointing = scenario.pointing
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
     if pointing.spin.rate_deg_s:

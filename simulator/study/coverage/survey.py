@@ -45,42 +45,28 @@ _BLEND_MAG = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Stars in a field at many attitudes.
-
-    Parameters
-    ----------
-    name : str
-        Of the scenario.
-    boresights : Boresights
-        The attitudes, N of them.
-    shape : FieldShape
-        The field.
-    magnitude_limit : float
-        Faintest star counted.
-    limit_reason : str
-        Where that limit comes from.
-    counts : (N,) int
-        Stars in the field.
-    limits : (L,) array
-        Magnitude limits of the curve, rising.
-    curve : (N, L) int
-        Stars in the field down to each of them.
-    sky_stars : int
-        Stars down to `magnitude_limit` over the whole sky.
-    exclusion : Exclusion
-        Exclusion angles that were in force.
-    """
+    """Stars in a field at many attitudes."""
 
     name: str
+    """Of the scenario."""
     boresights: Boresights
+    """The attitudes, N of them."""
     shape: FieldShape
+    """The field."""
     magnitude_limit: float
+    """Faintest star counted."""
     limit_reason: str
+    """Where that limit comes from."""
     counts: IntArray
+    """(N,): Stars in the field."""
     limits: FloatArray
+    """(L,): Magnitude limits of the curve, rising."""
     curve: IntArray
+    """(N, L): Stars in the field down to each of them."""
     sky_stars: int
+    """Stars down to `magnitude_limit` over the whole sky."""
     exclusion: Exclusion = field(default_factory=Exclusion)
+    """Exclusion angles that were in force."""
 
     @property
     def allowed_counts(self) -> IntArray:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-from simulator.paths import make_folder, write_atomically
+from simulator.paths import make_folder
 from simulator.study.design.plot import design_plot
 from simulator.study.design.search import Design, Verification
 from simulator.study.plots import save_bytes
+from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import Identity
 
 __all__ = ["write_design"]
@@ -17,11 +17,9 @@ __all__ = ["write_design"]
 def write_design(
     result: Design, verification: Verification | None, folder: Path, identity: Identity | None = None
 ) -> None:
-    """Write ``design.json`` and ``design.png``, each moved into place whole."""
-    make_folder(folder)
+    """Write ``design.json`` and ``design.png``."""
     values = result.to_dict() | {
         "verification": verification.to_dict() if verification else None,
         "identity": identity.to_dict() if identity else None,
     }
-    write_atomically(folder / "design.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
-    write_atomically(folder / "design.png", save_bytes(design_plot(result)))
+    write_files(make_folder(folder), {"design.json": json_text(values), "design.png": save_bytes(design_plot(result))})

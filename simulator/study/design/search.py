@@ -20,7 +20,6 @@ from scipy.special import gammaincinv
 from simulator.build import build_mounting
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
-from simulator.scenario.fields import flatten
 from simulator.sky.colours import spectral_coordinates
 from simulator.study.coverage.boresights import Boresights, along_path, whole_sky
 from simulator.study.coverage.field_counts import accumulate_information, outline
@@ -71,60 +70,41 @@ aperture and the detector."""
 
 @dataclass(frozen=True)
 class Point:
-    """One value of the parameter and what it gives.
-
-    Parameters
-    ----------
-    value : float
-        Of the parameter, in its unit.
-    impossible : str
-        Why no camera can be so; then nothing else is known.
-    magnitude_limit : float
-        Faintest star counted, V: what the camera detects or the tracker knows.
-    stars_mean, stars_min : float
-        Stars used in a field.
-    availability : float
-        Share of the attitudes with enough stars.
-    three_sigma_deg : dict
-        Predicted 3σ about roll, pitch and yaw: three times the root mean square over the attitudes with enough stars,
-        as ``boresight run`` has it.
-    met : bool
-        Whether specification and availability are met.
-    """
+    """One value of the parameter and what it gives."""
 
     value: float
+    """Of the parameter, in its unit."""
     impossible: str = ""
+    """Why no camera can be so; then nothing else is known."""
     magnitude_limit: float | None = None
+    """Faintest star counted, V: what the camera detects or the tracker knows."""
     stars_mean: float | None = None
     stars_min: int | None = None
+    """Stars used in a field."""
     availability: float | None = None
+    """Share of the attitudes with enough stars."""
     three_sigma_deg: dict[str, float | None] = field(default_factory=dict)
+    """Predicted 3σ about roll, pitch and yaw: three times the root mean square over the attitudes with enough stars, as
+    ``boresight run`` has it."""
     met: bool = False
+    """Whether specification and availability are met."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """A Monte Carlo run of the value found beside its prediction, angles in degrees.
-
-    Parameters
-    ----------
-    trials, solved, wrong : int
-        Frames, those with an attitude, and those whose attitude is wrong.
-    three_sigma_deg, predicted_deg : dict
-        Three times the rms error about each body axis, measured and predicted.
-    p997_deg : dict
-        Magnitude that 99.7 % of the measured errors stay below.
-    contradictions : tuple of str
-        In what the run contradicts the finding that the value meets everything; empty where it does not.
-    """
+    """A Monte Carlo run of the value found beside its prediction, angles in degrees."""
 
     trials: int
     solved: int
     wrong: int
+    """Frames, those with an attitude, and those whose attitude is wrong."""
     three_sigma_deg: dict[str, float | None]
     predicted_deg: dict[str, float | None]
+    """Three times the rms error about each body axis, measured and predicted."""
     p997_deg: dict[str, float | None] = field(default_factory=dict)
+    """Magnitude that 99.7 % of the measured errors stay below."""
     contradictions: tuple[str, ...] = ()
+    """In what the run contradicts the finding that the value meets everything; empty where it does not."""
 
     def to_dict(self) -> dict[str, Any]:
         """As ``design.json`` holds it."""
@@ -133,39 +113,26 @@ class Verification:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The trade of one parameter.
-
-    Parameters
-    ----------
-    name : str
-        Of the scenario.
-    parameter : str
-        A key of `PARAMETERS`.
-    over : str
-        ``sky`` or ``path``.
-    attitudes : int
-        Boresights looked at.
-    least_stars : int
-        Stars that an attitude needs.
-    least_availability : float
-        Share of the attitudes that must have them.
-    specification_deg : dict
-        3σ about each body axis.
-    points : tuple of Point
-        By rising value.
-    best : Point, optional
-        The smallest value that meets everything; None where none does.
-    """
+    """The trade of one parameter."""
 
     name: str
+    """Of the scenario."""
     parameter: str
+    """A key of `PARAMETERS`."""
     over: str
+    """``sky`` or ``path``."""
     attitudes: int
+    """Boresights looked at."""
     least_stars: int
+    """Stars that an attitude needs."""
     least_availability: float
+    """Share of the attitudes that must have them."""
     specification_deg: dict[str, float]
+    """3σ about each body axis."""
     points: tuple[Point, ...]
+    """By rising value."""
     best: Point | None
+    """The smallest value that meets everything; None where none does."""
 
     def to_dict(self) -> dict[str, Any]:
         """What ``design.json`` holds."""
@@ -387,7 +354,7 @@ def _point(
 def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
     """The scenario with other values of keys, checked as a file is; `InputError` where no such camera can be."""
     try:
-        return scenario.changed(flatten(scenario) | keys)
+        return scenario.changed(keys)
     except ValidationError as error:
         told = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
         raise InputError("; ".join(" ".join(text.split()) for text in told)) from error

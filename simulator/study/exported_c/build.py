@@ -27,29 +27,20 @@ _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign
 
 @dataclass(frozen=True)
 class Target:
-    """A processor that the C is compiled for.
-
-    Parameters
-    ----------
-    name : str
-        In words.
-    compiler, size, symbols : str
-        Commands of the tool chain: compiler, ``size`` and ``nm``.
-    flags : tuple of str
-        For this processor.
-    runner : tuple of str
-        Command before the program; empty: it runs by itself.
-    counter : tuple of str
-        The same with a line on standard error for every instruction; empty: they cannot be counted.
-    """
+    """A processor that the C is compiled for."""
 
     name: str
+    """In words."""
     compiler: str
     size: str = "size"
     symbols: str = "nm"
+    """Commands of the tool chain: compiler, ``size`` and ``nm``."""
     flags: tuple[str, ...] = ()
+    """For this processor."""
     runner: tuple[str, ...] = ()
+    """Command before the program; empty: it runs by itself."""
     counter: tuple[str, ...] = ()
+    """The same with a line on standard error for every instruction; empty: they cannot be counted."""
 
     def missing(self) -> str | None:
         """The first command that is not installed, or None."""
@@ -81,34 +72,22 @@ def native_compiler() -> Target | None:
 
 @dataclass(frozen=True)
 class Build:
-    """A compiled export.
-
-    Parameters
-    ----------
-    target : Target
-    program : Path
-    table_bytes : int
-        Constant arrays.
-    code_bytes : int
-        Instructions of the solver, without the tables, the C library and ``main``.
-    static_bytes : int
-        Its writable variables: none.
-    context_bytes : int
-        Working memory that the caller gives it.
-    stack_bytes : int
-        At most: all its functions' frames together (``-fstack-usage``), as none calls itself.
-    heap_calls : tuple of str
-        Functions of the heap that it calls: none.
-    """
+    """A compiled export."""
 
     target: Target
     program: Path
     table_bytes: int
+    """Constant arrays."""
     code_bytes: int
+    """Instructions of the solver, without the tables, the C library and ``main``."""
     static_bytes: int
+    """Its writable variables: none."""
     context_bytes: int
+    """Working memory that the caller gives it."""
     stack_bytes: int
+    """At most: all its functions' frames together (``-fstack-usage``), as none calls itself."""
     heap_calls: tuple[str, ...]
+    """Functions of the heap that it calls: none."""
 
     def solve(self, text: str, times: int = 1) -> list[str]:
         """Lines that the program prints for lists of centroids, each list solved `times` times."""

@@ -1,28 +1,24 @@
-"""Reports drawn by a process of their own, so that what renders frames and what draws them never share a memory."""
+"""Pages drawn by a process of their own, so that what renders frames and what draws them never share a memory."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pickle
 import subprocess
 import sys
 from collections.abc import Callable
-from subprocess import PIPE
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from startracker.errors import BoresightError
 
-if TYPE_CHECKING:
-    from simulator.study.report.page import Report
-
 __all__ = ["drawn_apart"]
 
+Told = TypeVar("Told")
 Page = TypeVar("Page", str, bytes)
 
 
-def drawn_apart(draw: Callable[[Report], Page], report: Report) -> Page:
-    """What `draw` (`html_of` or `pdf_of`) makes of a report, in a process that ends with it.
+def drawn_apart(draw: Callable[[Told], Page], told: Told) -> Page:
+    """What `draw` makes of what it is told, a report, say, in a process that ends with it.
 
     Raises
     ------
@@ -31,22 +27,14 @@ def drawn_apart(draw: Callable[[Report], Page], report: Report) -> Page:
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-m", "simulator.study.report.drawing"]
-    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE, env=environment) as process:
-        assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it has died, and says why
-            pickle.dump((draw, report), process.stdin)
-        drawn, said = process.communicate()
-    if process.returncode != 0:
-        lines = said.decode(errors="replace").strip().splitlines() or [f"exit status {process.returncode}"]
+    done = subprocess.run(command, input=pickle.dumps((draw, told)), capture_output=True, env=environment, check=False)
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {done.returncode}"]
         raise BoresightError(f"the report could not be drawn: {lines[-1]}")
-    page: Page = pickle.loads(drawn)
+    page: Page = pickle.loads(done.stdout)
     return page
 
 
-def _main() -> None:
-    draw, report = pickle.load(sys.stdin.buffer)
-    sys.stdout.buffer.write(pickle.dumps(draw(report)))
-
-
 if __name__ == "__main__":
-    _main()
+    given_draw, given = pickle.load(sys.stdin.buffer)
+    sys.stdout.buffer.write(pickle.dumps(given_draw(given)))

@@ -25,25 +25,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A report, told and drawn but not yet set in type.
-
-    Parameters
-    ----------
-    scenario, summary
-        What was run, and its ``summary.json``.
-    content : Content
-        Text and tables.
-    panels : Panels
-        Figures of the statistics.
-    frames : list of (Panel, int)
-        Example frames and the indices of their trials.
-    """
+    """A report, told and drawn but not yet set in type."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
+    """What was run, and its ``summary.json``."""
     content: Content
+    """Text and tables."""
     panels: Panels
+    """Figures of the statistics."""
     frames: list[tuple[Panel, int]]
+    """Example frames and the indices of their trials."""
 
 
 def build_report(

@@ -40,29 +40,20 @@ _WINDOW, _MATCHED = (230, 159, 0), (86, 180, 233)
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """What is shown of one frame.
-
-    Parameters
-    ----------
-    index : int
-        Row of the frame.
-    picture : array of uint8, shape (h, w)
-        Sky black, stars bright; made small.
-    factor : int
-        Pixels of the frame in one of the picture.
-    window_xy, window_half_px, matched_xy
-        On the frame, pixels.
-    heading : str
-        What is written above.
-    """
+    """What is shown of one frame."""
 
     index: int
+    """Row of the frame."""
     picture: NDArray[np.uint8]
+    """(h, w): Sky black, stars bright; made small."""
     factor: int
+    """Pixels of the frame in one of the picture."""
     window_xy: NDArray[np.float64]
     window_half_px: int
     matched_xy: NDArray[np.float64]
+    """On the frame, pixels."""
     heading: str
+    """What is written above."""
 
 
 def view_of(tracked: TrackedFrame) -> FrameView:

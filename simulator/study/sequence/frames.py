@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import gyro_parameters, pointing_parameters, sequence_motion
+from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
@@ -53,25 +53,17 @@ _LAG_MARGIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """One frame of a sequence.
-
-    Parameters
-    ----------
-    row : dict
-        Its row of ``sequence.parquet``.
-    frame : Frame, optional
-        The image; None where none came.
-    solution : Solution
-        What the session said.
-    window_xy, window_half_px : array (M, 2), int
-        Windows looked at.
-    """
+    """One frame of a sequence."""
 
     row: dict[str, Any]
+    """Its row of ``sequence.parquet``."""
     frame: Frame | None
+    """The image; None where none came."""
     solution: Solution
+    """What the session said."""
     window_xy: FloatArray
     window_half_px: int
+    """(M, 2): Windows looked at."""
 
 
 class SequenceRunner:
@@ -93,7 +85,7 @@ class SequenceRunner:
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
         section = scenario.sequence
-        self._pointing = pointing_parameters(scenario.pointing)
+        self._pointing = scenario.pointing
         self.start = self._start()
         plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
         self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
@@ -112,7 +104,7 @@ class SequenceRunner:
         if section.gyro.use:
             turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
             samples = gyro_samples(
-                gyro_parameters(section.gyro), np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
+                section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
             self.gyro, self.biases = samples
         self.noise = self._noise()
@@ -395,7 +387,3 @@ def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float
     return dict(
         zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
     )
-
-
-def _stream(seed: int, stage: str) -> np.random.Generator:
-    return stream(seed, stage, 0)

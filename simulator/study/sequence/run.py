@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from simulator.paths import write_atomically
 from simulator.scenario import Scenario
-from simulator.scenario.fields import flatten
+from simulator.study.result_files import json_text, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
+from simulator.study.statistics import median
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
 from startracker.errors import BoresightError
@@ -37,27 +34,18 @@ _FLUSH_FRAMES = 500
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Result of a sequence.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What was run.
-    frames : pyarrow.Table
-        A row a frame.
-    summary : dict
-        What ``sequence.json`` holds.
-    folder : Path, optional
-        Where the files are.
-    files : tuple of str
-        Their names.
-    """
+    """Result of a sequence."""
 
     scenario: Scenario
+    """What was run."""
     frames: pa.Table
+    """A row a frame."""
     summary: dict[str, Any]
+    """What ``sequence.json`` holds."""
     folder: Path | None = None
+    """Where the files are."""
     files: tuple[str, ...] = ()
+    """Their names."""
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -114,7 +102,7 @@ def run_sequence(
 
 def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
     """Identity of so many frames of a sequence."""
-    begun = scenario.changed(flatten(scenario) | {"sequence.frames": 1})
+    begun = scenario.changed({"sequence.frames": 1})
     sha256 = scenario_sha256(begun, sequence=True, single=single)
     return Identity("sequence", scenario.name, scenario.seed, sha256, {"frames": frames})
 
@@ -169,7 +157,7 @@ def _run(
         **summarise_sequence(columns, scenario.sequence.step_s),
         unphysical=list(scenario.unphysical),
         elapsed_s=elapsed_s,
-        median_ms={name: _median(columns[f"{name}_ms"]) for name in ("render", "track")},
+        median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
     if runner.operated is not None:
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
@@ -182,11 +170,9 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[st
     """Write the result files, each moved into place whole."""
     from simulator.study.sequence.page import sequence_html
 
-    sink = pa.BufferOutputStream()
-    pq.write_table(sequence.frames, sink, compression="zstd")
     files: dict[str, bytes | str] = {
-        "sequence.parquet": sink.getvalue().to_pybytes(),
-        "sequence.json": json.dumps(sequence.summary, indent=2, allow_nan=False) + "\n",
+        "sequence.parquet": parquet_bytes(sequence.frames, compression="zstd"),
+        "sequence.json": json_text(sequence.summary),
         "scenario.resolved.yaml": f"# boresight {__version__}\n{sequence.scenario.to_yaml()}",
     }
     gif = gif_bytes(views, sequence.columns, sequence.scenario.name) if views else None
@@ -196,11 +182,5 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[st
         program = find_ffmpeg()
         if program is not None:
             files["sequence.mp4"] = mp4_bytes(views, sequence.columns, sequence.scenario.name, program)
-    for name, data in files.items():
-        write_atomically(folder / name, data)
+    write_files(folder, files)
     return tuple(files)
-
-
-def _median(values: NDArray[Any]) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else None

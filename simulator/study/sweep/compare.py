@@ -35,48 +35,32 @@ MAX_RUNS = 200
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """A run, or a point of a sweep, as it is compared.
-
-    Parameters
-    ----------
-    name : str
-        The folder as it was given, and for a point its number.
-    values : dict
-        Every key of its scenario by dotted path.
-    columns : mapping of arrays
-        Columns of its trials, those of `TRIAL_COLUMNS`.
-    statistics : dict
-        From `simulator.study.point_statistics.point_statistics`.
-    trials_per_second : float, optional
-        Speed, where the run says so.
-    """
+    """A run, or a point of a sweep, as it is compared."""
 
     name: str
+    """The folder as it was given, and for a point its number."""
     values: dict[str, Any]
+    """Every key of its scenario by dotted path."""
     columns: Mapping[str, NDArray[Any]]
+    """Columns of its trials, those of `TRIAL_COLUMNS`."""
     statistics: dict[str, Any]
+    """From `simulator.study.point_statistics.point_statistics`."""
     trials_per_second: float | None = None
+    """Speed, where the run says so."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Runs beside each other.
-
-    Parameters
-    ----------
-    runs : tuple of ComparedRun
-        In the order given; the first is what the others are measured against.
-    differences : dict
-        Dotted path of every key that is not the same in all runs to its value in each; None where a run has no such
-        key.
-    ratios : tuple
-        Of every run: for each axis (ratio, low, high) of its rms error to that of the first run, over the trials that
-        both solved, with the 95 % interval; None for the first run, and where trials cannot be paired.
-    """
+    """Runs beside each other."""
 
     runs: tuple[ComparedRun, ...]
+    """In the order given; the first is what the others are measured against."""
     differences: dict[str, tuple[Any, ...]]
+    """Dotted path of every key that is not the same in all runs to its value in each; None where a run has no such
+    key."""
     ratios: tuple[dict[str, tuple[float, float | None, float | None]] | None, ...]
+    """Of every run: for each axis (ratio, low, high) of its rms error to that of the first run, over the trials that
+    both solved, with the 95 % interval; None for the first run, and where trials cannot be paired."""
 
 
 def compare(folders: Sequence[str | Path]) -> Comparison:

@@ -14,9 +14,9 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +27,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
+from simulator.study.result_files import parquet_bytes
 from simulator.study.results_folder import (
     FILES,
     IDENTITY_FILE,
@@ -37,6 +38,7 @@ from simulator.study.results_folder import (
     standing,
     unfinished_identity,
 )
+from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import cell, point_files, write_results
 from simulator.study.trials.checked_files import fault_of, set_aside, write_checked
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
@@ -47,49 +49,42 @@ from startracker.errors import BoresightError, InputError
 
 POINTS_FOLDER = "points"
 
+
+class Where(NamedTuple):
+    """Where trials are run: on processes here, or on the cluster of a scheduler."""
+
+    workers: int
+    dask: str | None
+
+
 Progress = Callable[[int, int, "Point"], None]
 """Called with (trials finished, trials in all, the point under way)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One combination of values.
-
-    Parameters
-    ----------
-    index : int
-        Its number, from 0.
-    values : tuple
-        Values of the swept keys, in their order.
-    scenario : Scenario, optional
-        What is run; None where physics refuses it.
-    refused : str
-        Why, where it is.
-    """
+    """One combination of values."""
 
     index: int
+    """Its number, from 0."""
     values: tuple[Any, ...]
+    """Values of the swept keys, in their order."""
     scenario: Scenario | None
+    """What is run; None where physics refuses it."""
     refused: str = ""
+    """Why, where it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All points of a sweep, before anything is run.
-
-    Parameters
-    ----------
-    swept : tuple of SweptKey
-        What is swept.
-    points : tuple of Point
-        In the order in which they are run.
-    kind : str
-        ``grid`` or ``latin_hypercube``.
-    """
+    """All points of a sweep, before anything is run."""
 
     swept: tuple[SweptKey, ...]
+    """What is swept."""
     points: tuple[Point, ...]
+    """In the order in which they are run."""
     kind: str
+    """``grid`` or ``latin_hypercube``."""
 
     @property
     def runnable(self) -> tuple[Point, ...]:
@@ -171,21 +166,14 @@ def plan_sweep(
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Result of a sweep.
-
-    Parameters
-    ----------
-    table : dict
-        What ``sweep.json`` holds: the points with their values, states and statistics, and how they were made.
-    folder : Path
-        Where the files are.
-    notes : tuple of str
-        Sentences on files of finished points that were found damaged and computed again.
-    """
+    """Result of a sweep."""
 
     table: dict[str, Any]
+    """What ``sweep.json`` holds: the points with their values, states and statistics, and how they were made."""
     folder: Path
+    """Where the files are."""
     notes: tuple[str, ...] = ()
+    """Sentences on files of finished points that were found damaged and computed again."""
 
     @property
     def trials(self) -> pa.Table:
@@ -235,66 +223,42 @@ def run_sweep(
         old = None if force else standing(folder, "sweep")
         if resume and old and not (folder / POINTS_FOLDER).exists():
             return Sweep(json.loads((folder / FILES["sweep"]).read_text(encoding="utf-8")), folder)
-        return _run_sweep(plan, folder, workers, dask, force, progress, old.amounts["points"] if old else 0)
+        return _run_sweep(plan, folder, Where(workers, dask), force, progress, old.amounts["points"] if old else 0)
+
+
+@dataclass
+class _State:
+    """How far a sweep has come."""
+
+    refused: dict[int, str]
+    """Why a point cannot be, by its number."""
+    whole: set[int] = field(default_factory=set)
+    """Points whose trials are kept."""
+    notes: list[str] = field(default_factory=list)
+    trials_run: int = 0
+    interrupted: bool = False
 
 
 def _run_sweep(
-    plan: Plan,
-    folder: Path,
-    workers: int,
-    dask: str | None,
-    force: bool,
-    progress: Progress | None,
-    points_standing: int,
+    plan: Plan, folder: Path, where: Where, force: bool, progress: Progress | None, points_standing: int
 ) -> Sweep:
+    """Run what is left of a plan and write the results, unless they are fewer points than those that stand there."""
     kept = _open_points(plan, folder, force)
-    notes: list[str] = []
-    refused = {point.index: point.refused for point in plan.points if point.scenario is None}
-    total = sum(point.scenario.study.trials for point in plan.points if point.scenario)
-    started, run_here, interrupted = time.perf_counter(), 0, False
-    with WorkerPool(workers) as pool:
-        for attempt in itertools.count():
-            whole = _whole_points(kept, notes)
-            todo = [point for point in plan.runnable if point.index not in whole and point.index not in refused]
-            done = sum(
-                point.scenario.study.trials for point in plan.runnable if point.scenario and point.index in whole
-            )
-            if progress and not interrupted and (todo or attempt == 0):
-                progress(done, total, (todo or plan.runnable)[0 if todo else -1])
-            if interrupted or not todo:
-                break
-            if attempt == MAX_ROUNDS:
-                raise BoresightError(f"{notes[-1]}: damaged {MAX_ROUNDS} times; is the disk failing?")
-            for point in todo:
-                scenario = point.scenario
-                assert scenario is not None
-                asked = scenario.study.trials
-                try:
-                    trials = _run_point(scenario, pool, dask, _shifted(progress, done, total, point))
-                except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
-                    interrupted = True
-                    break
-                if isinstance(trials, str):
-                    refused[point.index] = trials
-                    total -= asked
-                    continue
-                if trials.interrupted:
-                    interrupted = True
-                    break
-                _write_point(plan, point, trials.table, kept)
-                run_here += asked
-                done += asked
-    if not whole:
-        if interrupted:
+    state = _State({point.index: point.refused for point in plan.points if point.scenario is None})
+    started = time.perf_counter()
+    _run_points(plan, kept, state, where, progress)
+    if not state.whole:
+        if state.interrupted:
             raise BoresightError("interrupted before the first point was finished: nothing to report")
-        first = min(refused)
-        raise InputError(f"--over: none of the {len(plan.points)} points can be; the first: {refused[first]}")
-    reached = len(plan.points) if not interrupted else len(whole)
+        first = state.refused[min(state.refused)]
+        raise InputError(f"--over: none of the {len(plan.points)} points can be; the first: {first}")
+    reached = len(state.whole) if state.interrupted else len(plan.points)
     if reached < points_standing:
         raise BoresightError(
-            f"interrupted: {len(whole)} points are finished and kept for the next run; {folder} keeps the results of "
-            f"the earlier sweep of {points_standing} points"
+            f"interrupted: {len(state.whole)} points are finished and kept for the next run; {folder} keeps the "
+            f"results of the earlier sweep of {points_standing} points"
         )
+    specification = plan.scenario.specification
     table = {
         "name": plan.scenario.name,
         "scenario_file": plan.scenario.source_name,
@@ -302,36 +266,72 @@ def _run_sweep(
         "seed": plan.scenario.seed,
         "trials_per_point": plan.scenario.study.trials,
         "kind": plan.kind,
-        "interrupted": interrupted,
+        "interrupted": state.interrupted,
         "swept": [_describe(axis) for axis in plan.swept],
-        "specification_deg": {
-            axis: getattr(plan.scenario.specification, f"{axis}_deg") for axis in ("roll", "pitch", "yaw")
-        },
+        "specification_deg": {axis: getattr(specification, f"{axis}_deg") for axis in BODY_AXES},
         "identity": plan.identity(reached).to_dict(),
-        "workers": workers,
+        "workers": where.workers,
         "elapsed_s": time.perf_counter() - started,
-        "trials_run": run_here,
+        "trials_run": state.trials_run,
         "scenario": plan.scenario.resolved(),
     }
-    rows = [(point.index, point.values, refused.get(point.index)) for point in plan.points]
+    rows = [(point.index, point.values, state.refused.get(point.index)) for point in plan.points]
     write_results(table, [axis.path for axis in plan.swept], rows, kept, folder)
-    if not interrupted:
+    if not state.interrupted:
         shutil.rmtree(kept, ignore_errors=True)
-    return Sweep(table, folder, tuple(notes))
+    return Sweep(table, folder, tuple(state.notes))
+
+
+def _run_points(plan: Plan, kept: Path, state: _State, where: Where, progress: Progress | None) -> None:
+    """Run the points that are not kept yet, again those whose files are found damaged at the end."""
+    with WorkerPool(where.workers) as pool:
+        for attempt in itertools.count():
+            state.whole = _whole_points(kept, state.notes)
+            todo = [p for p in plan.runnable if p.index not in state.whole and p.index not in state.refused]
+            done = sum(_trials_of(point) for point in plan.runnable if point.index in state.whole)
+            total = sum(_trials_of(point) for point in plan.runnable if point.index not in state.refused)
+            if progress and not state.interrupted and (todo or attempt == 0):
+                progress(done, total, (todo or plan.runnable)[0 if todo else -1])
+            if state.interrupted or not todo:
+                return
+            if attempt == MAX_ROUNDS:
+                raise BoresightError(f"{state.notes[-1]}: damaged {MAX_ROUNDS} times; is the disk failing?")
+            for point in todo:
+                told = _shifted(progress, done, total, point)
+                try:
+                    trials = _run_point(point, pool, where.dask, told)
+                except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
+                    state.interrupted = True
+                    break
+                if isinstance(trials, str):
+                    state.refused[point.index] = trials
+                    total -= _trials_of(point)
+                elif trials.interrupted:
+                    state.interrupted = True
+                    break
+                else:
+                    _write_point(plan, point, trials.table, kept)
+                    state.trials_run += _trials_of(point)
+                    done += _trials_of(point)
+
+
+def _trials_of(point: Point) -> int:
+    return point.scenario.study.trials if point.scenario else 0
 
 
 def _run_point(
-    scenario: Scenario, pool: WorkerPool, dask: str | None, progress: Callable[[int, int], None] | None
+    point: Point, pool: WorkerPool, dask: str | None, progress: Callable[[int, int], None] | None
 ) -> Trials | str:
     """Trials of a point, or why there can be none."""
-    trials = scenario.study.trials
+    scenario = point.scenario
+    assert scenario is not None
     try:
         if dask is None:
-            return run_trials(scenario, trials, pool=pool, progress=progress)
+            return run_trials(scenario, scenario.study.trials, workers=pool, progress=progress)
         TrialRunner(scenario)  # what cannot be is told here; a cluster that is not there is another matter
     except InputError as error:
         return " ".join(str(error).split())
-    return run_trials(scenario, trials, dask=dask, progress=progress)
+    return run_trials(scenario, scenario.study.trials, dask=dask, progress=progress)
 
 
 def _shifted(progress: Progress | None, before: int, total: int, point: Point) -> Callable[[int, int], None] | None:
@@ -361,9 +361,7 @@ def _write_point(plan: Plan, point: Point, trials: pa.Table, kept: Path) -> None
             columns[axis.path] = pa.array([str(cell(value))] * n, pa.string())
     for name in trials.column_names:
         columns[name] = trials[name]
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns), sink, compression="zstd")
-    write_checked(kept, f"{point.index:06d}", sink.getvalue().to_pybytes())
+    write_checked(kept, f"{point.index:06d}", parquet_bytes(pa.table(columns), compression="zstd"))
 
 
 def _open_points(plan: Plan, folder: Path, force: bool) -> Path:

@@ -25,21 +25,14 @@ MAX_ATTEMPTS = 4
 
 
 class Result(NamedTuple):
-    """A finished block.
-
-    Parameters
-    ----------
-    block : range
-        Indices of its trials.
-    table : pyarrow.Table
-        A row a trial.
-    seconds : float
-        Time that it took the worker.
-    """
+    """A finished block."""
 
     block: range
+    """Indices of its trials."""
     table: pa.Table
+    """A row a trial."""
     seconds: float
+    """Time that it took the worker."""
 
 
 def run_block(

@@ -35,33 +35,22 @@ MAX_ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Finished trials, by index.
-
-    Parameters
-    ----------
-    store : PartStore
-        Where they are.
-    finished : int
-        How many there are.
-    taken_over : int
-        How many of them an earlier run left.
-    requested : int
-        Trials asked for.
-    interrupted : bool
-        Whether the run was stopped before all were done.
-    workers : int
-        Processes, or threads of the cluster, that ran them.
-    runner : TrialRunner, optional
-        What ran them, where that was this process.
-    """
+    """Finished trials, by index."""
 
     store: PartStore
+    """Where they are."""
     finished: int
+    """How many there are."""
     taken_over: int
+    """How many of them an earlier run left."""
     requested: int
+    """Trials asked for."""
     interrupted: bool
+    """Whether the run was stopped before all were done."""
     workers: int
+    """Processes, or threads of the cluster, that ran them."""
     runner: TrialRunner | None = None
+    """What ran them, where that was this process."""
 
     @cached_property
     def table(self) -> pa.Table:
@@ -73,9 +62,8 @@ def run_trials(
     scenario: Scenario,
     trials: int,
     *,
-    workers: int = 1,
+    workers: int | WorkerPool = 1,
     dask: str | None = None,
-    pool: WorkerPool | None = None,
     folder: Path | None = None,
     resume: bool = False,
     force: bool = False,
@@ -89,12 +77,10 @@ def run_trials(
         Its seed is the run's.
     trials : int
         Number of trials, at least 1.
-    workers : int
-        Processes; 1 runs in this one.
+    workers : int or WorkerPool
+        Processes, or those that are there already; 1 runs in this one.
     dask : str, optional
         Address of a dask.distributed scheduler; the trials run on its workers instead.
-    pool : WorkerPool, optional
-        Processes that are there already, in place of new ones.
     folder : Path, optional
         Where finished blocks are kept until the results are written; none: in memory. Those that an unfinished run of
         the same scenario left there are taken over.
@@ -114,22 +100,23 @@ def run_trials(
     """
     if trials < 1:
         raise InputError(f"trials: must be at least 1, not {trials}")
-    if workers < 1:
-        raise InputError(f"workers: must be at least 1, not {workers}")
+    processes = workers if isinstance(workers, int) else workers.workers
+    if processes < 1:
+        raise InputError(f"workers: must be at least 1, not {processes}")
     store = PartStore(scenario, folder, resume, force)
     store.refuse_fewer(trials)
     taken_over = trials - sum(map(len, store.missing(trials)))
     runner = None
     with stop_on_signal() as stop:
         for _ in range(MAX_ROUNDS):
-            blocks = Blocks(store.missing(trials), pool.workers if pool else workers)
+            blocks = Blocks(store.missing(trials), processes)
             done = trials - blocks.left
             if progress:
                 progress(done, trials)
             here = dask is None and blocks.workers == 1
             if here and blocks and runner is None:
                 runner = TrialRunner(scenario)
-            found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, pool, stop)
+            found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, workers, stop)
             with contextlib.closing(found) as results:
                 for result in results:
                     store.put(result.block, result.table)
@@ -149,18 +136,17 @@ def run_trials(
 
 
 def _run_elsewhere(
-    scenario: Scenario, blocks: Blocks, dask: str | None, pool: WorkerPool | None, stop: threading.Event
+    scenario: Scenario, blocks: Blocks, dask: str | None, workers: int | WorkerPool, stop: threading.Event
 ) -> Generator[Result, None, None]:
     if dask is not None:
         from simulator.study.trials.dask_pool import run_on_cluster
 
-        return run_on_cluster(scenario, blocks, dask, stop)
-    return run_in_pool(scenario, blocks, pool, stop) if pool else _run_in_own_pool(scenario, blocks, stop)
-
-
-def _run_in_own_pool(scenario: Scenario, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:
-    with WorkerPool(blocks.workers) as pool:
-        yield from run_in_pool(scenario, blocks, pool, stop)
+        yield from run_on_cluster(scenario, blocks, dask, stop)
+    elif isinstance(workers, int):
+        with WorkerPool(workers) as pool:
+            yield from run_in_pool(scenario, blocks, pool, stop)
+    else:
+        yield from run_in_pool(scenario, blocks, workers, stop)
 
 
 def _run_here(runner: TrialRunner | None, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:

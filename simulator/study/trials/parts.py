@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 
 from simulator.paths import make_folder, open_atomically, write_atomically
 from simulator.scenario import Scenario
+from simulator.study.result_files import parquet_bytes
 from simulator.study.results_folder import (
     IDENTITY_FILE,
     Identity,
@@ -215,12 +216,9 @@ class PartStore:
     def _keep(self, key: Key, table: pa.Table, *, durable: bool) -> None:
         """Write trials as a part with its checksum in its name."""
         assert self.folder is not None
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, row_group_size=ROW_GROUP_TRIALS)
+        data = parquet_bytes(table, row_group_size=ROW_GROUP_TRIALS)
         with nothing_lost():
-            self._parts[key] = write_checked(
-                self.folder, f"{key[0]:09d}-{key[1]:09d}", sink.getvalue().to_pybytes(), durable=durable
-            )
+            self._parts[key] = write_checked(self.folder, f"{key[0]:09d}-{key[1]:09d}", data, durable=durable)
 
     def schema(self) -> pa.Schema:
         """Columns that hold every part: an integer column meets a real one as real numbers."""

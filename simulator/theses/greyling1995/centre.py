@@ -10,23 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
+from simulator.theses.greyling1995.star_images import Path, star_stamps
+from simulator.theses.tables import FloatArray, IntArray
 from startracker.centroid.bias import moment_bias
-
-__all__ = [
-    "LISTING_OFFSETS",
-    "LISTING_SEED",
-    "central_pixels",
-    "first_moments",
-    "lower_equal_peaks",
-    "matlab_rand",
-    "noise_errors",
-    "smear_errors",
-    "smeared_frames",
-]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 LISTING_SIGMA, LISTING_SEED, LISTING_PEAK = 1.325, 5, 10.0
 LISTING_OFFSETS: FloatArray = np.arange(51.0) * 0.01
@@ -38,16 +24,9 @@ _MODULUS, _MULTIPLIER = 2**31 - 1, 16807
 
 
 def matlab_rand(seeds: ArrayLike, count: int) -> FloatArray:
-    """Uniform deviates (S, count) of Matlab 4's ``rand`` after ``rand('seed', s)``.
+    """Uniform deviates (S, count) of Matlab 4's ``rand`` after ``rand('seed', s)``, s whole numbers from 1 on.
 
     s ← 7⁵ s mod (2³¹ − 1), the deviate is s / (2³¹ − 1): S. K. Park and K. W. Miller 1988, Comm. ACM 31, 1192.
-
-    Parameters
-    ----------
-    seeds : (S,) array
-        Whole numbers from 1 on.
-    count : int
-        Deviates for each.
     """
     state = np.atleast_1d(np.asarray(seeds, dtype=np.int64))
     out = np.empty((count, len(state)))
@@ -55,17 +34,6 @@ def matlab_rand(seeds: ArrayLike, count: int) -> FloatArray:
         state = _MULTIPLIER * state % _MODULUS
         out[step] = state
     return np.ascontiguousarray(out.T) / _MODULUS
-
-
-def _star(offsets: FloatArray, sigma_px: float) -> FloatArray:
-    """Frames (N, 11, 11) of stars right of the middle, only on the 5 × 5 pixels about it, as the script has them."""
-    frames = np.zeros((len(offsets), _SIDE, _SIDE))
-    pixels = np.arange(-_HALF, _HALF + 1.0)
-    x = np.exp(-0.5 * ((pixels - offsets[:, None]) / sigma_px) ** 2)
-    y = np.exp(-0.5 * (pixels / sigma_px) ** 2)
-    inner = slice(_MIDDLE - _HALF, _MIDDLE + _HALF + 1)
-    frames[:, inner, inner] = LISTING_PEAK * y[:, None] * x[:, None, :]
-    return frames
 
 
 def central_pixels(frames: FloatArray) -> tuple[IntArray, IntArray]:
@@ -87,24 +55,17 @@ def noise_errors(
     seeds: ArrayLike = LISTING_SEED,
     sigma_px: float = LISTING_SIGMA,
     offsets: FloatArray = LISTING_OFFSETS,
-) -> tuple[FloatArray, Flags]:
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Errors (S, N) along x, pixels, less those without noise; and where the wrong pixel is taken for the centre.
 
-    Parameters
-    ----------
-    snr_db : float
-        I₀ over the range A of the noise; the script's factor of 0.1 is 40 dB.
-    seeds : (S,) array
-        Of ``rand``; 5 in the script.
-    sigma_px : float
-        Width; 1.325 in the script, 1.23 in Table 4.1.
-    offsets : (N,) array
-        Of the star, in the order in which the script draws their noise.
+    The SNR is I₀ over the range A of the noise; the script's factor of 0.1 is 40 dB. `seeds` (S,) are of ``rand``; the
+    noise of the stars at the `offsets` (N,) follows in their order. Table 4.1 has a width of 1.23.
     """
-    stars = _star(offsets, sigma_px)
+    margin = _MIDDLE - _HALF
+    stars = LISTING_PEAK * np.pad(star_stamps(offsets, sigma_px), ((0, 0), (margin, margin), (margin, margin)))
     clean = first_moments(stars, *central_pixels(stars))
-    drawn = matlab_rand(seeds, len(offsets) * _SIDE**2).reshape(-1, len(offsets), _SIDE, _SIDE)
-    noise = LISTING_PEAK * 10.0 ** (-snr_db / 20.0) * (drawn.swapaxes(2, 3) - NOISE_MIDDLE)
+    deviates = matlab_rand(seeds, len(offsets) * _SIDE**2).reshape(-1, len(offsets), _SIDE, _SIDE)
+    noise = LISTING_PEAK * 10.0 ** (-snr_db / 20.0) * (deviates.swapaxes(2, 3) - NOISE_MIDDLE)
     errors, wrong = [], []
     for one in noise:
         rows, columns = central_pixels(stars + one)
@@ -113,7 +74,7 @@ def noise_errors(
     return np.array(errors), np.array(wrong)
 
 
-def smeared_frames(path: tuple[FloatArray, FloatArray], offsets: FloatArray, sigma_px: float) -> FloatArray:
+def smeared_frames(path: Path, offsets: FloatArray, sigma_px: float) -> FloatArray:
     """Frames (N, 11, 11) of stars smeared along a way, all of their light in the frame (eq. 4.11), peak 1 at rest."""
     way, weights = path
     pixels = np.arange(_SIDE) - float(_MIDDLE)
@@ -122,47 +83,26 @@ def smeared_frames(path: tuple[FloatArray, FloatArray], offsets: FloatArray, sig
     return np.asarray(np.einsum("k,kj,nki->nji", weights, y, x))
 
 
-def smear_errors(
-    path: tuple[FloatArray, FloatArray],
-    offsets: FloatArray = OFFSETS,
-    sigma_px: float = THESIS_SIGMA,
-    *,
-    other_of_equal: bool = False,
-) -> FloatArray:
-    """Errors (N,) along x of smeared stars by the brightest pixel, Table 4.1's bias for the true offset taken off.
+def smear_errors(path: Path, *, other_of_equal: bool = False) -> FloatArray:
+    """Errors (11,) along x of smeared stars by the brightest pixel, Table 4.1's bias for the true offset taken off.
 
     A star at half a pixel has two pixels of equal height, whatever the direction of the smear, as they lie
-    symmetrically about its centre. The left one is right: Table 4.1 counts its offsets from there.
-
-    Parameters
-    ----------
-    path : (K, 2) and (K,) arrays
-        Way and weights of the exposure (`star_images.smear_path`).
-    offsets : (N,) array
-        From the middle of the central pixel.
-    sigma_px : float
-        Width.
-    other_of_equal : bool
-        Take the right one of two equal pixels: the "spikes" of Fig. 4.12.
+    symmetrically about its centre. The left one is right: Table 4.1 counts its offsets from there. The right one
+    (`other_of_equal`) makes the "spikes" of Fig. 4.12.
     """
-    frames = smeared_frames(path, offsets, sigma_px)
+    frames = smeared_frames(path, OFFSETS, THESIS_SIGMA)
     rows = np.full(len(frames), _MIDDLE)
     columns = np.full(len(frames), _MIDDLE)
     if other_of_equal:
         columns[np.isclose(frames[:, _MIDDLE, _MIDDLE + 1], frames[:, _MIDDLE, _MIDDLE], rtol=1e-9)] += 1
-    bias = moment_bias(offsets, sigma_px, 2 * _HALF + 1, integrated=False)
-    return np.asarray(offsets - first_moments(frames, rows, columns) - bias)
+    bias = moment_bias(OFFSETS, THESIS_SIGMA, 2 * _HALF + 1, integrated=False)
+    return np.asarray(OFFSETS - first_moments(frames, rows, columns) - bias)
 
 
 def lower_equal_peaks(frame_dn: FloatArray, levels: int = 1) -> FloatArray:
     """A digitised frame (H, W) in which one pixel has the highest value: the first of equal ones, in reading order.
 
-    Parameters
-    ----------
-    frame_dn : (H, W) array
-        DN.
-    levels : int
-        Subtracted from each of the others; 1 to 3 in section 4.3.1.
+    `levels`, 1 to 3 in section 4.3.1, are subtracted from each of the others.
     """
     out = np.array(frame_dn, dtype=float)
     peaks = np.flatnonzero(out.ravel() == out.max())

@@ -5,24 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.theses.tables import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["compare_levels", "even_levels", "geometric_levels"]
-
-FloatArray = NDArray[np.float64]
 
 
 def compare_levels(signal: ArrayLike, levels: ArrayLike) -> NDArray[np.uint16]:
-    """How many of the levels each signal reaches: 0 … number of levels.
+    """How many of the rising levels (N,) each signal reaches, in the same unit: 0 … N.
 
     The prototype of Greyling 1995 (section 6.2.3) has three comparators, each with its level set by hand: 2 bits.
-
-    Parameters
-    ----------
-    signal : array_like
-        Any shape and unit.
-    levels : (N,) array
-        Rising, in the same unit.
 
     Raises
     ------

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from simulator.build import detector_parameters
@@ -23,10 +23,6 @@ from startracker import centroid, detection
 from startracker.front_end import Clock, find_stars
 from startracker.settings import CentroidSettings, DetectionSettings
 
-__all__ = ["BITS", "ConverterTrial", "converter_trial", "converter_trials"]
-
-FloatArray = NDArray[np.float64]
-
 BITS = (2, 4, 6, 8, 10, 12)
 """Converters tried."""
 SIGMA_PX = 1.23
@@ -38,19 +34,9 @@ _LEVELS = 0.02, 0.5
 _NEAR_PX = 2.0
 
 
-@dataclass(frozen=True)
-class ConverterTrial:
-    """Centroids of one star at many places of a pixel.
-
-    Parameters
-    ----------
-    error_px : float
-        Root mean square error of an axis; NaN where the star is found in fewer than half of the frames.
-    found : int
-        Frames in which it is found.
-    frames : int
-        Of so many.
-    """
+class ConverterTrial(NamedTuple):
+    """Centroids of one star at many positions in a pixel: root mean square error of an axis, NaN where the star is
+    found in fewer than half of the frames, and in how many it is found."""
 
     error_px: float
     found: int
@@ -65,18 +51,10 @@ class ConverterTrial:
 
 @cache
 def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: int = _STARS) -> ConverterTrial:
-    """Error of the centroid after a converter.
+    """Error of the centroid after a converter of even steps from the offset to the full well, at random positions.
 
-    Parameters
-    ----------
-    bits : int
-        Of the converter; even steps from the offset to the full well.
-    peak : float
-        Signal of the brightest pixel of a centred star over the full well.
-    geometric : bool
-        Three comparators with levels of equal ratio in place of even steps.
-    stars : int
-        Places tried, at random within a pixel.
+    `peak` is the signal of the brightest pixel of a centred star over the full well. `geometric`: three comparators
+    with levels of equal ratio in place of even steps.
     """
     scenario = camera()
     detector = replace(
@@ -90,9 +68,9 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
     psf = build_psf(PsfModel(sigma_px=SIGMA_PX), 1.0, (1.0, 1.0))
     total_e = peak * detector.full_well_e / float(erf(0.5 / (SIGMA_PX * math.sqrt(2.0))) ** 2)
     levels = geometric_levels(_LEVELS[0] * detector.full_well_e, _LEVELS[1] * detector.full_well_e)
-    places = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (stars, 2))
+    positions = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (stars, 2))
     errors = []
-    for k, xy in enumerate(places):
+    for k, xy in enumerate(positions):
         mean_e = render_stars((_SIDE_PX, _SIDE_PX), xy[None], np.ones(1), np.array([total_e]), psf)
         readout = detect(
             mean_e, detector, pattern, partial(stream, scenario.seed, trial=k), exposure_s=scenario.detector.exposure_s
@@ -115,7 +93,6 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
 @cache
 def converter_trials() -> dict[tuple[str, float], ConverterTrial]:
     """Centroids after each converter, for a bright star (peak at 0.8 of the full well) and a faint one (0.04)."""
-    trials = {(f"{bits} bits", peak): converter_trial(bits, peak) for bits in BITS for peak in (0.8, 0.04)}
-    return trials | {
-        ("2 bits, geometric levels", peak): converter_trial(2, peak, geometric=True) for peak in (0.8, 0.04)
-    }
+    peaks = (0.8, 0.04)
+    trials = {(f"{bits} bits", peak): converter_trial(bits, peak) for bits in BITS for peak in peaks}
+    return trials | {("2 bits, geometric levels", peak): converter_trial(2, peak, geometric=True) for peak in peaks}

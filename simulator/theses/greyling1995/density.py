@@ -12,25 +12,20 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import build_camera
 from simulator.checks import load_scenario
 from simulator.study.coverage.boresights import along_path
 from simulator.study.coverage.field_counts import outline
 from simulator.study.coverage.survey import count_stars
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.figures import draw, figures
 from simulator.theses.greyling1995.path import DECLINATION_DEG
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WINDOW_DEG, WIDE_WINDOW_DEG = 10.0, 12.0
 CELL_DEG = 5.0
@@ -61,23 +56,8 @@ def window_counts(
 ) -> tuple[FloatArray, IntArray]:
     """Stars in a window that is moved along a parallel of declination, as the thesis counts them.
 
-    Parameters
-    ----------
-    magnitude_limit : float
-        Faintest star counted, V.
-    window_deg : float
-        Width of the window in right ascension (no cos δ) and in declination.
-    step_deg : float
-        Step in right ascension.
-    declination_deg : float
-        Its centre.
-
-    Returns
-    -------
-    ra_deg : (N,)
-        Centres, from 0.
-    counts : (N,) int
-        Stars.
+    The window is `window_deg` wide in right ascension (no cos δ) and in declination. Returns its centres in right
+    ascension (N,), degrees from 0 in steps, and the stars at each (N,).
     """
     ra, dec, v = _bright_stars()
     ra = np.sort(ra[(v <= magnitude_limit) & (np.abs(dec - declination_deg) <= window_deg / 2)])
@@ -100,14 +80,16 @@ def cell_counts(magnitude_limit: float = np.inf) -> tuple[FloatArray, FloatArray
 
 def section() -> Section:
     """Stellar density along the path."""
-    figures: dict[str, Callable[[], Figure]] = {"fig_3_4_cells": cells_figure}
-    for number, limit in ((5, 5.0), (6, 6.0), (7, 7.0)):
-        figures[f"fig_3_{number}a_V{limit:g}_1deg"] = functools.partial(density_figure, limit, 1.0)
-        figures[f"fig_3_{number}b_V{limit:g}_5deg"] = functools.partial(density_figure, limit, 5.0)
-    figures["fig_3_8_minimum"] = minimum_figure
+    drawn = figures("greyling1995/density", {"fig_3_4_cells": _cells, "fig_3_8_minimum": _minima})
+    along: dict[str, Callable[[], Figure]] = {
+        f"fig_3_{number}{letter}_V{number}_{step}deg": functools.partial(density_figure, float(number), float(step))
+        for number in (5, 6, 7)
+        for letter, step in (("a", 1), ("b", 5))
+    }
     values = _catalogue_values() | _sparse_values() | _window_values() | _camera_values()
     rows = table_rows("greyling1995/density", values)
-    return Section("Chapter 3.3: stellar density along the path", rows, figures)
+    ordered = {"fig_3_4_cells": drawn["fig_3_4_cells"], **along, "fig_3_8_minimum": drawn["fig_3_8_minimum"]}
+    return Section("Chapter 3.3: stellar density along the path", rows, ordered)
 
 
 def _catalogue_values() -> Values:
@@ -133,7 +115,7 @@ def _sparse_values() -> Values:
     ra, counts = window_counts(6.0)
     sparse = np.zeros(len(ra), dtype=bool)
     for low, high in SPARSE_RA_DEG:
-        sparse |= (ra >= low) & (ra <= high) if low < high else (ra >= low) | (ra <= high)
+        sparse |= (ra - low) % 360.0 <= (high - low) % 360.0
     inside, outside = counts[sparse].mean(), counts[~sparse].mean()
     return {
         "inside": inside,
@@ -177,97 +159,44 @@ def _camera_values() -> Values:
     return {"fewest": counts.min(axis=0), "field_means": ", ".join(f"{m:.1f}" for m in counts.mean(axis=0))}
 
 
-def cells_figure() -> Figure:
-    """Fig. 3.4: the stars about the path, and the square of the density in cells of 5° × 5°."""
-    figure, axes = new_figure(2, 1, (9.0, 7.4), gridspec_kw={"height_ratios": [1, 1.7]})
+def _cells() -> Values:
+    """The stars about the path, and the square of the density in cells of 5° × 5°."""
     ra, dec, v = _bright_stars()
-    axes[0].scatter(ra, dec, s=0.5 * (8.5 - v) ** 1.4, c=INK, linewidths=0)
-    _path_line(axes[0])
-    axes[0].set_xlim(0, 360)
-    axes[0].set_ylim(*MAP_DEC_DEG)
-    axes[0].set_xticks(range(0, 361, 30))
-    axes[0].set_ylabel("declination [°]")
-    axes[0].set_xlabel("right ascension [°]")
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     ra_edges, dec_edges, counts = cell_counts()
-    density = counts / CELL_DEG**2
-    place = axes[1].get_subplotspec()
-    axes[1].remove()
-    solid = figure.add_subplot(place, projection="3d")
-    centre_ra, centre_dec = np.meshgrid((ra_edges[1:] + ra_edges[:-1]) / 2, (dec_edges[1:] + dec_edges[:-1]) / 2)
-    solid.plot_surface(
-        centre_ra, centre_dec, density**2, cmap="cividis", rstride=1, cstride=1, linewidth=0.2, edgecolor=INK
-    ).set_clip_on(False)  # the box is wider than its axes
-    solid.set_box_aspect((3.2, 1.1, 0.8), zoom=1.4)
-    solid.view_init(elev=38, azim=-72)
-    solid.set(xlim=(0, 360), xticks=range(0, 361, 60))
-    solid.set_xlabel("right ascension [°]", labelpad=14)
-    solid.set_yticks(range(-20, 41, 20))
-    solid.set_ylabel("declination [°]", labelpad=4)
-    solid.set_zlabel("D² [stars² / deg⁴]", labelpad=0)
-    return figure
+    grid = np.meshgrid((ra_edges[1:] + ra_edges[:-1]) / 2, (dec_edges[1:] + dec_edges[:-1]) / 2)
+    edges = [DECLINATION_DEG - WINDOW_DEG / 2, DECLINATION_DEG + WINDOW_DEG / 2]
+    stars = {"ra": ra, "dec": dec, "size": 0.5 * (8.5 - v) ** 1.4, "path": DECLINATION_DEG, "edges": edges}
+    return stars | {"grid": grid, "squared": (counts / CELL_DEG**2) ** 2, "dec_range": MAP_DEC_DEG}
 
 
 def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = WINDOW_DEG) -> Figure:
-    """Figs. 3.5 to 3.7: stars a square degree in the window along the path.
-
-    Parameters
-    ----------
-    magnitude_limit : float
-        Faintest star counted, V.
-    step_deg : float
-        Step along the path.
-    window_deg : float
-        Width of the window.
-    """
+    """Figs. 3.5 to 3.7: stars a square degree in the window along the path, V down to `magnitude_limit`."""
     ra, counts = window_counts(magnitude_limit, window_deg, step_deg)
     density = counts / window_deg**2
-    figure, ax = new_figure(size=(7.2, 3.4))
     fewest = density == density.min()
-    around, closed = np.append(ra, 360.0), np.append(density, density[0])
-    ax.step(around, closed, where="mid", color=BLUE)
-    ax.fill_between(around, closed, step="mid", color=BLUE, alpha=0.15, linewidth=0)
-    label = f"fewest: {counts.min()} stars, at {int(fewest.sum())} of {len(ra)} points"
-    ax.plot(ra[fewest], density[fewest], "v", color=VERMILION, markersize=5, label=label, clip_on=False)
-    ax.axhline(3.0 / window_deg**2, color=ORANGE, linestyle="--", label="3 stars in the window")
-    ax.set(
-        title=f"V ≤ {magnitude_limit:g}, window {window_deg:g}° × {window_deg:g}°, resolution {step_deg:g}°",
-        xlabel="right ascension of the boresight [°]",
-        ylabel="stars per square degree",
-        xlim=(0, 360),
-        xticks=range(0, 361, 30),
-        ylim=(0, 1.25 * float(density.max())),
-    )
-    ax.legend(loc="upper right", ncols=2)
-    return figure
+    values = {
+        "limit": magnitude_limit,
+        "window": window_deg,
+        "step": step_deg,
+        "ra": np.append(ra, 360.0),
+        "density": np.append(density, density[0]),
+        "fewest": counts.min(),
+        "at": ra[fewest],
+        "least": density[fewest],
+        "points": len(ra),
+        "three": 3.0 / window_deg**2,
+        "top": 1.25 * float(density.max()),
+    }
+    return draw("greyling1995/density/along_the_path", values)
 
 
-def minimum_figure() -> Figure:
-    """Fig. 3.8: the least density along the path against the magnitude limit, both windows and both steps."""
+def _minima() -> Values:
+    """The least density along the path against the magnitude limit, both windows and both steps."""
     limits = np.arange(5.0, 7.51, 0.25)
-    figure, ax = new_figure(size=(6.4, 4.2))
-    for window, colour in ((WINDOW_DEG, BLUE), (WIDE_WINDOW_DEG, GREEN)):
-        for step, marker, style in ((1.0, "o", "-"), (5.0, "s", "--")):
-            least = [window_counts(limit, window, step)[1].min() / window**2 for limit in limits]
-            ax.plot(
-                limits,
-                least,
-                style,
-                marker=marker,
-                color=colour,
-                markersize=4,
-                markerfacecolor="white" if step > 1 else colour,
-                label=f"{window:g}° × {window:g}°, {step:g}° steps",
-            )
-    ax.axhline(3.0 / WINDOW_DEG**2, color=ORANGE, linestyle=":", label="3 stars in 10° × 10°")
-    ax.axhline(3.0 / WIDE_WINDOW_DEG**2, color=VERMILION, linestyle="-.", label="3 stars in 12° × 12°")
-    ax.set(xlabel="limiting magnitude V", ylabel="least density along the path [stars per square degree]")
-    ax.legend(loc="upper left")
-    return figure
-
-
-def _path_line(ax: Axes) -> None:
-    ax.axhline(DECLINATION_DEG, color=BLUE, linewidth=1.8, label="boresight, Dec +8.6°")
-    for sign in (-1, 1):
-        edge = DECLINATION_DEG + sign * WINDOW_DEG / 2
-        ax.axhline(edge, color=ORANGE, linewidth=1.2, linestyle="--", label="10° window" if sign > 0 else None)
+    least = {
+        (window, step): [window_counts(limit, window, step)[1].min() / window**2 for limit in limits]
+        for window in (WINDOW_DEG, WIDE_WINDOW_DEG)
+        for step in (1.0, 5.0)
+    }
+    curves = [{"window": window, "step": step, "least": counts} for (window, step), counts in least.items()]
+    return {"limits": limits, "curves": curves, "three": [3.0 / WINDOW_DEG**2, 3.0 / WIDE_WINDOW_DEG**2]}

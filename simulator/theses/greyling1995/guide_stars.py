@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.figures import figures
+from simulator.theses.printed import Section
+from simulator.theses.tables import IntArray, Values, table_rows
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["guide_stars", "lines", "map_lines", "section", "zone", "zone_counts"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BORESIGHT_DEC_DEG = 8.6
 FIELD_DEG, SIDE_PX = 10.0, 512
@@ -55,17 +43,10 @@ def guide_stars(
     closest_deg: float = CLOSEST_DEG,
     dec_deg: float = BORESIGHT_DEC_DEG,
 ) -> StarCatalog:
-    """Guide stars by the thesis' rule, sorted by right ascension.
+    """Guide stars by the thesis' rule, sorted by right ascension: those nearer than `band_deg` to a declination.
 
-    Parameters
-    ----------
-    magnitude_limit : float
-        Faintest V.
-    band_deg, dec_deg : float
-        Stars nearer than `band_deg` to the declination `dec_deg`.
-    closest_deg : float
-        Of two stars closer than this the dimmer is left out (Fig. 5.3; `guide.m` leaves out the other); 0: none. The
-        tracker's own database joins them (`startracker.catalog.merge_doubles`).
+    Of two stars closer than `closest_deg` the dimmer is left out (Fig. 5.3; `guide.m` leaves out the other); 0: none.
+    The tracker's own database joins them (`startracker.catalog.merge_doubles`).
     """
     catalog = load_catalog("bsc5").brighter_than(magnitude_limit)
     catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - dec_deg) < band_deg))
@@ -85,15 +66,8 @@ def lines(catalog: StarCatalog, partners: int | None = PARTNERS, start_ra_deg: f
 
     Each star with the next `partners` ones in right ascension, in the plane of right ascension and declination without
     cos δ, up to √2 times the field; none across the end of the list, and the last star only with those near the end.
-
-    Parameters
-    ----------
-    catalog : StarCatalog
-        Sorted by right ascension from `start_ra_deg` on.
-    partners : int, optional
-        None: with every star after it.
-    start_ra_deg : float
-        Right ascensions are counted from here, so that a zone across 0 h is one piece.
+    Without `partners` each is paired with every star after it. Right ascensions are counted from `start_ra_deg`, so
+    that a zone across 0 h is one piece.
     """
     ra = (np.degrees(catalog.ra_rad) - start_ra_deg) % 360.0
     dec = np.degrees(catalog.dec_rad)
@@ -151,13 +125,12 @@ def zone_counts(magnitude_limit: float = 6.5, zones: int = ZONES) -> tuple[IntAr
 
 def section() -> Section:
     """Section 5.2.1: rows, Table 5.1 and Figs. 5.2, 5.4 and 5.5."""
-    figures: dict[str, Callable[[], Figure]] = {
-        "fig_5_2_lines": _lines_figure,
-        "fig_5_4_zones": _zones_figure,
-        "fig_5_5_zone_stars": partial(_zone_stars_figure, 6.5),
-    }
+    drawn = figures(
+        "greyling1995/guide_stars",
+        {"fig_5_2_lines": _line_numbers, "fig_5_4_zones": _zone_map, "fig_5_5_zone_stars": _zone_stars},
+    )
     rows = table_rows("greyling1995/guide_stars", _limit_values() | _table_values() | _zone_values())
-    return Section("Chapter 5.2: guide stars", rows, figures)
+    return Section("Chapter 5.2: guide stars", rows, drawn)
 
 
 def _limit_values() -> Values:
@@ -210,75 +183,38 @@ def _zone_values() -> Values:
     }
 
 
-def _lines_figure() -> Figure:
-    figure, axes = new_figure(1, 1, (5.8, 4.0))
+def _line_numbers() -> Values:
+    """Numbers of lines against those of stars."""
     n = np.arange(2, 1300)
-    axes.plot(n, n * (n - 1) / 2, color=INK, label="N (N − 1)/2, eq. 5.2")
-    most = np.minimum(n * (n - 1) / 2, PARTNERS * n)
-    axes.plot(n, most, color=SOFT, linestyle="--", label=f"{PARTNERS} N, the most of guide.m")
-    for (limit, (stars, pairs)), marker in zip(TABLE_5_1.items(), "osD", strict=True):
+    every = n * (n - 1) / 2
+    limits = []
+    for limit, (stars, pairs) in TABLE_5_1.items():
         catalog = guide_stars(limit)
-        axes.plot(len(catalog), len(lines(catalog)), marker, color=BLUE, markersize=7, label=f"guide.m, V ≤ {limit:g}")
-        axes.plot(
-            int(stars), int(pairs), marker, color=VERMILION, markerfacecolor="none", markersize=9,
-            label=f"Table 5.1, V ≤ {limit:g}",
-        )  # fmt: skip
-    axes.plot(133, 2682, "^", color=ORANGE, markersize=8, label="133 stars, as printed")
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlim=(10, 2000),
-        ylim=(30, 3e6),
-        xlabel="stars",
-        ylabel="lines",
-        title="Fig. 5.2  Number of lines against points",
-    )
-    axes.legend(loc="upper left")
-    return figure
+        found = {"found": len(catalog), "found_lines": len(lines(catalog))}
+        limits.append({"limit": limit, "stars": int(stars), "lines": int(pairs)} | found)
+    return {"n": n, "every": every, "most": np.minimum(every, PARTNERS * n), "limits": limits, "partners": PARTNERS}
 
 
-def _zones_figure() -> Figure:
-    from matplotlib.patches import Rectangle
-
-    figure, axes = new_figure(1, 1, (7.6, 3.2))
+def _zone_map() -> Values:
+    """The zones, drawn a little apart, and the stars to V = 6.5."""
     catalog = guide_stars(6.5, 20.0)
-    size = np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0)
-    axes.scatter(np.degrees(catalog.ra_rad), np.degrees(catalog.dec_rad), s=size, color=INK, linewidths=0)
     width, height = zone_size_deg()
+    zones = []
     for k in range(ZONES):
-        colour, line = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."))[k % 3]
-        bottom = BORESIGHT_DEC_DEG - 0.5 * height + (k % 3 - 1) * 0.5
-        for start in (360.0 / ZONES * k, 360.0 / ZONES * k - 360.0):
-            axes.add_patch(
-                Rectangle((start, bottom), width, height, fill=False, edgecolor=colour, linestyle=line, linewidth=1.2)
-            )
-        axes.text(360.0 / ZONES * k + 15.0, bottom + height + 2.4, str(k + 1), color=colour, ha="center", va="center",
-                  bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8})  # fmt: skip
-    axes.axhline(BORESIGHT_DEC_DEG, color=SOFT, linestyle=":", linewidth=0.9)
-    axes.set(
-        xlim=(360.0, 0.0),
-        ylim=(-12.0, 30.0),
-        xticks=range(0, 361, 30),
-        xlabel="right ascension [°]",
-        ylabel="declination [°]",
-        title="Fig. 5.4  Catalogue zones (drawn a little apart), stars to V = 6.5",
-    )
-    return figure
+        start, bottom = 360.0 / ZONES * k, BORESIGHT_DEC_DEG - 0.5 * height + (k % 3 - 1) * 0.5
+        corners = {"corners": [(start, bottom), (start - 360.0, bottom)], "name": str(k + 1)}
+        zones.append(corners | {"x": start + 15.0, "y": bottom + height + 2.4})
+    return {
+        "ra": np.degrees(catalog.ra_rad),
+        "dec": np.degrees(catalog.dec_rad),
+        "size": np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0),
+        "width": width,
+        "height": height,
+        "zones": zones,
+        "path": BORESIGHT_DEC_DEG,
+    }
 
 
-def _zone_stars_figure(magnitude_limit: float) -> Figure:
-    figure, axes = new_figure(1, 1, (5.8, 3.6))
-    stars, _pairs = zone_counts(magnitude_limit)
-    axes.bar(np.arange(1, ZONES + 1), stars, color=BLUE, width=0.7, label="here")
-    axes.plot(
-        DENSEST_ZONE, 159, "*", color=VERMILION, markersize=13, markeredgecolor=INK, label="printed: 159 in zone 3"
-    )
-    axes.axhline(float(stars.mean()), color=SOFT, linestyle="--", label=f"mean {stars.mean():.0f}")
-    axes.set(
-        xticks=range(1, ZONES + 1),
-        xlabel="zone",
-        ylabel="stars",
-        title=f"Fig. 5.5  Number of stars in zones, V ≤ {magnitude_limit:g}",
-    )
-    axes.legend(loc="upper right")
-    return figure
+def _zone_stars() -> Values:
+    stars = zone_counts()[0]
+    return {"numbers": np.arange(1, ZONES + 1), "stars": stars, "densest": DENSEST_ZONE, "mean": float(stars.mean())}

@@ -17,10 +17,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import COLUMNS, COUNTS_PER_LINE, LINES, SERIAL_CLOCK_HZ
-
-__all__ = ["SLOW_CLOCK_HZ", "camera", "memory_image", "scene", "smear_share"]
-
-FloatArray = NDArray[np.float64]
+from simulator.theses.tables import FloatArray
 
 SLOW_CLOCK_HZ = 1.0e5
 """The thesis does not say how slow the clock of Fig. 6.10 was."""
@@ -75,14 +72,7 @@ def memory_image(clock_hz: float, defocus_um: float = 0.0) -> NDArray[np.uint16]
 def smear_share(clock_hz: float, *, frames: int = 0, integration_s: float = 0.0) -> float:
     """Mean smear of the brightest column, off the hole, over the hole's peak, both limited by the full well.
 
-    Parameters
-    ----------
-    clock_hz : float
-        Serial clock.
-    frames : int
-        Integration in frame times of this clock.
-    integration_s : float
-        Or in seconds, with holes of the same signal at every clock.
+    The integration is in frame times of this serial clock, or in seconds, with holes of the same signal at every clock.
     """
     full_e = camera().detector.full_well_e
     rate = scene()

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.checks import load_scenario
 from simulator.randomness import stream
-from simulator.study.style import BLUE, GREEN, INK, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import IntArray, Values, table_rows
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -30,24 +29,6 @@ from startracker.identification import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.settings import IdentificationSettings, MatchGroupSettings
 from startracker.solution import Status
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = [
-    "CHANGES",
-    "TABLE_5_2",
-    "Outcome",
-    "draw_field",
-    "guide_database",
-    "judge",
-    "region",
-    "section",
-    "thesis_identification",
-]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TABLE_5_2 = {
     1: (146, 676, 1672),
@@ -78,23 +59,9 @@ MAGNITUDE_ERROR = 0.2
 """Assumed standard deviation of a measured magnitude."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What came of some fields of one region.
-
-    Parameters
-    ----------
-    trials : int
-        Fields.
-    solved, wrong : int
-        Identified without a false pair; accepted with one.
-    too_few : int
-        With fewer than three true stars, where nothing can be identified.
-    stars : float
-        Mean number of stars seen.
-    time_ms : float
-        Mean time of the identification on this machine.
-    """
+class Outcome(NamedTuple):
+    """What came of some fields of one region: those identified without a false pair, accepted with one, and with fewer
+    than three true stars, where nothing can be identified; mean number of stars seen and time on this machine."""
 
     trials: int
     solved: int
@@ -135,23 +102,11 @@ def region(
     settings: IdentificationSettings | None = None,
     seed: int = 1,
 ) -> Outcome:
-    """Identification in fields of 10° × 10° on the boresight's path at a right ascension.
+    """Identification in fields of 10° × 10° on the boresight's path at a right ascension, hours.
 
-    Parameters
-    ----------
-    hour : float
-        Right ascension, hours.
-    change : int
-        Stars added at random places, as bright as one of the eight brightest each (positive), or taken out of the
-        eight brightest (negative).
-    trials : int
-        Fields at each limiting magnitude: the nominal one turned by up to ±1° about each axis.
-    limits : sequence of float
-        Limiting magnitudes.
-    settings : IdentificationSettings, optional
-        Those of the thesis' program where left out.
-    seed : int
-        Of the fields.
+    At each limiting magnitude there are so many trials: the nominal field turned by up to ±1° about each axis. Stars
+    are added at random positions, as bright as one of the eight brightest each (`change` positive), or taken out of the
+    eight brightest (negative). The settings are those of the thesis' program where left out.
     """
     settings = settings or thesis_identification()
     results, times, stars, few = [], [], [], 0
@@ -217,49 +172,42 @@ def region_lines(hour: float, limits: Sequence[float] = LIMITS) -> float:
     return float(np.mean([map_lines(hour, limit) for limit in limits]))
 
 
+Outcomes = dict[int, dict[int, Outcome]]
+"""By change and hour."""
+
+
 def section(trials: int = 6) -> Section:
     """Section 5.2.4: Table 5.2, and the success with stars added and taken out.
 
-    Parameters
-    ----------
-    trials : int
-        Fields in each region, at each limiting magnitude and each change.
+    `trials` fields in each region, at each limiting magnitude and each change; a third of them beyond the thesis'.
     """
     region(12, 0, 1, LIMITS[:1])  # compiles the kernels: not to be timed
-    thesis = {change: {hour: region(hour, change, trials) for hour in TABLE_5_2} for change in CHANGES}
-    own_settings = replace(thesis_identification(), separation_tolerance_deg=None)
-    own = {
-        change: {hour: region(hour, change, trials, settings=own_settings) for hour in TABLE_5_2} for change in CHANGES
-    }
-    few = math.ceil(trials / 3)
+    settings = thesis_identification(), replace(thesis_identification(), separation_tolerance_deg=None)
+    thesis, own = ({change: _regions(change, trials, one) for change in CHANGES} for one in settings)
     beyond = [
-        {change: _all_regions(change, few, settings) for change in MORE_CHANGES}
-        for settings in (thesis_identification(), own_settings)
+        {change: _share(_regions(change, math.ceil(trials / 3), one))[0] for change in MORE_CHANGES} for one in settings
     ]
-    figures: dict[str, Callable[[], Figure]] = {
-        "table_5_2_success": partial(_success_figure, thesis, own, beyond),
-        "table_5_2_time": partial(_time_figure, thesis[0], own[0]),
-    }
+    drawn = figures(
+        "greyling1995/identification",
+        {
+            "table_5_2_success": partial(_success_curves, thesis, own, beyond),
+            "table_5_2_time": partial(_time_bars, thesis[0], own[0]),
+        },
+    )
     values = _success_values(thesis, own) | _region_values(thesis[0], own[0]) | _time_values(thesis[0], own[0])
     rows = table_rows("greyling1995/identification", values)
-    return Section("Chapter 5.2.4: star identification", rows, figures)
+    return Section("Chapter 5.2.4: star identification", rows, drawn)
 
 
-Outcomes = dict[int, dict[int, Outcome]]
-
-
-def _all_regions(change: int, trials: int, settings: IdentificationSettings) -> float:
-    return _share({hour: region(hour, change, trials, settings=settings) for hour in TABLE_5_2})[0]
+def _regions(change: int, trials: int, settings: IdentificationSettings) -> dict[int, Outcome]:
+    return {hour: region(hour, change, trials, settings=settings) for hour in TABLE_5_2}
 
 
 def _share(outcomes: dict[int, Outcome]) -> tuple[float, int, int]:
     """Success rate over all regions, fields, and fields with a false pair."""
     fields = sum(outcome.possible for outcome in outcomes.values())
-    return (
-        sum(outcome.solved for outcome in outcomes.values()) / fields,
-        fields,
-        sum(outcome.wrong for outcome in outcomes.values()),
-    )
+    solved, wrong = (sum(getattr(outcome, name) for outcome in outcomes.values()) for name in ("solved", "wrong"))
+    return solved / fields, fields, wrong
 
 
 def _success_values(thesis: Outcomes, own: Outcomes) -> Values:
@@ -302,55 +250,29 @@ def _time_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
     }
 
 
-def _success_figure(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, float]]) -> Figure:
-    figure, (left, right) = new_figure(1, 2, (7.6, 3.8), sharey=True)
-    hours = list(TABLE_5_2)
-    styles = {0: (INK, "o", "-"), 1: (BLUE, "^", "--"), 2: (BLUE, "v", ":"), -1: (VERMILION, "s", "--"),
-              -2: (VERMILION, "D", ":")}  # fmt: skip
-    for change, (colour, marker, line) in styles.items():
-        rate = [100.0 * thesis[change][hour].rate for hour in hours]
-        name = "unchanged" if change == 0 else f"{abs(change)} {'added' if change > 0 else 'removed'}"
-        left.plot(
-            range(len(hours)), rate, marker, color=colour, linestyle=line, markersize=5, linewidth=0.9, label=name
-        )
-    left.set_xticks(range(len(hours)), [str(hour) for hour in hours])
-    left.set(
-        xlabel="region, right ascension [h]",
-        ylabel="identified [%]",
-        ylim=(-3, 104),
-        title=f"tolerance 0.2°, {thesis[0][hours[0]].trials} fields a point",
-    )
-    left.legend(loc="lower center", ncols=2)
-    for outcomes, more, colour, marker, line, name in (
-        (thesis, beyond[0], BLUE, "o", "-", "0.2°, as in the thesis"),
-        (own, beyond[1], VERMILION, "s", "--", "from the centroids' errors"),
-    ):
-        rates = {change: _share(outcomes[change])[0] for change in CHANGES} | more
-        changes = sorted(rates)
-        rate = [100.0 * rates[change] for change in changes]
-        right.plot(changes, rate, color=colour, marker=marker, markersize=4, linestyle=line, label=name)
-    right.axvspan(-2, 2, color=INK, alpha=0.08, linewidth=0, label="what the thesis tried")
-    right.set(xticks=range(-8, 25, 4), xlabel="stars removed (−) or added (+)", title="all six regions, by tolerance")
-    right.legend(loc="lower center")
-    figure.suptitle("Table 5.2  Success of the identification, V ≤ 6.0 to 6.2", fontsize=10)
-    return figure
+def _success_curves(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, float]]) -> Values:
+    names = {0: "unchanged", 1: "1 added", 2: "2 added", -1: "1 removed", -2: "2 removed"}
+    curves = [
+        {"name": name, "rates": [100.0 * outcome.rate for outcome in thesis[change].values()]}
+        for change, name in names.items()
+    ]
+    tolerances = []
+    for outcomes, more in zip((thesis, own), beyond, strict=True):
+        rates = {change: 100.0 * _share(outcomes[change])[0] for change in CHANGES}
+        found = sorted((rates | {change: 100.0 * rate for change, rate in more.items()}).items())
+        tolerances.append({"changes": [change for change, _ in found], "rates": [rate for _, rate in found]})
+    return {
+        "curves": curves,
+        "places": np.arange(len(TABLE_5_2)),
+        "hours": [str(hour) for hour in TABLE_5_2],
+        "trials": next(iter(thesis[0].values())).trials,
+        "tolerances": tolerances,
+    }
 
 
-def _time_figure(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Figure:
-    figure, axes = new_figure(1, 1, (5.8, 3.8))
-    hours = list(TABLE_5_2)
-    place = np.arange(len(hours))
-    for shift, values, colour, hatch, name in (
-        (-0.3, [TABLE_5_2[hour][1] for hour in hours], VERMILION, "", "printed: 386 at 40 MHz"),
-        (0.0, [thesis[hour].time_ms for hour in hours], BLUE, "//", "here, tolerance 0.2°"),
-        (0.3, [own[hour].time_ms for hour in hours], GREEN, "..", "here, our tolerance"),
-    ):
-        axes.bar(place + shift, values, width=0.28, color=colour, hatch=hatch, edgecolor="white", label=name)
-    axes.set_yscale("log")
-    axes.set_ylim(top=3e5)
-    axes.set_xticks(place, [str(hour) for hour in hours])
-    axes.set(
-        xlabel="region, right ascension [h]", ylabel="execution time [ms]", title="Table 5.2  Time of an identification"
-    )
-    axes.legend(loc="upper right")
-    return figure
+def _time_bars(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
+    at = np.arange(len(TABLE_5_2))
+    printed = [ms for _groups, ms, _lines in TABLE_5_2.values()]
+    times, ours = ([outcome.time_ms for outcome in outcomes.values()] for outcomes in (thesis, own))
+    bars = [{"at": at + shift, "ms": ms} for shift, ms in ((-0.3, printed), (0.0, times), (0.3, ours))]
+    return {"bars": bars, "places": at, "hours": [str(hour) for hour in TABLE_5_2]}

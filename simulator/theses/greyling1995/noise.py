@@ -8,24 +8,18 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector import build_fixed_pattern, detect
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
-from simulator.study.style import BLUE, GREEN, ORANGE, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.starlight import SATURATION_MV, VOLT_PER_E
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FloatArray = NDArray[np.float64]
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, Values, table_rows
 
 SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 """Conditions of the budget: signal, dark signal, its non-uniformity, electrons; readout capacitance; temperature."""
@@ -39,9 +33,9 @@ _DSNU_FRAMES = 16
 
 def section() -> Section:
     """Noise budget and what the converter has to span."""
-    figures = {"noise_budget": budget_figure, "dynamic_range": bits_figure}
     rows = table_rows("greyling1995/noise", _noise_values() | _converter_values())
-    return Section("Chapter 3.4 and 3.5: noise, dynamic range and converter", rows, figures)
+    drawn = figures("greyling1995/noise", {"noise_budget": _budget, "dynamic_range": _counts_by_bits})
+    return Section("Chapter 3.4 and 3.5: noise, dynamic range and converter", rows, drawn)
 
 
 def equation_terms_e() -> dict[str, float]:
@@ -60,46 +54,31 @@ def measured_terms_e(signal_e: float = SIGNAL_E) -> dict[str, float]:
 
     Photon and reset noise are the standard deviation of the difference of two frames over √2; the dark signal is a
     mean; the DSNU is the spread of the mean of 16 dark frames, less the shot noise left in it. Together: the standard
-    deviation over the pixels of one frame.
-
-    Parameters
-    ----------
-    signal_e : float
-        Electrons of the light in every pixel.
+    deviation over the pixels of one frame with `signal_e` electrons of light in every pixel.
     """
-    photon = _frames_e(signal_e, 2)
-    dark = _frames_e(0.0, 2, dark_current_e_s=DARK_E)
-    uneven = _frames_e(0.0, _DSNU_FRAMES, dark_current_e_s=DARK_E, dsnu=DSNU_E / DARK_E).mean(axis=0)
-    reset = _frames_e(0.0, 2, reset_capacitance_ff=READOUT_F * 1e15)
-    everything = _frames_e(
-        signal_e, 1, dark_current_e_s=DARK_E, dsnu=DSNU_E / DARK_E, reset_capacitance_ff=READOUT_F * 1e15
-    )
+    dark, uneven = {"dark_current_e_s": DARK_E}, {"dark_current_e_s": DARK_E, "dsnu": DSNU_E / DARK_E}
+    reset = {"reset_capacitance_ff": READOUT_F * 1e15}
+    mean_dark = _frames_e(0.0, _DSNU_FRAMES, **uneven).mean(axis=0)
     return {
-        "photon noise": float(np.diff(photon, axis=0).std() / math.sqrt(2.0)),
-        "dark signal": float(dark.mean()),
-        "DSNU": math.sqrt(float(uneven.var()) - DARK_E / _DSNU_FRAMES),
-        "reset noise": float(np.diff(reset, axis=0).std() / math.sqrt(2.0)),
-        "together": float(everything.std()),
+        "photon noise": float(np.diff(_frames_e(signal_e, 2), axis=0).std() / math.sqrt(2.0)),
+        "dark signal": float(_frames_e(0.0, 2, **dark).mean()),
+        "DSNU": math.sqrt(float(mean_dark.var()) - DARK_E / _DSNU_FRAMES),
+        "reset noise": float(np.diff(_frames_e(0.0, 2, **reset), axis=0).std() / math.sqrt(2.0)),
+        "together": float(_frames_e(signal_e, 1, **uneven, **reset).std()),
     }
 
 
 def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
-    """Frames (count, H, W) of an even light, electrons, unquantised."""
-    section = _detector(full_well_e=1e7, gain_e_per_dn=1.0, adc_bits=None, **keys)
+    """Frames (count, H, W) of an even light, electrons, unquantised unless told otherwise."""
+    keys = {"full_well_e": 1e7, "gain_e_per_dn": 1.0, "adc_bits": None} | keys
+    section = DetectorParameters(width=_SIDE, height=_SIDE, pitch_um=(16.0, 16.0), temperature_c=ROOM_C, **keys)
     pattern = build_fixed_pattern(section, _SEED)
     light = np.full((_SIDE, _SIDE), mean_e)
     frames = [
-        detect(light, section, pattern, functools.partial(_stream, k), exposure_s=1.0).image for k in range(count)
+        detect(light, section, pattern, functools.partial(stream, _SEED, trial=k), exposure_s=1.0).image
+        for k in range(count)
     ]
     return np.asarray(frames, dtype=float)
-
-
-def _stream(frame: int, name: str) -> np.random.Generator:
-    return stream(_SEED, name, frame)
-
-
-def _detector(**keys: Any) -> DetectorParameters:
-    return DetectorParameters(width=_SIDE, height=_SIDE, pitch_um=(16.0, 16.0), temperature_c=ROOM_C, **keys)
 
 
 def brightness_ratio(faint_v: float = FAINTEST_V, bright_v: float = BRIGHTEST_V) -> float:
@@ -110,10 +89,8 @@ def brightness_ratio(faint_v: float = FAINTEST_V, bright_v: float = BRIGHTEST_V)
 def faint_star_dn(bits: int) -> int:
     """What the product's converter makes of the V = 6.5 star when the V = −1.47 star just fills it."""
     full_well = 150_000.0
-    section = _detector(full_well_e=full_well, gain_e_per_dn="auto", adc_bits=bits, shot_noise=False)
-    light = np.full((_SIDE, _SIDE), full_well / brightness_ratio())
-    pattern = build_fixed_pattern(section, _SEED)
-    return int(detect(light, section, pattern, functools.partial(_stream, 0), exposure_s=1.0).image[0, 0])
+    converter = {"full_well_e": full_well, "gain_e_per_dn": "auto", "adc_bits": bits, "shot_noise": False}
+    return int(_frames_e(full_well / brightness_ratio(), 1, **converter)[0, 0, 0])
 
 
 def _noise_values() -> Values:
@@ -151,38 +128,24 @@ def _converter_values() -> Values:
     }
 
 
-def budget_figure() -> Figure:
+def _budget() -> Values:
     """The terms of the noise budget: printed sum, equations, simulated frames; and their total in squares."""
     equation, measured = equation_terms_e(), measured_terms_e()
     names = list(equation)
-    figure, ax = new_figure(size=(7.2, 3.8))
     place = np.arange(len(names) + 1)
     quadrature = math.sqrt(sum(equation[name] ** 2 for name in ("photon noise", "DSNU", "reset noise")) + DARK_E)
     series = (
-        ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E], BLUE, ""),
-        ("by the equations, in squares", [*equation.values(), quadrature], ORANGE, "//"),
-        ("simulated frames", [*(measured[name] for name in names), measured["together"]], GREEN, ".."),
+        ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E]),
+        ("by the equations, in squares", [*equation.values(), quadrature]),
+        ("simulated frames", [*(measured[name] for name in names), measured["together"]]),
     )
-    for k, (label, values, colour, hatch) in enumerate(series):
-        bars = ax.bar(place + 0.27 * (k - 1), values, 0.25, color=colour, hatch=hatch, edgecolor="white", label=label)
-        ax.bar_label(bars, fmt="%.0f", fontsize=7, padding=1)
-    ax.set(yscale="log", ylim=(50, 3000))
-    ax.set_xticks(place, [*names, "total"])
-    ax.set_ylabel("noise [electrons]")
-    ax.legend(loc="upper center", ncols=3)
-    return figure
+    bars = [{"at": place + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
+    return {"bars": bars, "place": place, "names": [*names, "total"]}
 
 
-def bits_figure() -> Figure:
+def _counts_by_bits() -> Values:
     """Counts of the faintest star against the bits of the converter, the brightest just filling it."""
     bits = np.arange(6, 17)
-    figure, ax = new_figure(size=(6.4, 3.8))
-    ax.semilogy(bits, [2.0**b / brightness_ratio() for b in bits], "-", color=BLUE, label="2^B / 1541.7")
     counts = np.array([faint_star_dn(int(b)) for b in bits])
-    seen = counts > 0
-    ax.semilogy(bits[seen], counts[seen], "o", color=GREEN, label="simulated converter")
-    ax.axhline(LEAST_DN, color=ORANGE, linestyle="--", label="5 counts, as the thesis asks for")
-    ax.axvline(13, color=VERMILION, linestyle=":", label="13 bits")
-    ax.set(xlabel="bits of the converter", ylabel="counts of the V = 6.5 star")
-    ax.legend(loc="upper left")
-    return figure
+    line = [2.0**b / brightness_ratio() for b in bits]
+    return {"bits": bits, "line": line, "seen": bits[counts > 0], "counts": counts[counts > 0], "least": LEAST_DN}

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.scenario.physics import violations
 from simulator.sky.colours import spectral_coordinates
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995 import spectral
 from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V
 from simulator.theses.greyling1995.starlight import (
@@ -26,14 +23,9 @@ from simulator.theses.greyling1995.starlight import (
     second_script_mv,
     thesis_mv,
 )
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, Values, table_rows
 from startracker.catalog import load_catalog
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FloatArray = NDArray[np.float64]
 
 ZERO_LUX = -13.94188
 """m₀ of (3.6): m_v = −2.5 log F + m₀, F in lux."""
@@ -41,53 +33,46 @@ ZERO_LUX = -13.94188
 FIELD_DEG = 10.0
 
 STARS = (
-    ("Sirius, A1V", 2491, -1.47, "-", BLUE),
-    ("α Lyrae, A0V", 7001, 0.03, "--", GREEN),
-    ("α Arietis, K2III", 617, 1.99, "-.", ORANGE),
-    ("61 Cygni B, K7V", 8086, 6.02, ":", VERMILION),
+    ("Sirius, A1V", 2491, -1.47),
+    ("α Lyrae, A0V", 7001, 0.03),
+    ("α Arietis, K2III", 617, 1.99),
+    ("61 Cygni B, K7V", 8086, 6.02),
 )
-"""Table 3.4: name and type, HR number, printed V; style of its line."""
+"""Table 3.4: name and type, HR number, printed V."""
+
+LUMEN_PER_WATT = {False: 683.002, True: 1700.06}
+"""K_m by day and by night (CIE 18.2-1983)."""
 
 
 def section() -> Section:
     """Irradiances, output voltages, and the lens they were computed for."""
-    figures: dict[str, Callable[[], Figure]] = {
-        **spectral.FIGURES,
-        "fig_3_12_irradiances": irradiance_figure,
-        "fig_3_13_voltage_V6.5": functools.partial(voltage_figure, FAINTEST_V),
-        "fig_3_14_voltage_V-1.47": functools.partial(voltage_figure, BRIGHTEST_V),
-        "fig_3_15_voltage_magnitude": magnitude_figure,
-    }
+    drawn = figures(
+        "greyling1995/photometry",
+        {
+            "fig_3_12_irradiances": _irradiances,
+            "fig_3_13_voltage_V6.5": functools.partial(_voltages, FAINTEST_V),
+            "fig_3_14_voltage_V-1.47": functools.partial(_voltages, BRIGHTEST_V),
+            "fig_3_15_voltage_magnitude": _voltage_by_magnitude,
+        },
+    )
     values = _magnitude_values() | _irradiance_values() | _voltage_values() | _lens_values()
     rows = table_rows("greyling1995/spectral", spectral.values()) + table_rows("greyling1995/photometry", values)
-    return Section("Chapter 3.4: starlight, output voltage and the lens", rows, figures)
+    return Section("Chapter 3.4: starlight, output voltage and the lens", rows, spectral.FIGURES | drawn)
 
 
-def illuminance_lux(curve: str) -> float:
-    """Illuminance of an A0V star of V = 0: K_m ∫ E_λ V_λ dλ, from this product's spectrum.
-
-    Parameters
-    ----------
-    curve : {"photopic", "scotopic"}
-        CIE 1924 with K_m = 683.002 lm/W, or CIE 1951 (night vision) with 1700.06 lm/W (CIE 18.2-1983).
-    """
-    from colour.colorimetry import SDS_LEFS_PHOTOPIC, SDS_LEFS_SCOTOPIC
-
-    table, most = {
-        "photopic": (SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"], 683.002),
-        "scotopic": (SDS_LEFS_SCOTOPIC["CIE 1951 Scotopic Standard Observer"], 1700.06),
-    }[curve]
+def illuminance_lux(*, night: bool = False) -> float:
+    """Illuminance of an A0V star of V = 0: K_m ∫ E_λ V_λ dλ, from this product's spectrum, by day or by night."""
     wavelength_nm = np.arange(360.0, 831.0)
-    efficiency = np.interp(wavelength_nm, table.wavelengths, table.values, left=0.0, right=0.0)
     watt_m2_nm = irradiance_w_cm2_um(wavelength_nm, 0.0, 0.0, 0.0) * 1e4 * 1e-3
-    return float(most * np.trapezoid(efficiency * watt_m2_nm, wavelength_nm))
+    efficiency = spectral.eye_response(wavelength_nm, night=night)
+    return float(LUMEN_PER_WATT[night] * np.trapezoid(efficiency * watt_m2_nm, wavelength_nm))
 
 
 def _magnitude_values() -> Values:
     return {
         "printed_lux": 10.0 ** (ZERO_LUX / 2.5),
-        "day": illuminance_lux("photopic"),
-        "night": illuminance_lux("scotopic"),
+        "day": illuminance_lux(),
+        "night": illuminance_lux(night=True),
     }
 
 
@@ -95,9 +80,8 @@ def _irradiance_values() -> Values:
     bands = []
     for um, printed in zip(BANDS_UM, IRRADIANCE_W_CM2_UM * 1e12, strict=True):
         nearby = np.linspace(um * 1e3 - 25.0, um * 1e3 + 25.0, 201)
-        bands.append(
-            {"um": um, "irradiance": printed, "found": irradiance_w_cm2_um(nearby, 0.0, 0.0, 0.0).mean() * 1e12}
-        )
+        found = irradiance_w_cm2_um(nearby, 0.0, 0.0, 0.0).mean() * 1e12
+        bands.append({"um": um, "irradiance": printed, "found": found})
     return {"bands": bands}
 
 
@@ -138,21 +122,18 @@ def _lens_values() -> Values:
 def _colours() -> tuple[FloatArray, FloatArray]:
     """B−V and luminosity class of the stars of Table 3.4, from the Bright Star Catalogue."""
     stars = load_catalog("bsc5")
-    rows = [int(np.flatnonzero(stars.id == hr)[0]) for _, hr, *_ in STARS]
+    rows = [int(np.flatnonzero(stars.id == hr)[0]) for _, hr, _ in STARS]
     return spectral_coordinates(stars.b_v[rows], stars.spectral_type[rows])
 
 
-def irradiance_figure() -> Figure:
-    """Fig. 3.12: spectral irradiances of the stars of Table 3.4, and the thesis' five values for V = 0."""
-    figure, ax = new_figure(size=(7.0, 4.4))
+def _irradiances() -> Values:
+    """Spectral irradiances of the stars of Table 3.4, and the thesis' five values for V = 0."""
     wavelength_nm = np.arange(350.0, 1261.0, 2.0)
-    for (name, _, v_mag, style, colour), b_v, giant in zip(STARS, *_colours(), strict=True):
-        irradiance = irradiance_w_cm2_um(wavelength_nm, v_mag, float(b_v), float(giant))
-        ax.semilogy(wavelength_nm / 1e3, irradiance, style, color=colour, label=f"{name}, V = {_signed(v_mag)}")
-    ax.plot(BANDS_UM, IRRADIANCE_W_CM2_UM, "D", color=INK, markersize=5, label="thesis, A0V, V = 0")
-    ax.set(xlabel="wavelength [µm]", ylabel="spectral irradiance [W cm⁻² µm⁻¹]", ylim=(5e-16, 1e-9))
-    ax.legend(loc="upper right", ncols=2)
-    return figure
+    stars = [
+        {"name": name, "v": _signed(v), "curve": irradiance_w_cm2_um(wavelength_nm, v, float(b_v), float(giant))}
+        for (name, _, v), b_v, giant in zip(STARS, *_colours(), strict=True)
+    ]
+    return {"um": wavelength_nm / 1e3, "stars": stars, "bands_um": BANDS_UM, "printed": IRRADIANCE_W_CM2_UM}
 
 
 def _signed(value: float) -> str:
@@ -160,68 +141,31 @@ def _signed(value: float) -> str:
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def voltage_figure(v_mag: float) -> Figure:
-    """Figs. 3.13 and 3.14: output voltage against the diameter of the lens and the integration time, up to saturation.
-
-    Parameters
-    ----------
-    v_mag : float
-        Magnitude of the A0V star.
-    """
+def _voltages(v_mag: float) -> Values:
+    """Output voltage against the diameter of the lens and the integration time, up to saturation."""
     aperture_m, exposure_s = np.meshgrid(np.linspace(0.0, 0.12, 25), np.linspace(0.0, 0.5, 26))
-    figure, axes = new_figure(1, 2, (10.0, 4.6), subplot_kw={"projection": "3d"})
-    panels = (("as the script codes it (one λ too many)", True), ("with correct physics", False))
-    top = 0.0
-    for ax, (title, extra_lambda) in zip(axes, panels, strict=True):
-        volts = thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=extra_lambda)
-        shown = np.minimum(volts, SATURATION_MV)
-        top = max(top, float(shown.max()))
-        style: dict[str, Any] = {"cmap": "cividis", "rstride": 1, "cstride": 1, "linewidth": 0.2, "edgecolor": INK}
-        ax.plot_surface(aperture_m * 100.0, exposure_s, shown, **style)
-        reached = "saturated" if shown.max() == SATURATION_MV else f"{float(shown.max()):.3g} mV"
-        ax.set_title(f"V = {_signed(v_mag)}, {title}\n{reached} at 12 cm, 0.5 s", y=0.93)
-        ax.view_init(elev=24, azim=-128)
-        ax.set(xlabel="lens diameter [cm]", ylabel="integration time [s]")
-        ax.set_zlabel("output voltage [mV]", labelpad=4)
-        ax.set_box_aspect(None, zoom=0.86)
-    for ax in axes:
-        ax.set_zlim(0.0, top)
-    return figure
+    panels: list[Values] = []
+    for title, extra in (("as the script codes it (one λ too many)", True), ("with correct physics", False)):
+        shown = np.minimum(thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=extra), SATURATION_MV)
+        most = float(shown.max())
+        reached = "saturated" if most == SATURATION_MV else f"{most:.3g} mV"
+        panels.append({"title": title, "volts": shown, "reached": reached})
+    top = max(float(np.max(panel["volts"])) for panel in panels)
+    return {"cm": aperture_m * 100.0, "s": exposure_s, "v": _signed(v_mag), "panels": panels, "top": top}
 
 
-def magnitude_figure(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Figure:
-    """Fig. 3.15: output voltage against magnitude, as coded, with correct physics, and of two stars by this product.
-
-    Parameters
-    ----------
-    aperture_m, exposure_s : float
-        Lens and integration time.
-    """
-    v_mag = np.linspace(-1.5, 8.0, 96)
-    gain = PROTOTYPE_VOLT_PER_E
+def _voltage_by_magnitude(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Values:
+    """Output voltage against magnitude, as coded, with correct physics, and of two stars by this product."""
+    v_mag, gain = np.linspace(-1.5, 8.0, 96), PROTOTYPE_VOLT_PER_E
+    star = (v_mag, aperture_m, exposure_s)
     cool_b_v, cool_class = (float(column[2]) for column in _colours())
-    coded, right = (
-        thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=extra, volt_per_e=gain) for extra in (True, False)
-    )
-    curves = (
-        ("thesis, as coded (one λ too many)", coded, "-", BLUE),
-        ("thesis, correct physics", right, "--", ORANGE),
-        ("this product, A0V", camera_mv(v_mag, aperture_m, exposure_s, volt_per_e=gain), "-.", GREEN),
-        (
-            "this product, K2III (α Arietis)",
-            camera_mv(v_mag, aperture_m, exposure_s, b_v=cool_b_v, giant=cool_class, volt_per_e=gain),
-            ":",
-            VERMILION,
-        ),
-    )
-    figure, ax = new_figure(size=(6.6, 4.4))
-    for label, volts, style, colour in curves:
-        ax.semilogy(v_mag, volts, style, color=colour, label=label)
-    ax.axhline(SATURATION_MV, color=INK, linewidth=1.0, label="saturation, 450 mV")
-    ax.set(
-        xlabel="visual magnitude",
-        ylabel="output voltage [mV]",
-        title=f"lens {aperture_m * 100:g} cm, {exposure_s * 1e3:g} ms, 1.4 µV/e⁻, 25 pixels",
-    )
-    ax.legend(loc="lower left")
-    return figure
+    return {
+        "v": v_mag,
+        "coded": thesis_mv(*star, extra_lambda=True, volt_per_e=gain),
+        "right": thesis_mv(*star, extra_lambda=False, volt_per_e=gain),
+        "a0v": camera_mv(*star, volt_per_e=gain),
+        "k2iii": camera_mv(*star, b_v=cool_b_v, giant=cool_class, volt_per_e=gain),
+        "saturation_mv": SATURATION_MV,
+        "aperture_cm": aperture_m * 100,
+        "exposure_ms": exposure_s * 1e3,
+    }

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from simulator.build import build_focal_plane
@@ -16,8 +13,7 @@ from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.shutter import frame_transfer_smear
 from simulator.optics.splat import render_stars
-from simulator.scenario.schema import DetectorSection
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995 import signals
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.converter import BITS, converter_trials
@@ -35,29 +31,25 @@ from simulator.theses.greyling1995.sequencer import (
     next_state,
     run,
 )
-from simulator.theses.printed import Section, new_figure
+from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["FIGURES", "POSITION_PX", "defocus_radii_um", "limits_of_brightness", "section"]
-
-FloatArray = NDArray[np.float64]
 
 DARK_ELEMENTS = 12
 """Elements for the dark reference at the end of each line (section 6.1)."""
 IAG_HZ = 15.7e3
 """Largest rate of the image area gate, by the data book (section 6.2.2)."""
 DEFOCUS_UM = 40.0
+POSITION_PX = 0.1
+"""Accuracy that section 7.2 asks of the positions: L/10."""
+_CLOCKS_HZ = np.geomspace(5e4, 3.26e6, 25)
+_FIG_DEFOCUS_UM = 120.0
 
 
 def section() -> Section:
     """Chapter 6 against the models of the product."""
     values = _device_values() | _state_values() | _clock_values() | _smear_values() | _converter_values()
     rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", signals.values())
-    return Section("Chapter 6: the prototype camera with the TC211", rows, signals.FIGURES | FIGURES)
+    return Section("Chapter 6: the prototype camera with the TC211", rows, signals.FIGURES | _FIGURES)
 
 
 # ---------------------------------------------------------------------- sections 6.1 and 6.2
@@ -182,13 +174,9 @@ def limits_of_brightness() -> tuple[float, float]:
     dark_e = detector.dark_current_e_s * 2.0 ** (
         (detector.temperature_c - detector.dark_reference_c) / detector.dark_doubling_c
     )
-    noise_e = math.sqrt(detector.read_noise_e**2 + dark_e * detector.exposure_s + gain_noise_e(detector) ** 2)
+    converter_e = detector.full_well_e / (2**12 - 1) / math.sqrt(12.0)  # a step over √12
+    noise_e = math.sqrt(detector.read_noise_e**2 + dark_e * detector.exposure_s + converter_e**2)
     return (2.5 * math.log10(rate * frame_s / lowest_e), 2.5 * math.log10(rate * detector.exposure_s / (5.0 * noise_e)))
-
-
-def gain_noise_e(detector: DetectorSection, bits: int = 12) -> float:
-    """Noise of the conversion, a step of the converter over √12, electrons."""
-    return float(detector.full_well_e / (2**bits - 1) / math.sqrt(12.0))
 
 
 def _converter_values() -> Values:
@@ -209,101 +197,64 @@ def _converter_values() -> Values:
     }
 
 
-POSITION_PX = 0.1
-"""Accuracy that section 7.2 asks of the positions: L/10."""
-_CLOCKS_HZ = np.geomspace(5e4, 3.26e6, 25)
-_FIG_DEFOCUS_UM = 120.0
-
-
-def _fig_modes() -> Figure:
-    """Fig. 6.4: clear, integration, clock-out, with the gates."""
-    figure, ax = new_figure(size=(6.4, 2.8))
+def _modes() -> Values:
+    """Clear, integration and clock-out, with the gates."""
     sequencer = Sequencer(2)
-    modes: list[tuple[str, int]] = []
+    starts: list[tuple[str, int]] = []
     while sequencer.clock == 0 or sequencer.state != 0:
         sequencer.step()
-        if sequencer.state in (2, 3, 4, 5) and (not modes or modes[-1][0] != sequencer.mode):
-            modes.append((sequencer.mode, sequencer.clock))
-    ends = [*(start for _, start in modes[1:]), sequencer.clock]
+        if sequencer.state in (2, 3, 4, 5) and (not starts or starts[-1][0] != sequencer.mode):
+            starts.append((sequencer.mode, sequencer.clock))
     to_ms = 1e3 / SERIAL_CLOCK_HZ
-    colours = {"clear": SOFT, "integration": BLUE, "clockout": VERMILION}
-    words = {"clear": "clear", "integration": "integration, N = 2", "clockout": "clock-out"}
-    for (mode, start), end in zip(modes, ends, strict=True):
-        width = (end - start) * to_ms
-        ax.broken_barh([(start * to_ms, width)], (2.1, 0.8), color=colours[mode])
-        ax.text((start + end) / 2 * to_ms, 2.5, words[mode], color="white", ha="center", va="center")
-        if mode != "integration":
-            ax.broken_barh([(start * to_ms, width)], (1.1, 0.8), color=GREEN)
-        ax.broken_barh([(start * to_ms, width)], (0.1, 0.8), color=ORANGE)
-    ax.set_yticks([2.5, 1.5, 0.5], ["mode", "IAG, 165 lines", "SRG, 2 MHz"])
-    ax.set_xlabel("time after GO [ms]")
-    ax.grid(visible=False, axis="y")
-    return figure
+    modes = []
+    for (_mode, start), (_next, end), words in zip(
+        starts, [*starts[1:], ("", sequencer.clock)], ("clear", "integration, N = 2", "clock-out"), strict=True
+    ):
+        span = [(start * to_ms, (end - start) * to_ms)]
+        modes.append({"span": span, "middle": (start + end) / 2 * to_ms, "words": words})
+    return {"modes": modes, "moved": [modes[0], modes[2]]}
 
 
-def _show_levels(ax: Axes, codes: NDArray[np.uint16], title: str) -> None:
+def _images(*clocks_and_defocus: tuple[float, float]) -> Values:
+    """What the memory holds, by clock and defocus."""
     pitch_x, pitch_y = camera().detector.pitch_um
-    ax.imshow(codes, cmap="gray", vmin=0, vmax=3, aspect=pitch_y / pitch_x, interpolation="nearest")
-    ax.set(title=title, xlabel="column [pixels]", ylabel="line [pixels]")
-    ax.grid(visible=False)
+    panels = [
+        {"codes": memory_image(clock_hz, defocus_um), "mhz": clock_hz / 1e6, "defocus_um": defocus_um}
+        for clock_hz, defocus_um in clocks_and_defocus
+    ]
+    return {"panels": panels, "aspect": pitch_y / pitch_x}
 
 
-def _fig_focus() -> Figure:
-    """Fig. 6.9: holes out of focus, and in focus."""
-    figure, axes = new_figure(1, 2, size=(7.6, 3.6))
-    for ax, defocus_um in zip(axes, (_FIG_DEFOCUS_UM, 0.0), strict=True):
-        _show_levels(ax, memory_image(SERIAL_CLOCK_HZ, defocus_um=defocus_um), f"{defocus_um:g} µm out of focus")
-    return figure
-
-
-def _fig_holes(clock_hz: float) -> Figure:
-    """Figs. 6.10 and 6.11: holes in a box, one frame time, at one clock."""
-    figure, ax = new_figure(size=(4.8, 4.2))
-    _show_levels(ax, memory_image(clock_hz), f"{clock_hz / 1e6:g} MHz, integration of one frame")
-    return figure
-
-
-def _fig_smear() -> Figure:
+def _smear() -> Values:
     """Smear beside a hole over its peak, against the clock."""
-    figure, ax = new_figure()
-    frames = [100 * smear_share(clock, frames=1) for clock in _CLOCKS_HZ]
-    seconds = [100 * smear_share(clock, integration_s=0.2) for clock in _CLOCKS_HZ]
-    ax.loglog(_CLOCKS_HZ / 1e6, frames, "-o", color=BLUE, markersize=3, label="integration of one frame")
-    ax.loglog(_CLOCKS_HZ / 1e6, seconds, "--s", color=ORANGE, markersize=3, label="integration of 0.2 s")
-    lowest = 100 * float(even_levels(2, 1.0)[0])
-    ax.axhline(lowest, color=INK, linewidth=0.8, linestyle=":", label="lowest of three even levels")
-    ax.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
-    ax.minorticks_off()
-    ax.set(xlabel="serial clock [MHz]", ylabel="smear over the hole's peak [%]")
-    ax.legend()
-    return figure
+    return {
+        "mhz": _CLOCKS_HZ / 1e6,
+        "frames": [100 * smear_share(clock, frames=1) for clock in _CLOCKS_HZ],
+        "seconds": [100 * smear_share(clock, integration_s=0.2) for clock in _CLOCKS_HZ],
+        "lowest": 100 * float(even_levels(2, 1.0)[0]),
+    }
 
 
-def _fig_converter() -> Figure:
-    """Error of the centroid against the bits of the converter."""
-    figure, ax = new_figure()
+def _converters() -> Values:
+    """Error of the centroid against the bits of the converter; nothing where the star is not seen."""
     trials = converter_trials()
-    for peak, colour, style in ((0.8, BLUE, "-o"), (0.04, ORANGE, "--s")):
+    peaks = []
+    for peak in (0.8, 0.04):
         found = [(bits, trials[f"{bits} bits", peak].error_px) for bits in BITS]
-        shown = [(bits, error) for bits, error in found if math.isfinite(error)]
-        ax.semilogy(
-            *zip(*shown, strict=True), style, color=colour, markersize=4, label=f"peak at {peak:g} of full well"
-        )
         geometric = trials["2 bits, geometric levels", peak].error_px
-        if math.isfinite(geometric):
-            ax.semilogy(2, geometric, "^", color=colour, markersize=7, label=f"{peak:g}, levels of equal ratio")
-    ax.axhline(POSITION_PX, color=INK, linewidth=0.8, linestyle=":", label="a tenth of a pixel (section 7.2)")
-    ax.set(xticks=BITS, xlabel="converter [bits]", ylabel="centroid error, rms of an axis [pixels]")
-    ax.legend()
-    return figure
+        shown = np.array([(bits, error) for bits, error in found if math.isfinite(error)])
+        peaks.append({"peak": peak, "bits": shown[:, 0], "errors": shown[:, 1], "geometric": geometric})
+    return {"bright": peaks[0], "faint": peaks[1], "ticks": BITS, "needed": POSITION_PX}
 
 
-FIGURES: dict[str, Callable[[], Figure]] = {
-    "fig_6_4_modes": _fig_modes,
-    "fig_6_9_focus": _fig_focus,
-    "fig_6_10_slow_clock": partial(_fig_holes, SLOW_CLOCK_HZ),
-    "fig_6_11_2_mhz": partial(_fig_holes, SERIAL_CLOCK_HZ),
-    "fig_6_smear_against_clock": _fig_smear,
-    "fig_6_converter": _fig_converter,
-}
-"""File name to the function that draws it, in the order of the thesis."""
+_FIGURES = figures(
+    "greyling1995/prototype",
+    {
+        "fig_6_4_modes": _modes,
+        "fig_6_9_focus": partial(_images, (SERIAL_CLOCK_HZ, _FIG_DEFOCUS_UM), (SERIAL_CLOCK_HZ, 0.0)),
+        "fig_6_10_slow_clock": partial(_images, (SLOW_CLOCK_HZ, 0.0)),
+        "fig_6_11_2_mhz": partial(_images, (SERIAL_CLOCK_HZ, 0.0)),
+        "fig_6_smear_against_clock": _smear,
+        "fig_6_converter": _converters,
+    },
+)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +13,12 @@ from scipy.stats import norm
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -30,16 +28,10 @@ from startracker.centroid import Centroids
 from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.identification import match_groups
-from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.given import as_prior
+from startracker.identification.observed import Identification, Observed
 from startracker.settings import CentroidSettings
 from startracker.solution import Status
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Order", "disk_stamp", "is_planet_score", "planet_detectability", "raw_pixels_first", "section"]
-
-FloatArray = NDArray[np.float64]
 
 PIXEL_ARCSEC = 10.0 / 512 * 3600.0
 FALSE_PLANETS = 0.01
@@ -50,23 +42,11 @@ _RAW_SIGMA_PX = 1.0 / math.sqrt(6.0)
 """Of a brightest pixel on one axis: within half a pixel, and the peak of a noisy star one pixel off now and then."""
 _STEP_PX = 1e-4
 
-_Matched: TypeAlias = tuple[FloatArray, NDArray[np.int64], int, float]
-"""Centroids and guide stars of the matched candidates, centroids computed, their time in ms."""
-
 
 # ---------------------------------------------------------------------- a planet or a star
 def disk_stamp(diameter_px: float, offset_px: float = 0.0, sigma_px: float = THESIS_SIGMA) -> FloatArray:
-    """Image (5, 5) of an even disk through the defocused lens, integrated over the pixels; sum of a star's stamp alike.
-
-    Parameters
-    ----------
-    diameter_px : float
-        Of the disk; 0: a star.
-    offset_px : float
-        Along x from the middle of the central pixel.
-    sigma_px : float
-        Of the lens' Gaussian.
-    """
+    """Image (5, 5) of an even disk (0: a star) through the defocused lens, integrated over the pixels; sum of a star's
+    stamp alike. `offset_px` is along x from the middle of the central pixel."""
     if diameter_px == 0.0:
         return np.asarray(star_stamps([offset_px], sigma_px, integrated=True)[0])
     rings, turns = 6, 24
@@ -97,14 +77,8 @@ def is_planet_score(stamp: FloatArray, noise: float, sigma_px: float = THESIS_SI
 
     The thesis' two-dimensional correlation, of what a star's brightness, position and background cannot explain.
 
-    Parameters
-    ----------
-    stamp : (5, 5) array
-        Image, any unit, centred within a small part of a pixel.
-    noise : float
-        Standard deviation of a pixel, same unit.
-    sigma_px : float
-        Of the lens' Gaussian, as calibrated.
+    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit,
+    `sigma_px` that of the lens' Gaussian as calibrated.
     """
     direction = _direction(0.5, sigma_px, sigma_known=True)
     return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
@@ -113,14 +87,8 @@ def is_planet_score(stamp: FloatArray, noise: float, sigma_px: float = THESIS_SI
 def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool = True) -> float:
     """Share of the planets found where 1 % of the stars are called planets: Φ(d' − z₀.₉₉), d' = |difference| / noise.
 
-    Parameters
-    ----------
-    diameter_px : float
-        Of the disk.
-    snr_db : float
-        Brightest pixel of a star over the standard deviation of a pixel, 20 log₁₀.
-    sigma_known : bool
-        Whether the lens' σ is calibrated; else it is another unknown of the image.
+    The SNR is a star's brightest pixel over the standard deviation of a pixel, 20 log₁₀. `sigma_known`: the lens' σ is
+    calibrated; else it is another unknown of the image.
     """
     direction = _direction(diameter_px, THESIS_SIGMA, sigma_known=sigma_known)
     separation = float(np.linalg.norm(direction)) / 10.0 ** (-snr_db / 20.0)
@@ -134,72 +102,39 @@ def least_snr_db(diameter_px: float, share: float = 0.99, *, sigma_known: bool =
 
 
 # ---------------------------------------------------------------------- raw pixels first
-@dataclass(frozen=True, eq=False)
-class Order:
-    """What one order of the stages makes of the frames.
-
-    Parameters
-    ----------
-    frames, solved, wrong : int
-        All, identified, and those whose boresight is more than a minute of arc off.
-    centroids : float
-        Centroids computed a frame.
-    centroid_ms : float
-        Their time, median.
-    errors_arcsec : (S,)
-        Of the boresight, solved frames.
-    """
+class Order(NamedTuple):
+    """What one order of the stages makes of the frames: those identified, and those whose boresight is more than a
+    minute of arc off; centroids computed a frame; errors (S,) of the boresight of solved frames."""
 
     frames: int
     solved: int
     wrong: int
     centroids: float
-    centroid_ms: float
     errors_arcsec: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Star candidates of a frame, and what measures and identifies them."""
-
-    spots: Spots
-    camera: Camera
-    measure: Callable[[Spots], Centroids]
-    identify: Callable[[Observed], Identification]
-
-    def observed(self, xy: FloatArray, flux: FloatArray, sigma_px: FloatArray) -> Observed:
-        """Directions, fluxes and errors of positions in the image."""
-        return Observed(self.camera.unproject(xy), flux, sigma_px * self.camera.pixel_rad)
-
-    def measured_ms(self, spots: Spots) -> tuple[Centroids, float]:
-        """Centroids of some of them, and the time that they take."""
-        start = time.perf_counter()
-        return self.measure(spots), 1e3 * (time.perf_counter() - start)
+Matched = tuple[IntArray, IntArray]
+"""Candidates and guide stars of the pairs."""
 
 
-def _measure(image: NDArray[np.float32], background: Background, settings: CentroidSettings, spots: Spots) -> Centroids:
-    return CENTROIDERS["moment"](image, background, spots, settings, None)
+def _centroids_first(
+    spots: Spots, measure: Callable[[Spots], Centroids], identify: Callable[..., Matched]
+) -> tuple[FloatArray, IntArray, int]:
+    """Every candidate measured, then identified: positions, guide stars, number of centroids computed."""
+    found = measure(spots)
+    seen, stars = identify(found.xy, found.flux, np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0))
+    return found.xy[seen], stars, len(spots)
 
 
-def _centroids_first(frame: _Candidates) -> _Matched:
-    """Every candidate measured, then identified."""
-    found, spent_ms = frame.measured_ms(frame.spots)
-    sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
-    answer = frame.identify(frame.observed(found.xy, found.flux, sigma))
-    seen, stars = answer.pairs.T if answer.status is Status.SOLVED else np.empty((2, 0), np.int64)
-    return found.xy[seen], stars, len(frame.spots), spent_ms
-
-
-def _raw_pixels_first(frame: _Candidates) -> _Matched:
+def _raw_pixels_first(
+    spots: Spots, measure: Callable[[Spots], Centroids], identify: Callable[..., Matched]
+) -> tuple[FloatArray, IntArray, int]:
     """Brightest pixels identified, then the matched candidates measured."""
-    spots = frame.spots
     peaks = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
-    answer = frame.identify(frame.observed(peaks, spots.flux, np.full(len(spots), _RAW_SIGMA_PX)))
-    if answer.status is not Status.SOLVED:
-        return np.empty((0, 2)), np.empty(0, np.int64), len(spots), 0.0
-    seen, stars = answer.pairs.T
-    found, spent_ms = frame.measured_ms(_of(spots, seen))
-    return found.xy, stars, len(seen), spent_ms
+    seen, stars = identify(peaks, spots.flux, np.full(len(spots), _RAW_SIGMA_PX))
+    if not len(seen):
+        return np.empty((0, 2)), stars, len(spots)
+    return measure(spots.take(seen)).xy, stars, len(seen)
 
 
 _ORDERS = {"centroids first": _centroids_first, "raw pixels first": _raw_pixels_first}
@@ -215,56 +150,48 @@ def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
     renderer, settings = Renderer(scenario), scenario.tracker
     camera = renderer.camera
     guide = GuideDatabase.build(load_catalog("bsc5"), camera, settings.magnitude_limit, settings.identification)
-    results: dict[str, list[tuple[float, int, float]]] = {name: [] for name in _ORDERS}
+    results: dict[str, list[tuple[float, int]]] = {name: [] for name in _ORDERS}
     for index in range(frames):
         frame, truth = renderer.frame(index)
         image = np.asarray(frame.image, dtype=np.float32)
         background = estimate(image, settings.detection.background_tile_px)
-        prior = None
-        if frame.prior is not None:
-            prior = Prior(frame.prior, math.radians(math.sqrt(3.0) * frame.prior_deg))
-        sky = guide.seen_by(frame.observer)
-        candidates = _Candidates(
-            find_round_regions(image, background, settings.detection),
-            camera,
-            partial(_measure, image, background, settings.centroid),
-            partial(match_groups, guide=sky, settings=settings.identification, prior=prior),
+        spots = find_round_regions(image, background, settings.detection)
+        prior, sky = as_prior(frame.prior, frame.prior_deg), guide.seen_by(frame.observer)
+        measure = partial(_moments, image, background, settings.centroid)
+        identify = partial(
+            _matched, camera, partial(match_groups, guide=sky, settings=settings.identification, prior=prior)
         )
         for name, solve in _ORDERS.items():
-            xy, stars, count, spent_ms = solve(candidates)
+            xy, stars, count = solve(spots, measure, identify)
             error = math.nan
             if len(stars):
                 turned = ESTIMATORS["svd"](camera.unproject(xy), sky.directions[stars], np.full(len(stars), 1e-5))
                 error = 3600.0 * _apart_deg(Attitude.from_matrix(turned.matrix), truth.attitude)
-            results[name].append((error, count, spent_ms))
+            results[name].append((error, count))
     return {name: _order(solved) for name, solved in results.items()}
 
 
-def _of(spots: Spots, index: NDArray[np.int64]) -> Spots:
-    """Some of the candidates."""
-    columns = {
-        f.name: getattr(spots, f.name)[index]
-        for f in fields(spots)
-        if f.name != "rejected" and getattr(spots, f.name) is not None
-    }
-    return replace(spots, **columns)
+def _moments(image: NDArray[np.float32], background: Background, settings: CentroidSettings, spots: Spots) -> Centroids:
+    return CENTROIDERS["moment"](image, background, spots, settings, None)
+
+
+def _matched(
+    camera: Camera, identify: Callable[[Observed], Identification], xy: FloatArray, flux: FloatArray, sigma: FloatArray
+) -> Matched:
+    """Pairs of an identification of positions, errors in pixels; none where it is not solved."""
+    answer = identify(Observed(camera.unproject(xy), flux, sigma * camera.pixel_rad))
+    seen, stars = answer.pairs.T if answer.status is Status.SOLVED else np.empty((2, 0), np.int64)
+    return seen, stars
 
 
 def _apart_deg(one: Attitude, other: Attitude) -> float:
     return math.degrees(math.acos(min(1.0, float(one.boresight @ other.boresight))))
 
 
-def _order(results: list[tuple[float, int, float]]) -> Order:
-    errors, counts, spent_ms = (np.array(column) for column in zip(*results, strict=True))
-    solved = np.isfinite(errors)
-    return Order(
-        frames=len(results),
-        solved=int(solved.sum()),
-        wrong=int(np.count_nonzero(errors[solved] > 60.0)),
-        centroids=float(counts.mean()),
-        centroid_ms=float(np.median(spent_ms)),
-        errors_arcsec=errors[solved],
-    )
+def _order(results: list[tuple[float, int]]) -> Order:
+    errors, counts = (np.array(column) for column in zip(*results, strict=True))
+    solved = errors[np.isfinite(errors)]
+    return Order(len(results), len(solved), int(np.count_nonzero(solved > 60.0)), float(counts.mean()), solved)
 
 
 # ---------------------------------------------------------------------- equal pixels
@@ -301,29 +228,19 @@ def section(frames: int = 12) -> Section:
         "mapped_px": prnu_error_px(1.0 / math.sqrt(16 * 40_000)),
     }
     rows = table_rows("greyling1995/recommendations", values)
-    figures: dict[str, Callable[[], Figure]] = {"sec_7_2_planets": partial(_planet_figure, planets)}
-    return Section("Chapter 7.2: what the thesis recommends", rows, figures)
+    drawn = figures("greyling1995/recommendations", {"sec_7_2_planets": partial(_planet_curves, planets)})
+    return Section("Chapter 7.2: what the thesis recommends", rows, drawn)
 
 
-def _planet_figure(planets: dict[str, float]) -> Figure:
-    figure, (left, right) = new_figure(1, 2, (8.6, 3.9))
-    snr = np.arange(20.0, 101.0, 2.0)
-    for (name, size), colour, line in zip(planets.items(), (VERMILION, ORANGE, BLUE), ("-", "--", "-."), strict=True):
-        left.plot(snr, [100 * planet_detectability(size, s) for s in snr], color=colour, linestyle=line, label=name)
-        unknown = [100 * planet_detectability(size, s, sigma_known=False) for s in snr]
-        left.plot(snr, unknown, color=colour, linestyle=":", linewidth=1.0)
-    left.plot([], [], color=INK, linestyle=":", label="σ of the lens unknown")
-    left.set(
-        xlabel="brightest pixel over noise [dB]",
-        ylabel="planets found, 1 % of the stars lost [%]",
-        ylim=(-3, 135),
-        yticks=range(0, 101, 20),
-    )
-    left.legend(loc="upper left", ncols=2, fontsize=7)
-    sizes = np.geomspace(0.1, 4.0, 30)
-    for known, colour, line, name in ((True, GREEN, "-", "σ known"), (False, INK, ":", "σ unknown")):
-        right.plot(sizes, [least_snr_db(s, sigma_known=known) for s in sizes], color=colour, linestyle=line, label=name)
-    right.set(xscale="log", xlabel="diameter of the disk [pixels]", ylabel="brightest pixel over noise for 99 % [dB]")
-    right.legend(loc="upper right")
-    figure.suptitle("Section 7.2  Planet or star by correlation over 5 × 5 pixels", fontsize=10)
-    return figure
+def _planet_curves(planets: dict[str, float]) -> Values:
+    snr, sizes = np.arange(20.0, 101.0, 2.0), np.geomspace(0.1, 4.0, 30)
+    found = [
+        {
+            "label": name if known else None,
+            "percents": [100 * planet_detectability(size, s, sigma_known=known) for s in snr],
+        }
+        for name, size in planets.items()
+        for known in (True, False)
+    ]
+    known, unknown = ([least_snr_db(s, sigma_known=which) for s in sizes] for which in (True, False))
+    return {"snr_db": snr, "curves": found, "sizes": sizes, "known": known, "unknown": unknown}

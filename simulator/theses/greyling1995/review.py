@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from simulator.randomness import stream
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.identification import (
     TABLE_5_2,
     draw_field,
@@ -25,15 +24,10 @@ from simulator.theses.greyling1995.identification import (
     judge,
     thesis_identification,
 )
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import Values, table_rows
 from startracker.identification import METHODS
 from startracker.settings import IdentificationSettings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["CASES", "Result", "review", "section"]
 
 LIMIT = 6.2
 """Faintest guide star, V."""
@@ -57,17 +51,9 @@ TECHNIQUES = {
 }
 
 
-@dataclass(frozen=True)
-class Result:
-    """What an identifier makes of the fields of one case.
-
-    Parameters
-    ----------
-    right, wrong, fields : int
-        Fields identified without a false pair; accepted with one; all.
-    time_ms : float
-        Median.
-    """
+class Result(NamedTuple):
+    """What an identifier makes of the fields of one case: those identified without a false pair, accepted with one,
+    and all; median time."""
 
     right: int
     wrong: int
@@ -77,10 +63,6 @@ class Result:
     def words(self) -> str:
         """For a table."""
         return f"{100 * self.right / self.fields:.0f} %, {self.wrong} wrong, {self.time_ms:.2g} ms"
-
-
-def _settings(name: str) -> IdentificationSettings:
-    return thesis_identification() if name == "match_groups" else IdentificationSettings()
 
 
 @cache
@@ -95,7 +77,7 @@ def review(fields: int = 2, names: Sequence[str] = tuple(METHODS)) -> dict[tuple
             for trial in range(fields)
         ]
         for name in names:
-            settings = _settings(name)
+            settings = thesis_identification() if name == "match_groups" else IdentificationSettings()
             times, verdicts = [], []
             for k, (prior, observed, truth) in enumerate([drawn[0], *drawn]):  # the first twice: it compiles
                 start = time.perf_counter()
@@ -118,35 +100,24 @@ def section(fields: int = 2) -> Section:
         }
         for name in METHODS
     ]
-    rows = table_rows("greyling1995/review", {"identifiers": identifiers, "nearest_deg": _mean_distance_deg()})
-    return Section("Chapter 5.1.2: recognition algorithms", rows, {"sec_5_1_2_review": lambda: _figure(found)})
+    # mean distance of the nearest star of a random field: 1 / (2 √n), n stars a square degree
+    nearest_deg = 0.5 / math.sqrt(len(guide_database(LIMIT)) / 41_252.96)
+    rows = table_rows("greyling1995/review", {"identifiers": identifiers, "nearest_deg": nearest_deg})
+    drawn = figures("greyling1995/review", {"sec_5_1_2_review": lambda: _curves(found)})
+    return Section("Chapter 5.1.2: recognition algorithms", rows, drawn)
 
 
-def _mean_distance_deg() -> float:
-    """Mean distance of the nearest star of a random field: 1 / (2 √n), n stars a square degree."""
-    guide = guide_database(LIMIT)
-    return 0.5 / math.sqrt(len(guide) / 41_252.96)
-
-
-def _figure(found: dict[tuple[str, str], Result]) -> Figure:
-    figure, (left, right) = new_figure(1, 2, (9.6, 4.2))
-    place = np.arange(len(CASES))
-    colours = (BLUE, ORANGE, GREEN, VERMILION, SOFT, INK)
-    for k, name in enumerate(METHODS):
+def _curves(found: dict[tuple[str, str], Result]) -> Values:
+    curves, wrong = [], []
+    for name in METHODS:
         results = [found[name, case] for case in CASES]
-        style = {"color": colours[k % 6], "marker": "osD^vX"[k % 6], "markersize": 5, "linewidth": 0.8}
-        left.plot(place, [100 * r.right / r.fields for r in results], label=name, **style)
-        right.plot(place, [r.time_ms for r in results], label=name, **style)
-        for p, r in zip(place, results, strict=True):
-            if r.wrong:
-                left.annotate(f"{r.wrong} wrong", (p, 100 * r.right / r.fields), fontsize=7, xytext=(4, 4),
-                              textcoords="offset points")  # fmt: skip
-    for axes in (left, right):
-        axes.set_xticks(place, list(CASES), rotation=20)
-        axes.set_xlabel("case")
-    left.set(ylabel="fields correctly identified [%]", ylim=(-4, 105))
-    right.set(yscale="log", ylabel="median time [ms]")
+        percents = [100 * result.right / result.fields for result in results]
+        curves.append({"name": name, "percents": percents, "times_ms": [result.time_ms for result in results]})
+        wrong += [
+            {"at": (k, percent), "count": result.wrong}
+            for k, (result, percent) in enumerate(zip(results, percents, strict=True))
+            if result.wrong
+        ]
     fields = next(iter(found.values())).fields
-    figure.suptitle(f"Section 5.1.2  Every identifier on the same {fields} fields of 10°, V ≤ {LIMIT}", fontsize=10)
-    left.legend(loc="lower left", fontsize=7)
-    return figure
+    cases = {"places": np.arange(len(CASES)), "cases": list(CASES)}
+    return cases | {"curves": curves, "wrong": wrong, "fields": fields, "limit": LIMIT}

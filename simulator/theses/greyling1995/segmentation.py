@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
 from simulator.optics.psf import Psf
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.sky.ephemeris import barycentric_position_au
-from simulator.study.style import BLUE, GREEN, INK, SOFT, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, Values, table_rows
 from startracker.constants import AU_KM
-from startracker.detection import Background, estimate, grow_regions
+from startracker.detection import Background, Spots, estimate, grow_regions
 from startracker.detection.region_growing import grow_objects
 from startracker.settings import DetectionSettings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Success", "section", "success_rate", "thesis_settings"]
-
-FloatArray = NDArray[np.float64]
 Rule: TypeAlias = Literal["first", "brightest", "tracker"]
 
 SIDE_PX = 512
@@ -53,23 +44,9 @@ MARS_RADIUS_KM = 3396.2
 SNR_DB = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0, 28.0, 29.0, 30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 40.0, 50.0, 60.0)
 
 
-@dataclass(frozen=True)
-class Success:
-    """What came of some frames.
-
-    Parameters
-    ----------
-    snr_db : float
-        Full scale over the amplitude of the uniform noise.
-    frames : int
-        Number of frames.
-    stars_found : float
-        Stars found, as a share of eight a frame.
-    clean : float
-        Share of the frames in which eight objects were found, all of them stars.
-    false_objects : float
-        Objects a frame, of the eight kept, that are no stars.
-    """
+class Success(NamedTuple):
+    """What came of some frames: the shares of the stars found, of the frames whose eight objects are all stars, and the
+    objects a frame, of the eight kept, that are no stars. The SNR is full scale over the noise's amplitude."""
 
     snr_db: float
     frames: int
@@ -93,14 +70,14 @@ def thesis_settings(threshold: float) -> DetectionSettings:
 
 
 def _scene(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Image (512, 512), DN, of twelve stars of random place and brightness (peaks 0.15 to 0.8 of full scale), and their
-    places (12, 2)."""
-    places: list[FloatArray] = []
-    while len(places) < _STARS:
-        place = rng.uniform(16.0, SIDE_PX - 17.0, 2)
-        if all(np.hypot(*(place - other)) > _CLEARANCE_PX for other in places):
-            places.append(place)
-    xy = np.array(places)
+    """Image (512, 512), DN, of twelve stars of random position and brightness (peaks 0.15 to 0.8 of full scale), and
+    their positions (12, 2)."""
+    positions: list[FloatArray] = []
+    while len(positions) < _STARS:
+        position = rng.uniform(16.0, SIDE_PX - 17.0, 2)
+        if all(np.hypot(*(position - other)) > _CLEARANCE_PX for other in positions):
+            positions.append(position)
+    xy = np.array(positions)
     peak = rng.uniform(_FAINTEST, _BRIGHTEST, _STARS) * FULL_SCALE_DN
     psf = Psf("gaussian", THESIS_SIGMA, THESIS_SIGMA, THESIS_SIGMA)
     return render_stars((SIDE_PX, SIDE_PX), xy[:, None], np.ones(1), peak / psf.peak, psf), xy
@@ -113,41 +90,23 @@ def success_rate(
     rule: Rule = "first",
     aliens: bool = False,
     threshold_dn: float = THRESHOLD_DN,
-    seed: int = 1,
 ) -> Success:
     """Success of region growing on random frames of 10° × 10°.
 
-    Parameters
-    ----------
-    snr_db : float
-        20 log₁₀ of full scale over the amplitude A of the noise, uniform between ±A.
-    frames : int
-        Frames drawn.
-    rule : {"first", "brightest", "tracker"}
-        The first eight objects in reading order, as in the thesis; the eight brightest; or those by the tracker's own
-        settings: background and noise measured on the frame, threshold at five times the noise.
-    aliens : bool
-        Add what is smaller than 7 pixels and what is larger than 36: ten hot pixels, ten short tracks, and the Moon.
-    threshold_dn : float
-        Level above which a pixel belongs to an object.
-    seed : int
-        Of the frames.
+    `snr_db` is 20 log₁₀ of full scale over the amplitude A of the noise, uniform between ±A. Kept are the first eight
+    objects in reading order, as in the thesis; the eight brightest; or those by the tracker's own settings: background
+    and noise measured on the frame, threshold at five times the noise. Aliens are what is smaller than 7 pixels and
+    what is larger than 36: ten hot pixels, ten short tracks, and the Moon.
     """
-    shape = (SIDE_PX, SIDE_PX)
-    background = Background(np.zeros(shape, np.float32), np.ones(shape, np.float32))
     amplitude = FULL_SCALE_DN * 10.0 ** (-snr_db / 20.0)
     found, clean, false = 0, 0, 0
     for trial in range(frames):
-        image, xy = _scene(stream(seed, "greyling1995 field", trial))
-        rng = stream(seed, "greyling1995 field noise", trial)
+        image, xy = _scene(stream(1, "greyling1995 field", trial))
+        rng = stream(1, "greyling1995 field noise", trial)
         if aliens:
-            xy = _add_aliens(image, xy, stream(seed, "greyling1995 aliens", trial))
-        image += rng.uniform(-amplitude, amplitude, shape)
-        frame = np.clip(np.rint(image), 0.0, FULL_SCALE_DN).astype(np.float32)
-        if rule == "tracker":
-            spots = grow_regions(frame, estimate(frame), DetectionSettings(), FULL_SCALE_DN)
-        else:
-            spots = grow_regions(frame, background, thesis_settings(threshold_dn), FULL_SCALE_DN)
+            xy = _add_aliens(image, xy, stream(1, "greyling1995 aliens", trial))
+        image += rng.uniform(-amplitude, amplitude, image.shape)
+        spots = _objects(np.clip(np.rint(image), 0.0, FULL_SCALE_DN), rule, threshold_dn)
         order = np.lexsort((spots.x_peak, spots.y_peak)) if rule == "first" else np.arange(len(spots))
         kept = order[:STARS_SOUGHT]
         away = np.hypot(spots.x_peak[kept, None] - xy[:, 0], spots.y_peak[kept, None] - xy[:, 1])
@@ -158,8 +117,17 @@ def success_rate(
     return Success(snr_db, frames, found / (STARS_SOUGHT * frames), clean / frames, false / frames)
 
 
+def _objects(image: FloatArray, rule: Rule, threshold_dn: float) -> Spots:
+    """Objects of a digitised frame, by the thesis' threshold or by the tracker's settings."""
+    frame = image.astype(np.float32)
+    if rule == "tracker":
+        return grow_regions(frame, estimate(frame), DetectionSettings(), FULL_SCALE_DN)
+    background = Background(np.zeros_like(frame), np.ones_like(frame))
+    return grow_regions(frame, background, thesis_settings(threshold_dn), FULL_SCALE_DN)
+
+
 def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Put hot pixels, tracks of 2 to 6 pixels and a Moon of 0.5° into an image; the places of the stars left free."""
+    """Put hot pixels, tracks of 2 to 6 pixels and a Moon of 0.5° into an image; the positions of stars left free."""
     radius = 0.25 / 10.0 * SIDE_PX
     rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX]
     centre = rng.uniform(40.0, SIDE_PX - 41.0, 2)
@@ -185,22 +153,16 @@ def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[floa
 
 
 def section(frames: int = 10) -> Section:
-    """Section 4.2: rows, and the success against the SNR as a figure.
-
-    Parameters
-    ----------
-    frames : int
-        Random frames for each signal-to-noise ratio.
-    """
+    """Section 4.2: rows, and the success against the SNR as a figure, with so many random frames for each SNR."""
     rates = [success_rate(snr, frames) for snr in SNR_DB]
     ours = [success_rate(snr, frames, rule="tracker") for snr in SNR_DB]
-    figures: dict[str, Callable[[], Figure]] = {
-        "sec_4_2_3_region_growing": partial(_success_figure, rates, ours),
-        "fig_4_6_search_pattern": _pattern_figure,
-    }
+    drawn = figures(
+        "greyling1995/segmentation",
+        {"sec_4_2_3_region_growing": partial(_curves, rates, ours), "fig_4_6_search_pattern": _pattern},
+    )
     values = _pattern_values() | _success_values(rates, ours, frames) | _alien_values()
     rows = table_rows("greyling1995/segmentation", values)
-    return Section("Chapter 4.2: stars found by region growing", rows, figures)
+    return Section("Chapter 4.2: stars found by region growing", rows, drawn)
 
 
 def _visited() -> int:
@@ -244,57 +206,23 @@ def _alien_values() -> Values:
     }
 
 
-def _success_figure(rates: list[Success], ours: list[Success]) -> Figure:
-    figure, axes = new_figure(1, 1, (6.0, 4.0))
-    snr = [rate.snr_db for rate in rates]
-    clean = [100 * rate.clean for rate in rates]
-    axes.plot(snr, clean, color=BLUE, marker="o", markersize=4, label="first eight objects, all of them stars")
-    found = [100 * rate.stars_found for rate in rates]
-    axes.plot(snr, found, color=BLUE, linestyle=":", marker="^", markersize=4, label="stars among the first eight")
-    own = [100 * rate.clean for rate in ours]
-    axes.plot(
-        snr,
-        own,
-        color=VERMILION,
-        linestyle="--",
-        marker="s",
-        markersize=4,
-        label="our tracker's settings, brightest eight",
-    )
-    axes.axvline(30.0, color=SOFT, linestyle=":", label="printed: 30 dB")
-    axes.set(
-        xlabel="signal-to-noise ratio, full scale to noise amplitude [dB]",
-        ylabel="success [%]",
-        ylim=(-3, 105),
-        title=f"Section 4.2.3  Region growing against noise, {rates[0].frames} frames a point",
-    )
-    axes.legend(loc="lower right")
-    return figure
+def _curves(rates: list[Success], ours: list[Success]) -> Values:
+    return {
+        "snr_db": SNR_DB,
+        "clean": [100 * rate.clean for rate in rates],
+        "found": [100 * rate.stars_found for rate in rates],
+        "ours": [100 * rate.clean for rate in ours],
+        "frames": rates[0].frames,
+    }
 
 
-def _pattern_figure(side: int = 21) -> Figure:
+def _pattern(side: int = 21) -> Values:
     """The pixels of a small image that the detector looks at: those where a single bright pixel is found."""
-    figure, axes = new_figure(1, 1, (3.9, 4.1))
     looked = np.zeros((side, side))
     level, limit = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
-    for row in range(side):
-        for column in range(side):
-            image = np.zeros((side, side), np.float32)
-            image[row, column] = 10.0
-            looked[row, column] = len(grow_objects(image, level, limit, 3, np.inf)[0])
+    for row, column in np.ndindex(side, side):
+        image = np.zeros((side, side), np.float32)
+        image[row, column] = 10.0
+        looked[row, column] = len(grow_objects(image, level, limit, 3, np.inf)[0])
     rows, columns = np.nonzero(looked)
-    axes.plot(columns + 1, rows + 1, "s", color=BLUE, markersize=6)
-    star = np.array([[10, 10], [10, 11], [11, 10], [11, 11], [10, 12], [12, 11], [11, 12], [12, 10], [12, 12]])
-    axes.plot(*star.T, "o", color=GREEN, markerfacecolor="none", markersize=10, label="a star's 3 × 3")
-    axes.set(
-        xlim=(0.5, side + 0.5),
-        ylim=(side + 0.5, 0.5),
-        aspect="equal",
-        xticks=range(3, side + 1, 3),
-        yticks=range(3, side + 1, 3),
-        xlabel="x [pixels]",
-        ylabel="y [pixels]",
-    )
-    axes.set_title("Fig. 4.6  Search pattern", color=INK)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14))
-    return figure
+    return {"columns": columns + 1, "rows": rows + 1}

@@ -15,31 +15,13 @@ C1Z and C3Z are active low, C2Z is active high: only so do the rows of Table 6.2
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulator.theses.tables import FloatArray
 from startracker.errors import InputError
-
-__all__ = [
-    "COUNTS_PER_LINE",
-    "DUMMY_CELLS",
-    "LINES",
-    "SERIAL_CLOCK_HZ",
-    "STATE_TABLE",
-    "ClockedFrame",
-    "Pulse",
-    "Sequencer",
-    "TableRow",
-    "equation_faults",
-    "expose",
-    "next_state",
-    "run",
-]
-
-FloatArray = NDArray[np.float64]
 
 LINES = 165
 """Lines of the TC211 (section 6.1), and what C2 is loaded with."""
@@ -53,8 +35,7 @@ SERIAL_CLOCK_HZ = 2.0e6
 """The 4 MHz of the bus, halved: clock of the state machine and of the serial register gate."""
 
 
-@dataclass(frozen=True)
-class TableRow:
+class TableRow(NamedTuple):
     """A row of Table 6.2; None is its X, either value."""
 
     state: int
@@ -88,7 +69,7 @@ STATE_TABLE: tuple[TableRow, ...] = (
 def next_state(
     state: int, go: int, c1z: int, c2z: int, c3z: int, b: int, *, as_printed: bool = False
 ) -> tuple[int, int, int]:
-    """Next state, A_set and B_set by the equations of section 6.2.2.
+    """Next state, A_set and B_set by the equations of section 6.2.2; state 7 is none and leads to T0.
 
     With T0 … T6 the decoded states, · and, + or, ' not:
 
@@ -97,20 +78,8 @@ def next_state(
         Q3 = T3 + T4 + T5·C2Z·B'
         A_set = T0·GO + T6·C3Z',   B_set = T6·C3Z'
 
-    Parameters
-    ----------
-    state : int
-        Q3 Q2 Q1 as a number, 0 to 7; 7 is no state and leads to T0.
-    go, c1z, c2z, c3z, b : int
-        Inputs, 0 or 1.
-    as_printed : bool
-        Take Q2 as printed. Its plain T5 leads from the end of the last frame to T2 where Table 6.2 says T0: the
-        camera would go on without ever coming to rest.
-
-    Returns
-    -------
-    (int, int, int)
-        State after the clock, and the set signals of the latches.
+    The plain T5 of the printed Q2 leads from the end of the last frame to T2 where Table 6.2 says T0: the camera would
+    go on without ever coming to rest.
     """
     t = [int(state == k) for k in range(7)]
     stays = 1 if as_printed else 1 - (c2z & b)
@@ -122,13 +91,7 @@ def next_state(
 
 
 def equation_faults(*, as_printed: bool = False) -> list[tuple[TableRow, str]]:
-    """Rows of Table 6.2 that the equations contradict, with the output at fault, over all inputs a row leaves open.
-
-    Parameters
-    ----------
-    as_printed : bool
-        As in `next_state`.
-    """
+    """Rows of Table 6.2 that the equations contradict, with the output at fault, over all inputs a row leaves open."""
     faults = []
     for row in STATE_TABLE:
         given = (row.go, row.c1z, row.c2z, row.c3z, row.b)
@@ -140,19 +103,11 @@ def equation_faults(*, as_printed: bool = False) -> list[tuple[TableRow, str]]:
     return faults
 
 
-@dataclass(frozen=True)
-class Pulse:
-    """What the gates do at a clock.
+class Pulse(NamedTuple):
+    """What the gates do at a clock since GO.
 
-    Parameters
-    ----------
-    clock : int
-        Number of the clock since GO.
-    kind : str
-        ``line``: the image area gate shifts all lines by one, into the emptied serial register; ``pixel``: a value is
-        written to memory.
-    address : int
-        Of a pixel: value of the memory counter Cm; else −1.
+    ``line``: the image area gate shifts all lines by one, into the emptied serial register. ``pixel``: a value is
+    written to memory, at the address that the counter Cm has; −1 for a line.
     """
 
     clock: int
@@ -161,22 +116,16 @@ class Pulse:
 
 
 class Sequencer:
-    """The state machine with its latches and counters.
+    """The state machine with its latches and counters, for an integration of so many frame times (0 or more).
 
-    Parameters
-    ----------
-    integration_frames : int
-        What the PC writes to address 306H: integration in multiples of the frame time, 0 or more.
-    lines, counts_per_line, columns : int
-        Of the TC211; fewer in tests.
-    as_printed : bool
-        Take the equation of Q2 as printed.
-
-    Notes
-    -----
     The text has no pulse widths (they are in Fig. 6.5): here the image area gate shifts at a line's first count, and
     the counts 6 to 197 are written to memory. C2 counts when T5 is reached and C3 when T6 is left, so that 165 lines
-    and the integration asked for come out.
+    and the integration asked for come out. Fewer lines and columns than the TC211's are for tests.
+
+    Raises
+    ------
+    InputError
+        For a negative integration, or a line of too few counts.
     """
 
     def __init__(
@@ -268,26 +217,15 @@ def run(sequencer: Sequencer, most_clocks: int = 50_000_000) -> Iterator[Pulse]:
             raise InputError(f"the sequencer is not at rest after {most_clocks} clocks")
 
 
-@dataclass(frozen=True, eq=False)
-class ClockedFrame:
+class ClockedFrame(NamedTuple):
     """What the memory holds after a sequence.
 
-    Parameters
-    ----------
-    charge_e : array, shape (lines, columns)
-        Electrons of each element, row 0 the line next to the serial register.
-    clocks : int
-        Periods of the clock from GO to the end.
-    integration_s : float
-        From the last shift of the clearing to the first of the clock-out: the time for which charge stands still.
-    line_s : float
-        From shift to shift.
-    written : int
-        Values written to memory.
+    Electrons of each element (lines, columns), row 0 the line next to the serial register; the time for which charge
+    stands still, from the last shift of the clearing to the first of the clock-out; the time from shift to shift; and
+    how many values were written.
     """
 
     charge_e: FloatArray
-    clocks: int
     integration_s: float
     line_s: float
     written: int
@@ -296,16 +234,8 @@ class ClockedFrame:
 def expose(rate_e_s: FloatArray, integration_frames: int, clock_hz: float = SERIAL_CLOCK_HZ) -> ClockedFrame:
     """Run the sequencer before a scene that stands still: every clock adds light, every shift moves all lines.
 
-    This is the transfer under light without any formula: the smear comes from where the charge stands meanwhile.
-
-    Parameters
-    ----------
-    rate_e_s : array, shape (lines, columns)
-        Photo-electrons a second of each element, row 0 next to the serial register. Any size.
-    integration_frames : int
-        As in `Sequencer`.
-    clock_hz : float
-        Clock of the state machine and the serial register.
+    This is the transfer under light without any formula: the smear comes from where the charge stands meanwhile. The
+    scene has photo-electrons a second of each element, (lines, columns) of any size, row 0 next to the serial register.
 
     Raises
     ------
@@ -321,22 +251,15 @@ def expose(rate_e_s: FloatArray, integration_frames: int, clock_hz: float = SERI
     )
     charge, memory = np.zeros_like(rate), np.zeros_like(rate)
     register = np.zeros(columns)
-    last, shifts = 0, []
+    shifts = [0]
     for pulse in run(sequencer):
         if pulse.kind == "line":
-            charge += rate * ((pulse.clock - last) / clock_hz)
+            charge += rate * ((pulse.clock - shifts[-1]) / clock_hz)
             register = charge[0].copy()
             charge[:-1] = charge[1:]
             charge[-1] = 0.0
-            last = pulse.clock
             shifts.append(pulse.clock)
         else:
-            row, column = divmod(pulse.address, columns)
-            memory[row, column] = register[column]
-    return ClockedFrame(
-        memory,
-        sequencer.clock,
-        (shifts[lines] - shifts[lines - 1]) / clock_hz,
-        (shifts[1] - shifts[0]) / clock_hz,
-        sequencer.cm,
-    )
+            memory.flat[pulse.address] = register[pulse.address % columns]
+    integration_s = (shifts[lines + 1] - shifts[lines]) / clock_hz
+    return ClockedFrame(memory, integration_s, (shifts[2] - shifts[1]) / clock_hz, sequencer.cm)

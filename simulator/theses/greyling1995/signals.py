@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION
+from simulator.theses.figures import figures
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
@@ -19,16 +17,7 @@ from simulator.theses.greyling1995.sequencer import (
     expose,
     next_state,
 )
-from simulator.theses.printed import new_figure
-from simulator.theses.tables import Values
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["CONTROL", "FIGURES", "TERMS", "control_name", "line_signals", "output_signals", "terms_next", "values"]
-
-FloatArray = NDArray[np.float64]
+from simulator.theses.tables import FloatArray, Values
 
 CONTROL = {0x300: "Camera", 0x302: "PC", 0x304: "Reset", 0x306: "Go"}
 """Table 6.1: addresses of the bus and what a write to them does."""
@@ -75,51 +64,29 @@ def terms_next(state: int, go: int, c1z: int, c2z: int, c3z: int, b: int) -> tup
 def line_signals(clocks: int = 2 * (COUNTS_PER_LINE + 2) + 4) -> dict[str, FloatArray]:
     """Signals (clocks,) from the first line of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
     sequencer = Sequencer(0)
-    states: list[int] = []
-    c1: list[int] = []
-    iag: list[bool] = []
-    written: list[bool] = []
-    while len(states) < clocks:
+    found: list[tuple[int, int, str]] = []
+    while len(found) < clocks:
         now, mode, count = sequencer.state, sequencer.mode, sequencer.c1
         pulse = sequencer.step()
-        if mode != "clockout" or (not states and now != 3):
-            continue
-        kind = pulse.kind if pulse else ""
-        states.append(now)
-        c1.append(count)
-        iag.append(kind == "line")
-        written.append(kind == "pixel")
-    state = np.array(states, dtype=float)
-    return {
-        "state": state,
-        "C1": np.array(c1, dtype=float),
-        "IAG": np.array(iag, dtype=float),
-        "SRG": (state == 4).astype(float),
-        "MW": np.array(written, dtype=float),
-    }
+        if mode == "clockout" and (found or now == 3):
+            found.append((now, count, pulse.kind if pulse else ""))
+    state, c1, kind = (np.array(column) for column in zip(*found, strict=True))
+    signals = {"state": state, "C1": c1, "IAG": kind == "line", "SRG": state == 4, "MW": kind == "pixel"}
+    return {name: signal.astype(float) for name, signal in signals.items()}
 
 
 def output_signals(light: FloatArray, samples: int = 40) -> dict[str, FloatArray]:
-    """Signals over some pixels (Fig. 6.8), `samples` to a pixel of 0.5 µs.
+    """Signals over pixels of 0.5 µs with a charge `light`, 0 to 1 of the full well (Fig. 6.8), `samples` to a pixel.
 
     The output is at the dark level and dips by the charge in the second half of each pixel; S/H is high in the
     pixel's last quarter, the latch follows then and holds; /MW is low for a tenth of a pixel halfway between.
-
-    Parameters
-    ----------
-    light : (P,) array
-        Charge of the pixels over the full well, 0 to 1.
-    samples : int
-        Samples to a pixel.
     """
     phase = np.tile((np.arange(samples) + 0.5) / samples, len(light))
     charge = np.repeat(np.clip(light, 0.0, 1.0), samples)
     output = DARK_V - (DARK_V - SATURATED_V) * charge * (phase >= 0.5)
     hold = phase >= 0.75
-    latch, value = np.empty_like(output), DARK_V
-    for k, follows in enumerate(hold):
-        value = output[k] if follows else value
-        latch[k] = value
+    followed = np.maximum.accumulate(np.where(hold, np.arange(len(hold)), -1))
+    latch = np.where(followed < 0, DARK_V, output[followed])
     middle = 0.875 - 0.5  # halfway between two S/H pulses
     write = (np.abs(phase - middle) < 0.05).astype(float)
     time_us = (np.arange(len(phase)) + 0.5) / samples * 1e6 / SERIAL_CLOCK_HZ
@@ -151,128 +118,87 @@ def values() -> Values:
     }
 
 
-def _steps(axes: Axes, x: NDArray[Any], signals: Iterable[tuple[str, NDArray[Any], str]]) -> None:
-    """Logic signals above one another, the first on top."""
-    names = []
-    for k, (name, values, colour) in enumerate(reversed(list(signals))):
-        axes.step(x, 1.4 * k + values, where="post", color=colour, linewidth=1.0)
-        names.append(name)
-    axes.set_yticks([1.4 * k + 0.5 for k in range(len(names))], names)
-    axes.set_ylim(-0.3, 1.4 * len(names))
-    axes.grid(visible=False, axis="y")
+def _raised(signals: dict[str, FloatArray]) -> Values:
+    """Logic signals above one another, the first on top, with the ticks that name them."""
+    below = list(reversed(signals))
+    steps = [{"signal": 1.4 * k + signals[name]} for k, name in enumerate(below)]
+    ticks = [1.4 * k + 0.5 for k in range(len(below))]
+    return {"steps": steps, "ticks": ticks, "names": below, "range": (-0.3, 1.4 * len(below))}
 
 
-def _clock_figure() -> Figure:
-    """Fig. 6.5: IAG and SRG over two lines, and the beginning of a line in detail."""
-    figure, (left, right) = new_figure(1, 2, (9.0, 3.2))
+def _clocks() -> Values:
+    """IAG and SRG over two lines, and the beginning of a line in detail."""
     signals = line_signals()
-    t_us = np.arange(len(signals["SRG"])) * 1e6 / SERIAL_CLOCK_HZ
-    busy = [("IAG", signals["IAG"], VERMILION), ("SRG runs", signals["SRG"], BLUE), ("to memory", signals["MW"], GREEN)]
-    _steps(left, t_us, busy)
-    left.set(xlabel="time from a line's start [µs]", title="two lines of 105 µs")
     few, fine = 14, 20
     clock = np.tile(np.arange(fine) < fine // 2, few).astype(float)
-    gate = [np.repeat(signals[name][:few], fine) for name in ("IAG", "SRG", "MW")]
-    detail = [("clock, 2 MHz", clock, INK), ("IAG", gate[0], VERMILION), ("SRG", gate[1] * clock, BLUE)]
-    _steps(right, np.arange(few * fine) / fine * 1e6 / SERIAL_CLOCK_HZ, [*detail, ("to memory", gate[2], GREEN)])
-    right.set(xlabel="time from a line's start [µs]", title="its first 14 clocks")
-    figure.suptitle("Fig. 6.5  Clock signals IAG and SRG", fontsize=10)
-    return figure
+    iag, srg, written = (np.repeat(signals[name][:few], fine) for name in ("IAG", "SRG", "MW"))
+    detail = {"clock, 2 MHz": clock, "IAG": iag, "SRG": srg * clock, "to memory": written}
+    return {
+        "t_us": np.arange(len(signals["SRG"])) * 1e6 / SERIAL_CLOCK_HZ,
+        "lines": _raised({"IAG": signals["IAG"], "SRG runs": signals["SRG"], "to memory": signals["MW"]}),
+        "detail_us": np.arange(few * fine) / fine * 1e6 / SERIAL_CLOCK_HZ,
+        "detail": _raised(detail),
+    }
 
 
-_PLACES = {0: (0.0, 3.0), 1: (0.0, 2.0), 2: (0.0, 1.0), 3: (1.6, 1.0), 4: (3.2, 1.0), 5: (3.2, 2.2), 6: (1.6, 1.95)}
-_DOES = {
-    0: "wait for GO", 1: "Cm = 0, load C3", 2: "C2 = 165", 3: "C1 = 0", 4: "C1 + 1", 5: "C2 − 1", 6: "A = 0, C3 − 1",
-}  # fmt: skip
+_AT = {0: (0.0, 3.0), 1: (0.0, 2.0), 2: (0.0, 1.0), 3: (1.6, 1.0), 4: (3.2, 1.0), 5: (3.2, 2.2), 6: (1.6, 1.95)}
+_DOES = ("wait for GO", "Cm = 0, load C3", "C2 = 165", "C1 = 0", "C1 + 1", "C2 − 1", "A = 0, C3 − 1")
 
 
-def _state_figure() -> Figure:
-    """Fig. 6.6: the states and what leads from one to the next, by Table 6.2."""
-    figure, axes = new_figure(1, 1, (8.0, 4.6))
-    for state, (x, y) in _PLACES.items():
-        axes.text(x, y, f"T{state}\n{_DOES[state]}", ha="center", va="center", fontsize=8,
-                  bbox={"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": INK})  # fmt: skip
+def _states() -> Values:
+    """The states and what leads from one to the next, by Table 6.2."""
+    stays: list[Values] = []
+    arrows: list[Values] = []
+    labels: list[Values] = []
     for row in STATE_TABLE:
         given = {"GO": row.go, "C1Z": row.c1z, "C2Z": row.c2z, "C3Z": row.c3z, "B": row.b}
         label = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None)
+        start, end = (np.array(_AT[k]) for k in (row.state, row.following))
         if row.following == row.state:
-            x, y = _PLACES[row.state]
-            axes.text(x + (0.62 if row.state == 4 else -0.62), y, f"stays:\n{label}", ha="left" if row.state == 4
-                      else "right", va="center", fontsize=7, color=SOFT)  # fmt: skip
+            side, align = (0.62, "left") if row.state == 4 else (-0.62, "right")
+            stays.append({"x": start[0] + side, "y": start[1], "label": label, "align": align})
             continue
-        start, end = (np.array(_PLACES[k]) for k in (row.state, row.following))
         bend = 0.0 if row.c3z is None else 0.28 if row.c3z == 0 else -0.28
-        axes.annotate("", xy=end, xytext=start, arrowprops={"arrowstyle": "->", "color": BLUE, "shrinkA": 30,
-                      "shrinkB": 30, "connectionstyle": f"arc3,rad={bend}"})  # fmt: skip
+        arrows.append({"start": start, "end": end, "bend": bend})
         if label:
-            shift = bend * np.array([-0.45, 0.8])  # to where the curve bends to
-            axes.text(*(0.5 * (start + end) + shift), label, fontsize=7, color=VERMILION, ha="center", va="center",
-                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6})  # fmt: skip
-    axes.set(
-        xlim=(-1.9, 4.8),
-        ylim=(0.4, 3.6),
-        xticks=[],
-        yticks=[],
-        xlabel="counters C1 (pixels), C2 (lines), C3 (frames of integration), Cm (memory); latches A and B",
-        ylabel="states T0 to T6",
-        title="Fig. 6.6  Camera state machine",
-    )
-    return figure
+            x, y = 0.5 * (start + end) + bend * np.array([-0.45, 0.8])  # to where the curve bends to
+            labels.append({"x": x, "y": y, "label": label})
+    states = [{"x": x, "y": y, "text": f"T{state}\n{_DOES[state]}"} for state, (x, y) in _AT.items()]
+    return {"states": states, "stays": stays, "arrows": arrows, "labels": labels}
 
 
-def _circuit_figure() -> Figure:
-    """Fig. 6.7 as an array of products: which inputs each product takes, and which sums it goes into."""
-    figure, axes = new_figure(1, 1, (8.0, 4.4))
+def _circuit() -> Values:
+    """The circuit as an array of products: which inputs each product takes, and which sums it goes into."""
     columns = {name: k for k, name in enumerate((*_INPUTS, *(f"{s} " for s in _SUMS)))}
-    for k, (_, factors, outputs) in enumerate(TERMS):
-        axes.axhline(k, color=SOFT, linewidth=0.5)
-        for factor in factors.split():
-            inverted = factor.endswith("'")
-            axes.plot(columns[factor.rstrip("'")], k, "o", color=BLUE, markersize=7,
-                      markerfacecolor="white" if inverted else BLUE)  # fmt: skip
-        for output in outputs:
-            axes.plot(columns[f"{output} "], k, "s", color=VERMILION, markersize=7)
-    axes.plot([], [], "o", color=BLUE, label="input")
-    axes.plot([], [], "o", color=BLUE, markerfacecolor="white", label="input, inverted")
-    axes.plot([], [], "s", color=VERMILION, label="goes into the sum")
-    axes.axvline(len(_INPUTS) - 0.5, color=INK, linewidth=1.0)
-    axes.set_xticks(list(columns.values()), [name.strip() for name in columns])
-    axes.set_yticks(range(len(TERMS)), [name for name, _, _ in TERMS])
-    axes.invert_yaxis()
-    axes.set(
-        xlabel="decoded states and inputs | inputs of the D flip-flops and latches",
-        ylabel="product (AND)",
-        title="Fig. 6.7  Circuit of the state machine: products and sums",
-    )
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
-    return figure
+    inputs = [
+        {"x": columns[factor.rstrip("'")], "y": k, "inverted": factor.endswith("'")}
+        for k, (_, factors, _) in enumerate(TERMS)
+        for factor in factors.split()
+    ]
+    plain, inverted = ([dot for dot in inputs if dot["inverted"] == which] for which in (False, True))
+    sums = [{"x": columns[f"{output} "], "y": k} for k, (_, _, outputs) in enumerate(TERMS) for output in outputs]
+    ticks: dict[str, Any] = {"x_ticks": list(columns.values()), "x_names": [name.strip() for name in columns]}
+    rows = {"rows": [{"y": k} for k in range(len(TERMS))], "names": [name for name, _, _ in TERMS]}
+    return ticks | rows | {"plain": plain, "inverted": inverted, "sums": sums, "border": len(_INPUTS) - 0.5}
 
 
-def _output_figure() -> Figure:
-    """Fig. 6.8: output, sample and hold, latch, memory write, and the 2-bit value of each pixel."""
-    figure, (top, bottom) = new_figure(2, 1, (7.6, 4.8), sharex=True, gridspec_kw={"height_ratios": [1.5, 1]})
+def _output() -> Values:
+    """Output, sample and hold, latch, memory write, and the 2-bit value of each pixel."""
     light = np.array([0.02, 0.1, 0.45, 0.8, 0.6, 0.3, 0.05, 0.0])
-    signals = output_signals(light)
-    top.plot(signals["time_us"], signals["output"], color=BLUE, label="output")
-    top.plot(signals["time_us"], signals["latch"], color=VERMILION, linestyle="--", label="after the latch")
-    codes = compare_levels(light, even_levels(2, 1.0))
-    for k, code in enumerate(codes):
-        top.text((k + 0.5) * 0.5, 8.35, f"{int(code):02b}", ha="center", color=INK)
-    for level in even_levels(2, 1.0):
-        top.axhline(DARK_V - (DARK_V - SATURATED_V) * float(level), color=SOFT, linewidth=0.7, linestyle=":")
-    top.plot([], [], color=SOFT, linestyle=":", label="three comparators, two bits")
-    top.set(ylim=(3.2, 9.0), xlabel="time [µs]", ylabel="level [V]")
-    top.legend(loc="lower left", ncols=3)
-    _steps(bottom, signals["time_us"], [("S/H", signals["S/H"], ORANGE), ("/MW", signals["/MW"], GREEN)])
-    bottom.set(xlabel="time [µs]", ylabel="logic")
-    figure.suptitle("Fig. 6.8  Output and associated signals", fontsize=10)
-    return figure
+    signals, levels = output_signals(light), even_levels(2, 1.0)
+    codes = [{"x": (k + 0.5) * 0.5, "code": f"{int(code):02b}"} for k, code in enumerate(compare_levels(light, levels))]
+    limits = [{"level": DARK_V - (DARK_V - SATURATED_V) * float(level)} for level in levels]
+    logic = _raised({"S/H": signals["S/H"], "/MW": signals["/MW"]})
+    return {"signals": signals, "codes": codes, "limits": limits, "logic": logic}
 
 
-FIGURES: dict[str, Callable[[], Figure]] = {
-    "fig_6_5_clocks": _clock_figure,
-    "fig_6_6_states": _state_figure,
-    "fig_6_7_circuit": _circuit_figure,
-    "fig_6_8_output": _output_figure,
-}
+FIGURES = figures(
+    "greyling1995/signals",
+    {
+        "fig_6_5_clocks": _clocks,
+        "fig_6_6_states": _states,
+        "fig_6_7_circuit": _circuit,
+        "fig_6_8_output": _output,
+    },
+)
 """File name to the function that draws it, in the order of the thesis."""

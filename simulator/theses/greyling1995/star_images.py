@@ -6,51 +6,44 @@ Drawn twice: sampled at the pixels' centres, as the thesis does, and integrated 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.psf import Psf
 from simulator.optics.smear import exposure_nodes
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
+from simulator.theses.tables import FloatArray
 from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
-from startracker.centroid.window import read_window
+from startracker.centroid.window import Pixels, read_window
 from startracker.detection import find_components
 from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
 from startracker.settings import CentroidSettings, DetectionSettings
 
-__all__ = ["distortion_errors", "moments", "smear_errors", "smear_path", "star_stamps", "tracker_errors"]
-
-FloatArray = NDArray[np.float64]
-
 _HALF = 2
 _ELECTRONS = 1e6
 _LATTICE, _PITCH_PX = 9, 32
-_STILL = (np.zeros((1, 2)), np.ones(1))
+
+Path = tuple[FloatArray, FloatArray]
+"""Way (K, 2) of a star over the exposure, pixels, and the share (K,) of the exposure at each position."""
+
+_STILL: Path = (np.zeros((1, 2)), np.ones(1))
 
 
 def star_stamps(
     offset_px: ArrayLike = OFFSETS,
     sigma_px: float = THESIS_SIGMA,
     sigma_y_px: float | None = None,
-    path: tuple[FloatArray, FloatArray] = _STILL,
+    path: Path = _STILL,
     *,
     integrated: bool = False,
 ) -> FloatArray:
     """Images (N, 5, 5) of stars `offset_px` right of the middle, relative to the centre of a star at rest.
 
-    Parameters
-    ----------
-    offset_px : (N,) array
-        Offsets along x from the centre of the central pixel.
-    sigma_px, sigma_y_px : float
-        Gaussian width along x and y; the latter the same where left out.
-    path : (K, 2) and (K,) arrays
-        Way of the star over the exposure, pixels, and the share of the exposure at each place (`smear_path`).
-    integrated : bool
-        Over the pixels (`simulator.optics.splat`), in place of samples at their centres.
+    Gaussian, of another width along y where that is given; integrated over the pixels (`simulator.optics.splat`) or
+    sampled at their centres.
     """
     offsets = np.atleast_1d(np.asarray(offset_px, dtype=float))
     sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
@@ -64,8 +57,8 @@ def star_stamps(
         return np.asarray(np.einsum("k,nkj,nki->nji", weights, along_y, along_x))
     psf = Psf("gaussian", sigma_px, sigma_y, min(sigma_px, sigma_y))
     side = 2 * _HALF + 1
-    places = np.stack([x, y], axis=-1) + _HALF
-    images = [render_stars((side, side), place[None], weights, [_ELECTRONS], psf) for place in places]
+    positions = np.stack([x, y], axis=-1) + _HALF
+    images = [render_stars((side, side), position[None], weights, [_ELECTRONS], psf) for position in positions]
     return np.array(images) / (_ELECTRONS * psf.peak)
 
 
@@ -73,9 +66,8 @@ def moments(stamps: FloatArray) -> FloatArray:
     """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's own kernel."""
     side = 2 * _HALF + 1
     level, noise = as_plane(np.zeros((side, side), np.float32)), as_plane(np.ones((side, side), np.float32))
-    return np.array(
-        [read_window(stamp.astype(np.float32), level, noise, _HALF, _HALF, _HALF, 0.0)[1] for stamp in stamps]
-    )
+    frames = (Pixels(stamp.astype(np.float32), level, noise, 0.0, 0.0) for stamp in stamps)
+    return np.array([read_window(frame, _HALF, _HALF, _HALF)[1] for frame in frames])
 
 
 def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray:
@@ -83,8 +75,8 @@ def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray
     return OFFSETS - moments(stamps) - moment_bias(OFFSETS, sigma_px, 2 * _HALF + 1, integrated=integrated)
 
 
-def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> tuple[FloatArray, FloatArray]:
-    """Way (K, 2) of a star at constant rate over an exposure, centred on its middle (eq. 4.11), and weights (K,)."""
+def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> Path:
+    """Way of a star at constant rate over an exposure, centred on its middle (eq. 4.11)."""
     length = rate_px_s * exposure_s
     nodes, weights = exposure_nodes(length, THESIS_SIGMA)
     angle = np.radians(angle_deg)
@@ -92,20 +84,15 @@ def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> t
 
 
 def smear_errors(
-    rate_px_s: float,
-    angle_deg: float,
-    exposure_s: float = 0.5,
-    sigma_px: float = THESIS_SIGMA,
-    *,
-    integrated: bool = False,
+    rate_px_s: float, angle_deg: float, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False
 ) -> FloatArray:
-    """Errors (11,) along x of smeared stars, the bias of a star at rest taken off."""
-    path = smear_path(rate_px_s, angle_deg, exposure_s)
+    """Errors (11,) along x of stars smeared for 0.5 s, the bias of a star at rest taken off."""
+    path = smear_path(rate_px_s, angle_deg)
     return _errors(star_stamps(OFFSETS, sigma_px, path=path, integrated=integrated), sigma_px, integrated)
 
 
 def distortion_errors(ratio: float, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False) -> FloatArray:
-    """Errors (11,) along x of stars drawn out along x: d_r = σ_y / σ_x (eq. 4.12), σ_y the width of a round star."""
+    """Errors (11,) along x of stars elongated along x: d_r = σ_y / σ_x (eq. 4.12), σ_y the width of a round star."""
     stamps = star_stamps(OFFSETS, sigma_px / ratio, sigma_px, integrated=integrated)
     return _errors(stamps, sigma_px, integrated)
 
@@ -113,9 +100,8 @@ def distortion_errors(ratio: float, sigma_px: float = THESIS_SIGMA, *, integrate
 def tracker_errors(
     sigma_px: float = THESIS_SIGMA,
     sigma_y_px: float | None = None,
-    path: tuple[FloatArray, FloatArray] = _STILL,
+    path: Path = _STILL,
     snr_db: float | None = None,
-    seed: int = 1,
     *,
     centroider: str = "moment",
 ) -> FloatArray:
@@ -127,20 +113,18 @@ def tracker_errors(
     """
     sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
     way, weights = path
-    place = _PITCH_PX * (np.arange(_LATTICE) + 1.0)
     phase = (np.arange(_LATTICE) + 0.5) / _LATTICE - 0.5
-    x, y = (axis.ravel() for axis in np.meshgrid(place + phase, place + phase))
-    truth = np.stack([x, y], axis=1)
+    along = _PITCH_PX * (np.arange(_LATTICE) + 1.0) + phase
+    truth = np.stack([axis.ravel() for axis in np.meshgrid(along, along)], axis=1)
     side = _PITCH_PX * (_LATTICE + 1)
     psf = Psf("gaussian", sigma_px, sigma_y, min(sigma_px, sigma_y))
     image = render_stars((side, side), truth[:, None, :] + way, weights, np.full(len(truth), _ELECTRONS), psf)
     if snr_db is not None:
         amplitude = _ELECTRONS * psf.peak * 10.0 ** (-snr_db / 20.0)
-        image += stream(seed, "greyling1995 noisy frame").uniform(-amplitude, amplitude, image.shape)
-    frame = image.astype(np.float32)
+        image += stream(1, "greyling1995 noisy frame").uniform(-amplitude, amplitude, image.shape)
     settings = DetectionSettings(max_stars=2 * len(truth))
-    found = find_stars(frame, find_components, METHODS[centroider], settings, CentroidSettings(), Clock())
-    xy = found.xy
+    frame = image.astype(np.float32)
+    xy = find_stars(frame, find_components, METHODS[centroider], settings, CentroidSettings(), Clock()).xy
     if not len(xy):
         return np.empty((0, 2))
     away = xy[None] - truth[:, None]

@@ -11,25 +11,13 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.curves import Curve, load_curve
 from simulator.sky.library import HC_J_NM
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import colour_sequence
-
-__all__ = [
-    "BANDS_UM",
-    "IRRADIANCE_W_CM2_UM",
-    "VOLT_PER_E",
-    "WIDTHS_UM",
-    "camera_mv",
-    "irradiance_w_cm2_um",
-    "second_script_mv",
-    "thesis_mv",
-]
-
-FloatArray = NDArray[np.float64]
+from simulator.theses.tables import FloatArray
 
 BANDS_UM = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
 IRRADIANCE_W_CM2_UM = np.array([6.6, 3.6, 2.25, 1.22, 0.292]) * 1e-12
@@ -52,7 +40,6 @@ IMAGE_PIXELS = 25
 SATURATION_MV = 450.0
 """Of the TC211 with antiblooming, section 3.4.3."""
 
-
 PLANCK_J_S, LIGHT_M_S = 6.626e-34, 3e8
 """As `ccdmag.m` has them; 0.07 % from today's."""
 
@@ -61,10 +48,8 @@ SECOND_PIXELS = 10
 """Of the second script in the listing of `ccdmag.m`."""
 
 
-@functools.cache
-def _band_electrons_cm2_s(extra_lambda: bool, second: bool = False) -> float:
-    """Electrons cm⁻² s⁻¹ of V = 0 from the five bands: Σ E_λ λ/(hc) η Δλ, of either script."""
-    efficiency = SECOND_EFFICIENCY if second else EFFICIENCY
+def _band_electrons_cm2_s(efficiency: FloatArray, *, extra_lambda: bool) -> float:
+    """Electrons cm⁻² s⁻¹ of V = 0 from the five bands: Σ E_λ λ/(hc) η Δλ."""
     photons = IRRADIANCE_W_CM2_UM * BANDS_UM * 1e-6 / (PLANCK_J_S * LIGHT_M_S)
     electrons = photons * efficiency * WIDTHS_UM * (BANDS_UM if extra_lambda else 1.0)
     return float(electrons.sum())
@@ -78,25 +63,18 @@ def thesis_mv(
     extra_lambda: bool,
     volt_per_e: float = VOLT_PER_E,
 ) -> FloatArray:
-    """Output voltage of each of 25 pixels, mV, by the first script of `ccdmag.m`; not clipped at saturation.
+    """Output voltage of each of 25 pixels for an A0V star, mV, by the first script of `ccdmag.m`; not clipped.
 
-    Parameters
-    ----------
-    v_mag : array
-        Magnitude V of an A0V star.
-    aperture_m, exposure_s : array
-        Diameter of the lens, integration time; broadcast against `v_mag`.
-    extra_lambda : bool
-        As the script has it, with λ in µm once too often; or without.
-    volt_per_e : float
-        Volts an electron; the script's q G / C₀ where left out.
+    Arrays are broadcast; `aperture_m` is the diameter of the lens. `extra_lambda`: as the script has it, with λ in µm
+    once too often, or without.
     """
-    return _millivolts(_band_electrons_cm2_s(extra_lambda), v_mag, aperture_m, exposure_s, volt_per_e)
+    electrons = _band_electrons_cm2_s(EFFICIENCY, extra_lambda=extra_lambda)
+    return _millivolts(electrons, v_mag, aperture_m, exposure_s, volt_per_e)
 
 
 def second_script_mv(v_mag: ArrayLike, aperture_m: ArrayLike = 0.12, exposure_s: ArrayLike = 0.5) -> FloatArray:
     """Output voltage of each of 10 pixels, mV, by the second script: other efficiencies, 1.4 µV, no surplus λ."""
-    electrons = _band_electrons_cm2_s(False, second=True)
+    electrons = _band_electrons_cm2_s(SECOND_EFFICIENCY, extra_lambda=False)
     return _millivolts(electrons, v_mag, aperture_m, exposure_s, PROTOTYPE_VOLT_PER_E, SECOND_PIXELS)
 
 
@@ -109,17 +87,7 @@ def camera_mv(
     giant: float = 0.0,
     volt_per_e: float = VOLT_PER_E,
 ) -> FloatArray:
-    """The same with this product's spectra and the TC211's curve, a lens without losses.
-
-    Parameters
-    ----------
-    v_mag, aperture_m, exposure_s : array
-        As in `thesis_mv`.
-    b_v, giant : float
-        Colour and class of the star, as `simulator.sky.photometry.Photometer` takes them; A0V left out.
-    volt_per_e : float
-        Volts an electron.
-    """
+    """The same with this product's spectra, of a colour and class as `Photometer`'s and the TC211's curve, lossless."""
     electrons = float(_photometer().electrons_per_s(0.0, b_v, giant))
     return _millivolts(electrons, v_mag, aperture_m, exposure_s, volt_per_e)
 
@@ -143,14 +111,6 @@ def _millivolts(
 
 
 def irradiance_w_cm2_um(wavelength_nm: FloatArray, v_mag: float, b_v: float, giant: float) -> FloatArray:
-    """Spectral irradiance of a star, W cm⁻² µm⁻¹; (W,): photons × hc/λ.
-
-    Parameters
-    ----------
-    wavelength_nm : (W,) array
-        Wavelengths, nm.
-    v_mag, b_v, giant : float
-        Magnitude, colour and class, as `simulator.sky.spectra.colour_sequence` takes them.
-    """
+    """Spectral irradiance (W,) of a star of a colour and class, W cm⁻² µm⁻¹: photons × hc/λ."""
     photons = colour_sequence(wavelength_nm, np.array([b_v]), np.array([giant]))[0]
     return np.asarray(photons * HC_J_NM / wavelength_nm * 1e3 * 10.0 ** (-0.4 * v_mag))

@@ -10,11 +10,9 @@ from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows
 from simulator.theses.yee1999.picture import Analysis, Options, analyse, deneb, sadr, vega
-from simulator.theses.yee1999.vega_tables import attitude_rows, separation_rows, triad_figure, vega_figure, vote_rows
+from simulator.theses.yee1999.vega_tables import attitude_rows, picture_figures, separation_rows, vote_rows
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_votes import COMBINED_ID, combine_separation
-
-__all__ = ["deneb_tables", "recommendations", "sadr_tables"]
 
 _CENTRE = ("307.90724", "46.43192")
 _ROTATION_DEG = 0.11
@@ -33,8 +31,7 @@ def deneb_tables() -> Section:
         *vote_rows(found, "Table 4.9"),
         *attitude_rows(found, "Table 4.10", "4.2.2", _CENTRE),
     ]
-    figures = {"fig_4_5_deneb": lambda: vega_figure(found), "table_4_7_rotations": lambda: triad_figure(found)}
-    return Section("The Deneb image", rows, figures)
+    return Section("The Deneb image", rows, picture_figures(found, "fig_4_5_deneb", "table_4_7_rotations"))
 
 
 def _group_values(found: Analysis) -> Values:
@@ -99,7 +96,7 @@ def sadr_tables() -> Section:
         ],
     }
     rows = [*separation_rows(found, "Table 4.11", "Table 4.16"), *table_rows("yee1999/sadr", values)]
-    return Section("The Sadr image", rows, {"fig_4_6_sadr": lambda: vega_figure(found)})
+    return Section("The Sadr image", rows, picture_figures(found, "fig_4_6_sadr"))
 
 
 def recommendations() -> Section:

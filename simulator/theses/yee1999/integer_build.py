@@ -7,10 +7,8 @@ import time
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from simulator.randomness import stream
@@ -18,9 +16,9 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.exported_c.build import M68K, Build, compile_export, native_compiler
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
-from simulator.study.style import BLUE, ORANGE
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.figures import figures
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.fixed_centroids import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, vega
@@ -41,13 +39,6 @@ from startracker.identification.integer_solution import (
 )
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_votes import match_triads
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["attitude_differences", "best_s", "difference_figure", "integer_build"]
-
-FloatArray = NDArray[np.float64]
 
 _FIELDS = 80
 _SLENDER = 2e-3
@@ -122,7 +113,9 @@ def integer_build() -> Section:
         "centre": _centre(),
     }
     rows = [*fixed_centroids(), *table_rows("yee1999/integer_build", values | _run_time())]
-    return Section("The integer build", rows, {"integer_attitude": difference_figure})
+    least = max(off[off > 0].min(), 1e-5)
+    shown = {"centre": off[:, 0], "roll": off[:, 1], "edges": np.logspace(np.log10(least), 0.0, 25)}
+    return Section("The integer build", rows, figures("yee1999/integer_build", {"integer_attitude": lambda: shown}))
 
 
 def _centroid_differences() -> Values:
@@ -218,15 +211,3 @@ def best_s(function: Callable[[], object], times: int = 5) -> float:
         function()
         spent.append(time.perf_counter() - start)
     return min(spent)
-
-
-def difference_figure() -> Figure:
-    """How far the integer attitude is from the floating-point one."""
-    off = np.abs(attitude_differences())
-    figure, axes = new_figure()
-    edges = np.logspace(np.log10(max(off[off > 0].min(), 1e-5)), 0.0, 25)
-    axes.hist(off[:, 0], edges, color=BLUE, alpha=0.75, label="centre")
-    axes.hist(off[:, 1], edges, histtype="step", color=ORANGE, lw=1.6, ls="--", label="roll")
-    axes.set(xscale="log", xlabel="integers minus floating point [″]", ylabel="fields")
-    axes.legend(loc="upper right")
-    return figure

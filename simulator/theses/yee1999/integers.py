@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simulator.study.style import BLUE, ORANGE, SOFT
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.figures import figures
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -18,28 +16,13 @@ from startracker.fixed_point.formats import SEPARATION
 from startracker.fixed_point.square_root import by_pythagoras, by_tables
 from startracker.identification.triad_search import image_pairs
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Crossover", "crossover", "integers"]
-
-FloatArray = NDArray[np.float64]
-
 _STEP_DEG, _LAST_DEG = 0.25, 22.5
 """Of χ = ψ in Fig. 3.1."""
 
 
-@dataclass(frozen=True, eq=False)
-class Crossover:
-    """Errors of the two ways to a separation in integers, χ = ψ.
-
-    Parameters
-    ----------
-    separation_deg : (N,)
-        By eq. 2.4.
-    pythagoras_deg, tables_deg : (N,)
-        Floating point minus integers; NaN where a separation does not fit 6.10.
-    """
+class Crossover(NamedTuple):
+    """Errors of the two ways to a separation in integers, χ = ψ: floating point minus integers, NaN where a separation
+    does not fit 6.10; the separations (N,) by eq. 2.4."""
 
     separation_deg: FloatArray
     pythagoras_deg: FloatArray
@@ -80,7 +63,8 @@ def integers() -> Section:
     separations = [row for image in images for row in integer_separations(*image)]
     values = {"curve": curve, "widest": curve.separation_deg[-1], "separations": separations} | _matches()
     rows = table_rows("yee1999/integers", values)
-    return Section("Integer arithmetic", rows, {"fig_3_1_crossover": lambda: crossover_figure(curve)})
+    drawn = figures("yee1999/integers", {"fig_3_1_crossover": lambda: {"curve": curve, "label": (curve.at_deg, -0.3)}})
+    return Section("Integer arithmetic", rows, drawn)
 
 
 def integer_separations(picture: Picture, where: str) -> list[Values]:
@@ -109,15 +93,3 @@ def _matches() -> Values:
         "real_triads": len(real.triads),
         "matches": "the same" if real.matches == ours.matches else "others",
     }
-
-
-def crossover_figure(curve: Crossover) -> Figure:
-    """Fig. 3.1: error against separation."""
-    figure, axes = new_figure()
-    axes.plot(curve.separation_deg, curve.pythagoras_deg, color=BLUE, marker="o", ms=3, label="Pythagoras' theorem")
-    axes.plot(curve.separation_deg, curve.tables_deg, color=ORANGE, ls="--", marker="s", ms=3, label="look-up tables")
-    axes.axvline(curve.at_deg, color=SOFT, lw=0.8, ls=":")
-    axes.annotate(f"{curve.at_deg:.2f}°", (curve.at_deg, -0.3), xytext=(4, 0), textcoords="offset points", color=SOFT)
-    axes.set(xlabel="angular separation [°]", ylabel="error: floating point minus integers [°]", xlim=(0.0, 32.0))
-    axes.legend(loc="lower left")
-    return figure

@@ -7,12 +7,12 @@ pixels, in the thesis' order (the most pixels first) and its coordinates.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
+from simulator.theses.tables import FloatArray, IntArray
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.detection import estimate, find_clusters
@@ -20,52 +20,22 @@ from startracker.settings import DetectionSettings
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 
-__all__ = ["Shown", "SolvedFrame", "off_deg", "show", "solve_shown", "tracker_off_deg"]
 
-FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A rendered frame and the star images found in it.
-
-    Parameters
-    ----------
-    frame : Frame
-        The image.
-    truth : FrameTruth
-        Where the camera looked.
-    picture : Picture
-        Centroids for the thesis' method, most pixels first.
-    xy : (N, 2)
-        The same as columns and rows.
-    pixels : int (N,)
-        Pixels of each.
-    """
+class Shown(NamedTuple):
+    """A rendered frame and the star images found in it, most pixels first: centroids for the thesis' method, the same
+    (N, 2) as columns and rows, and the pixels (N,) of each."""
 
     frame: Frame
     truth: FrameTruth
     picture: Picture
     xy: FloatArray
-    pixels: NDArray[np.int64]
+    pixels: IntArray
 
 
 def show(
     frame: Frame, truth: FrameTruth, detection: DetectionSettings, fov_deg: tuple[float, float], most: int = 12
 ) -> Shown:
-    """Find the star images of a frame by clustering.
-
-    Parameters
-    ----------
-    frame, truth : Frame, FrameTruth
-        From the renderer.
-    detection : DetectionSettings
-        τ, threshold, fewest pixels.
-    fov_deg : (float, float)
-        Field that the thesis' method takes for its scale.
-    most : int
-        Star images given to the methods.
-    """
+    """Find the star images of a frame by clustering, at most so many; `fov_deg` gives the thesis' method its scale."""
     image = frame.image.astype(np.float32)
     background = estimate(image, detection.background_tile_px)
     spots = find_clusters(image, background, detection, frame.saturation_dn)
@@ -83,8 +53,7 @@ def off_deg(truth: Attitude, center_deg: FloatArray) -> float:
     return math.degrees(math.atan2(across, float(direction @ truth.boresight)))
 
 
-@dataclass(frozen=True, eq=False)
-class SolvedFrame:
+class SolvedFrame(NamedTuple):
     """A rendered frame, by its number from 1, solved by the thesis' method and by the star tracker alone."""
 
     image: int

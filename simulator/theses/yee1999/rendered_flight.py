@@ -5,28 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.frames import SequenceRunner
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
-from simulator.theses.printed import Section, new_figure
+from simulator.theses.figures import draw, figures
+from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows
 from simulator.theses.yee1999.picture import Options
 from simulator.theses.yee1999.rendered import SolvedFrame, off_deg, show, solve_shown
 from simulator.theses.yee1999.rendered_vega import limits_of
 from simulator.theses.yee1999.video_field import cropped_field_deg, field_deg
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["flight_frames", "section"]
-
-FloatArray = NDArray[np.float64]
 
 WRONG = (22,)
 """Images in which her program matched wrong stars (appendix D.3)."""
@@ -41,15 +32,7 @@ _RIGHT_DEG = 0.5
 
 
 def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None = None) -> list[SolvedFrame]:
-    """Images of the turn, each solved without what the others told.
-
-    Parameters
-    ----------
-    images : sequence of int, optional
-        Numbers from 1; left out, all of the scenario's sequence.
-    scenario : Scenario, optional
-        In place of ``oedipus.yaml``.
-    """
+    """Images of the turn in ``oedipus.yaml``, by their numbers from 1, each solved without what the others told."""
     scenario = scenario or Scenario.load("oedipus")
     runner = SequenceRunner(scenario)
     options = Options(
@@ -75,10 +58,12 @@ def section(images: Sequence[int] | None = None) -> Section:
     """The track of the boresight over one turn (section 4.3, appendix D.3, Fig. 4.11)."""
     frames = flight_frames(images)
     rows = table_rows("yee1999/rendered_flight", _values(frames))
+    drawn = figures("yee1999/rendered_flight", {"fig_4_11_rendered": lambda: _track(frames)})
     names = {6: "fig_4_8_rendered", 7: "fig_4_9_rendered"}
-    figures = {"fig_4_11_rendered": partial(track_figure, frames)}
-    figures |= {names[f.image]: partial(image_figure, f) for f in frames if f.image in names}
-    return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, figures)
+    drawn |= {
+        names[f.image]: partial(draw, "yee1999/rendered_flight/image", _image(f)) for f in frames if f.image in names
+    }
+    return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, drawn)
 
 
 def _values(frames: Sequence[SolvedFrame]) -> Values:
@@ -135,57 +120,32 @@ def _failed(f: SolvedFrame) -> Values:
     }
 
 
-def track_figure(frames: Sequence[SolvedFrame]) -> Figure:
-    """Declination against right ascension, as Fig. 4.11: printed, by her method and by the tracker."""
-    figure, axes = new_figure(size=(6.4, 4.8))
+def _track(frames: Sequence[SolvedFrame]) -> Values:
+    """Declination against right ascension: printed, by her method and by the tracker."""
     truth = np.array([(f.shown.truth.attitude.ra_deg, f.shown.truth.attitude.dec_deg) for f in frames])
-    axes.plot(*truth.T, "-", color=INK, linewidth=0.8, label="true boresight")
-    printed = [r for r in printed_rows("table_d_2") if r["ra_deg"]]
-    axes.errorbar(
-        [float(r["ra_deg"]) for r in printed],
-        [float(r["dec_deg"]) for r in printed],
-        xerr=PRINTED_ERROR_DEG,
-        yerr=PRINTED_ERROR_DEG,
-        fmt="D",
-        ms=4,
-        color=ORANGE,
-        ecolor=ORANGE,
-        elinewidth=0.7,
-        label="printed (Table D.2)",
-    )
+    printed = np.array([(float(r["ra_deg"]), float(r["dec_deg"])) for r in printed_rows("table_d_2") if r["ra_deg"]])
     hers = [f.analysis.plate.center_deg for f in frames if f.analysis.plate is not None and f.hers_off_deg < _RIGHT_DEG]
-    axes.plot(*np.array(hers).reshape(-1, 2).T, "s", ms=8, mfc="none", color=GREEN, label="rendered, her method")
     ours = {f.image: (f.solution.ra_deg, f.solution.dec_deg) for f in frames if f.solution.solved}
-    axes.plot(*np.array(list(ours.values())).reshape(-1, 2).T, "o", ms=3.5, color=BLUE, label="rendered, tracker")
-    for image, place in ours.items():
-        marked = image in FAILED
-        axes.annotate(
-            f"{image}",
-            place,
-            xytext=(6, 4),
-            textcoords="offset points",
-            color=VERMILION if marked else INK,
-            fontweight="bold" if marked else "normal",
-            fontsize=8,
-        )
-    axes.set(xlabel="right ascension [degrees]", ylabel="declination [degrees]")
-    axes.legend(loc="center", bbox_to_anchor=(0.45, 0.5))
-    return figure
-
-
-def image_figure(flight: SolvedFrame) -> Figure:
-    """A rendered image as Figs. 4.8 and 4.9, the tracker's stars named."""
-    figure, axes = new_figure(size=(6.4, 5.7))
-    axes.grid(False)
-    axes.imshow(flight.shown.frame.image, cmap="gray_r", vmin=0, vmax=255, interpolation="nearest")
-    stars, width = flight.solution.stars, flight.shown.picture.size_px[0]
-    for (x, y), number in zip(stars.xy, stars.catalog_id, strict=True):
-        left = x > 0.85 * width
-        axes.plot(x, y, "o", ms=12, mfc="none", color=BLUE)
-        axes.text(x + (-12 if left else 12), y, f"{number}", color=BLUE, va="center", ha="right" if left else "left")
-    axes.set(
-        xlabel="column [pixel]",
-        ylabel="row [pixel]",
-        title=f"oedipus.yaml, image {flight.image}, as a negative; HR numbers of the tracker",
+    solved, failed = (
+        [{"image": str(image), "at": at} for image, at in ours.items() if (image in FAILED) == hard]
+        for hard in (False, True)
     )
-    return figure
+    return {
+        "truth": truth.T,
+        "printed": printed.T,
+        "error": PRINTED_ERROR_DEG,
+        "hers": np.array(hers).reshape(-1, 2).T,
+        "ours": np.array(list(ours.values())).reshape(-1, 2).T,
+        "solved": solved,
+        "failed": failed,
+    }
+
+
+def _image(flight: SolvedFrame) -> Values:
+    """A rendered image, the tracker's stars named."""
+    named, width = flight.solution.stars, flight.shown.picture.size_px[0]
+    stars = []
+    for (x, y), number in zip(named.xy, named.catalog_id, strict=True):
+        shift, align = (-12, "right") if x > 0.85 * width else (12, "left")
+        stars.append({"x": x, "y": y, "beside": x + shift, "align": align, "hr": f"{number}"})
+    return {"frame": flight.shown.frame.image, "image": flight.image, "stars": stars}

@@ -10,26 +10,18 @@ better than the fit while all stars are measured equally well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.figures import figures
+from simulator.theses.printed import Section
+from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Analysis, analyse, vega
 from startracker.errors import InputError
 from startracker.estimation.plate import solve_plate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Subsets", "mean_errors", "subset_centers", "three_star_subsets", "triangle_areas"]
-
-FloatArray = NDArray[np.float64]
 
 _NOISE_PX = 0.3
 _FIELDS = 200
@@ -37,23 +29,11 @@ _STARS = (3, 4, 5, 6, 8, 10)
 _SEED = 1999
 
 
-@dataclass(frozen=True, eq=False)
-class Subsets:
-    """Centres of all three-star subsets beside that of one fit.
+class Subsets(NamedTuple):
+    """Centres (S, 2) of all three-star subsets that could be solved, right ascension and declination, the areas (S,) of
+    their triangles in the image, and the centre (2,) of the one fit."""
 
-    Parameters
-    ----------
-    stars : int (S, 3)
-        The stars of each subset that could be solved.
-    center_deg : (S, 2)
-        Their centres, right ascension and declination.
-    area : (S,)
-        Of their triangles in the image, in squared units of it.
-    fit_deg : (2,)
-        Centre of the one fit.
-    """
-
-    stars: NDArray[np.int64]
+    stars: IntArray
     center_deg: FloatArray
     area: FloatArray
     fit_deg: FloatArray
@@ -64,14 +44,13 @@ class Subsets:
         offset = (self.center_deg - self.fit_deg + 180.0) % 360.0 - 180.0
         return np.asarray(self.fit_deg + (weight @ offset) / weight.sum())
 
-    def off_arcsec(self, center_deg: ArrayLike, from_deg: ArrayLike | None = None) -> float:
-        """Angle between a centre and the one fit, or another point; small angles, arcseconds."""
-        start = np.asarray(self.fit_deg if from_deg is None else from_deg)
-        step = (np.asarray(center_deg) - start + 180.0) % 360.0 - 180.0
-        return float(3600.0 * np.hypot(step[0] * np.cos(np.radians(start[1])), step[1]))
+    def off_arcsec(self, center_deg: ArrayLike) -> float:
+        """Angle between a centre and the one fit; small angles, arcseconds."""
+        step = (np.asarray(center_deg) - self.fit_deg + 180.0) % 360.0 - 180.0
+        return float(3600.0 * np.hypot(step[0] * np.cos(np.radians(self.fit_deg[1])), step[1]))
 
 
-def triangle_areas(xy: ArrayLike, stars: NDArray[np.int64]) -> FloatArray:
+def triangle_areas(xy: ArrayLike, stars: IntArray) -> FloatArray:
     """Areas (S,) of the triangles that stars (S, 3) make of points (N, 2)."""
     a, b, c = (np.asarray(xy, dtype=float)[stars[:, k]] for k in range(3))
     u, v = b - a, c - a
@@ -79,19 +58,13 @@ def triangle_areas(xy: ArrayLike, stars: NDArray[np.int64]) -> FloatArray:
 
 
 def subset_centers(xy: ArrayLike, sky_deg: ArrayLike) -> Subsets:
-    """Plate constants of every three stars, and of all.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids, the origin at the centre of the image.
-    sky_deg : (N, 2)
-        Right ascension and declination of each star.
+    """Plate constants of every three stars, and of all, from their centroids (N, 2) about the centre of the image and
+    right ascensions and declinations (N, 2); subsets in a line are left out.
 
     Raises
     ------
     InputError
-        What `solve_plate` says of all stars; subsets in a line are left out.
+        What `solve_plate` says of all stars.
     """
     image, sky = np.asarray(xy, dtype=float), np.asarray(sky_deg, dtype=float)
     fit = solve_plate(image, sky, tolerance_deg=1e-9)
@@ -114,7 +87,9 @@ def three_star_subsets(analysis: Analysis | None = None) -> Section:
         for stars, rms in errors.items()
     ]
     rows = table_rows("yee1999/subsets", {"vega": _vega_values(analysis or analyse(vega())), "fields": fields})
-    return Section("Three stars at a time, or all at once", rows, {"subsets": lambda: subset_figure(errors)})
+    table = np.array(list(errors.values())).T
+    drawn = figures("yee1999/subsets", {"subsets": lambda: {"stars": list(errors), "rms": table}})
+    return Section("Three stars at a time, or all at once", rows, drawn)
 
 
 def _vega_values(found: Analysis) -> list[Values]:
@@ -137,31 +112,17 @@ def _vega_values(found: Analysis) -> list[Values]:
 
 
 def mean_errors(
-    stars: tuple[int, ...] = _STARS, fields: int = _FIELDS, noise_px: float = _NOISE_PX, seed: int = _SEED
+    stars: tuple[int, ...] = _STARS, fields: int = _FIELDS, noise_px: float = _NOISE_PX
 ) -> dict[int, FloatArray]:
     """Root mean square errors of the centre, arcseconds, over random fields of the Vega camera.
 
     Stars lie anywhere on the image; centroids have normal errors. Near its zero the projection is linear, and one step
     of plate constants about the true centre is all there is to iterate: subsets are solved as linear equations there.
 
-    Parameters
-    ----------
-    stars : tuple of int
-        Numbers of stars, at least 3.
-    fields : int
-        Fields of each.
-    noise_px : float
-        Standard error of a centroid on one axis.
-    seed : int
-        Of the generator.
-
-    Returns
-    -------
-    dict
-        By number of stars (5,): of plate constants one fit, plain mean of all three-star subsets, their mean weighted
-        by squared area; of shift and rotation alone, the scale being known, one fit and plain mean.
+    Returns a row by number of stars, (5,): of plate constants one fit, plain mean of all three-star subsets, their mean
+    weighted by squared area; of shift and rotation alone, the scale being known, one fit and plain mean.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(_SEED)
     scale = 3600.0 * np.array(VEGA_FOV_DEG) / VEGA_SIZE_PX
     out = {}
     for n in stars:
@@ -193,24 +154,3 @@ def _rigid_centers(xy: FloatArray, shift: FloatArray) -> FloatArray:
     p, d = xy - middle[:, None], shift - mean[:, None]
     turn = (p[..., 0] * d[..., 1] - p[..., 1] * d[..., 0]).sum(axis=1) / (p**2).sum(axis=(1, 2))
     return np.asarray(mean - turn[:, None] * np.stack([-middle[:, 1], middle[:, 0]], axis=1))
-
-
-def subset_figure(errors: dict[int, FloatArray]) -> Figure:
-    """Error of the centre against the number of stars, three ways."""
-    figure, axes = new_figure()
-    n, table = list(errors), np.array(list(errors.values()))
-    styles = (
-        (1, ORANGE, "--", "s", "plate constants, plain mean of the subsets"),
-        (0, BLUE, "-", "o", "plate constants, one fit to all stars"),
-        (2, GREEN, ":", "^", "plate constants, mean of the subsets by squared area"),
-        (4, VERMILION, "--", "D", "scale known, plain mean of the subsets"),
-        (3, INK, "-", "v", "scale known, one fit to all stars"),
-    )
-    for column, colour, line, marker, label in styles:
-        fill = "none" if column == 2 else colour
-        axes.plot(
-            n, table[:, column], line, color=colour, marker=marker, ms=9 if column == 2 else 5, label=label, mfc=fill
-        )
-    axes.set(yscale="log", xlabel="stars", ylabel="error of the centre, rms [arcsec]")
-    axes.legend()
-    return figure

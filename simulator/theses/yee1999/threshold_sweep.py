@@ -10,19 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.intervals import wilson_interval
-from simulator.study.style import BLUE, VERMILION
-from simulator.theses.printed import Section, new_figure
-from simulator.theses.tables import table_rows
+from simulator.theses.figures import draw
+from simulator.theses.printed import Section
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, Options, analyse
 from simulator.theses.yee1999.rendered import Shown, off_deg, show, tracker_off_deg
 from simulator.theses.yee1999.rendered_vega import limits_of
@@ -32,10 +31,6 @@ from startracker.tracker import StarTracker
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = ["THRESHOLDS", "Outcome", "section", "sky_frames", "sweep"]
-
-FloatArray = NDArray[np.float64]
 
 RIGHT_DEG = 0.1
 """A centre that is off by more is wrong: five times the thesis' ± 0.02°."""
@@ -47,9 +42,8 @@ _GAIN_E_PER_DN = 150.0
 _METHODS = ("thesis' method", "tracker, identifier: triads")
 
 
-@dataclass(frozen=True)
-class _Threshold:
-    """A knob: its name in both methods, its label and the values tried; the printed one is `printed`."""
+class _Threshold(NamedTuple):
+    """A parameter: its name in both methods, its label and the values tried; the printed one is `printed`."""
 
     name: str
     label: str
@@ -64,19 +58,9 @@ THRESHOLDS = (
 )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of the frames at one value of one threshold.
-
-    Parameters
-    ----------
-    method : str
-        Whose.
-    threshold, value : str, float
-        Knob and its value; the others stand as in the scenario.
-    right, wrong, frames : int
-        Frames whose centre is right; wrong; all. The rest gave no answer.
-    """
+class Outcome(NamedTuple):
+    """What became of the frames at one value of one threshold, the others as in the scenario: those whose centre is
+    right, and wrong, of all; the rest gave no answer."""
 
     method: str
     threshold: str
@@ -104,17 +88,7 @@ def sky_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[
 def sweep(
     shown: Sequence[Shown], scenario: Scenario | None = None, thresholds: Sequence[_Threshold] = THRESHOLDS
 ) -> list[Outcome]:
-    """Success and wrong answers against each threshold, the others as in the scenario.
-
-    Parameters
-    ----------
-    shown : sequence of Shown
-        From `sky_frames`.
-    scenario : Scenario, optional
-        In place of ``xybion.yaml``.
-    thresholds : sequence
-        Those of `THRESHOLDS` that are swept.
-    """
+    """Success and wrong answers against each threshold, the others as in the scenario, on what `sky_frames` gives."""
     scenario = scenario or Scenario.load("xybion")
     tracker = _tracker(scenario, shown[0].frame.camera)
     out = []
@@ -181,28 +155,33 @@ def section(frames: int = _FRAMES) -> Section:
 
 def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:
     """Share of frames right (above) and wrong (below) against each threshold; bars: 95 % intervals (Wilson)."""
-    figure, panels = new_figure(2, len(THRESHOLDS), size=(9.0, 5.2), sharex="col", sharey="row")
-    for column, threshold in enumerate(THRESHOLDS):
-        for method, colour, marker, line in zip(_METHODS, (VERMILION, BLUE), "so", ("--", "-"), strict=True):
-            mine = [o for o in outcomes if o.method == method and o.threshold == threshold.name]
-            values = [o.value for o in mine]
-            for axes, counts in zip(panels[:, column], ([o.right for o in mine], [o.wrong for o in mine]), strict=True):
-                share = np.array([c / o.frames for c, o in zip(counts, mine, strict=True)])
-                bounds = np.array([wilson_interval(c, o.frames) for c, o in zip(counts, mine, strict=True)])
-                spread = np.abs(bounds.T - share)
-                axes.errorbar(
-                    values, 100 * share, 100 * spread, fmt=marker, ls=line, ms=5, mfc="none", color=colour,
-                    elinewidth=0.7, label=method,
-                )  # fmt: skip
-        for axes in panels[:, column]:
-            axes.axvline(threshold.printed, color="0.5", lw=0.8, ls=":")
-            axes.set_ylim(-4, 104)
-            if threshold.name != "vote_number":
-                axes.set_xscale("log")
-                axes.set_xticks(threshold.values, [f"{value:g}" for value in threshold.values])
-                axes.set_xticks([], minor=True)
-        panels[1, column].set_xlabel(threshold.label)
-    panels[0, 0].set_ylabel("frames right [%]")
-    panels[1, 0].set_ylabel("frames wrong [%]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return figure
+    above, below = ([_panel(outcomes, threshold, what) for threshold in THRESHOLDS] for what in ("right", "wrong"))
+    return draw("yee1999/threshold_sweep/threshold_sweep", {"panels": above + below})
+
+
+def _panel(outcomes: Sequence[Outcome], threshold: _Threshold, what: str) -> Values:
+    curves = []
+    for method in _METHODS:
+        mine = [o for o in outcomes if o.method == method and o.threshold == threshold.name]
+        share = np.array([getattr(o, what) / o.frames for o in mine])
+        bounds = np.array([wilson_interval(getattr(o, what), o.frames) for o in mine])
+        curves.append(
+            {
+                "at": [o.value for o in mine],
+                "share": 100 * share,
+                "bars": 100 * np.abs(bounds.T - share),
+                "method": method,
+            }
+        )
+    log = (
+        []
+        if threshold.name == "vote_number"
+        else [{"ticks": threshold.values, "texts": [f"{v:g}" for v in threshold.values]}]
+    )
+    return {
+        "curves": curves,
+        "printed": threshold.printed,
+        "log": log,
+        "x_label": threshold.label if what == "wrong" else "",
+        "y_label": f"frames {what} [%]" if threshold is THRESHOLDS[0] else "",
+    }

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simulator.study.style import BLUE, INK, ORANGE, SOFT, VERMILION
-from simulator.theses.printed import Row, Section, new_figure
+from simulator.theses.figures import draw
+from simulator.theses.printed import Row, Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import Analysis, analyse, vega
+from startracker.attitude import radec_to_direction
 from startracker.identification.triad_votes import COMBINED_ID, combine_separation, match_triads
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from simulator.theses.yee1999.picture import Analysis
-    from startracker.estimation.plate import Plate
-
-__all__ = ["attitude_rows", "separation_rows", "triad_figure", "vega_figure", "vega_tables", "vote_rows"]
 
 VEGA_CENTRE = ("278.45703", "37.24007")
 
@@ -38,8 +34,7 @@ def vega_tables(analysis: Analysis | None = None) -> Section:
         *attitude_rows(found, "Table 4.5", "4.2.1", VEGA_CENTRE),
         *table_rows("yee1999/vega_enclosed", _enclosed_values(found)),
     ]
-    figures = {"fig_4_4_vega": lambda: vega_figure(found), "table_4_2_rotations": lambda: triad_figure(found)}
-    return Section("The Vega image", rows, figures)
+    return Section("The Vega image", rows, picture_figures(found, "fig_4_4_vega", "table_4_2_rotations"))
 
 
 def _database_values(found: Analysis) -> Values:
@@ -153,65 +148,40 @@ def attitude_rows(found: Analysis, where: str, section: str, centre: tuple[str, 
     return table_rows("yee1999/attitude", image | near | {"table": where, "stars": rows})
 
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+def picture_figures(found: Analysis, image: str, rotations: str = "") -> dict[str, Callable[[], Figure]]:
+    """An image with its matches and, where that is named, the rotations of its triads."""
+    plan = "yee1999/vega_tables"
+    drawn: dict[str, Callable[[], Figure]] = {image: lambda: draw(f"{plan}/image", _image(found))}
+    return drawn | ({rotations: lambda: draw(f"{plan}/rotations", _rotations(found))} if rotations else {})
 
 
-def vega_figure(found: Analysis) -> Figure:
-    """Fig. 4.4 from its centroids: the image stars, the catalogue around them, what was matched."""
-    figure, axes = new_figure(size=(6.4, 5.2))
-    width, height = found.picture.size_px
+def _image(found: Analysis) -> Values:
+    """The image stars, the catalogue around them, what was matched, from the centroids."""
+    half_px = np.array(found.picture.size_px) / 2.0
+    catalog = []
     if found.plate is not None:
-        stars, xy = _in_image(found, found.plate)
-        size = 4.0 + 7.0 * np.clip(6.5 - found.catalog.v_mag[stars], 0.0, None)
-        axes.scatter(*xy.T, s=size, color=SOFT, alpha=0.6, lw=0, label="catalogue, V ≤ 6.00")
-    axes.plot(*found.picture.xy_px.T, "o", ms=13, mfc="none", mec=BLUE, label="image stars")
-    for star, (x, y) in enumerate(found.picture.xy_px):
-        number = found.matches[star]
-        text = f"{star + 1}" if number is None else f"{star + 1}: HR {number}"
-        axes.annotate(text, (x, y), xytext=(9, 6), textcoords="offset points", color=INK)
-    axes.plot(0, 0, "+", color=VERMILION, ms=10, label="centre")
-    axes.set(
-        xlim=(-width / 2, width / 2),
-        ylim=(-height / 2, height / 2),
-        aspect="equal",
-        xlabel="x from the centre [pixels]",
-        ylabel="y from the centre, up [pixels]",
-    )
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
-    return figure
+        # the plate constants map half of the sky: stars near the centre alone
+        directions = radec_to_direction(*np.radians(found.catalog.sky_deg).T)
+        near = np.flatnonzero(directions @ radec_to_direction(*np.radians(found.plate.center_deg)) > 0.8)
+        xy = found.plate.image_xy(found.catalog.sky_deg[near])
+        inside = (np.abs(xy) <= half_px).all(axis=1)
+        size = 4.0 + 7.0 * np.clip(6.5 - found.catalog.v_mag[near[inside]], 0.0, None)
+        catalog.append({"xy": xy[inside].T, "size": size})
+    names = [f"{star + 1}" if hr is None else f"{star + 1}: HR {hr}" for star, hr in enumerate(found.matches)]
+    stars = [{"at": tuple(xy), "name": name} for xy, name in zip(found.picture.xy_px, names, strict=True)]
+    ranges = {"x_range": (-half_px[0], half_px[0]), "y_range": (-half_px[1], half_px[1])}
+    return {"catalog": catalog, "image": found.picture.xy_px.T, "stars": stars} | ranges
 
 
-def _in_image(found: Analysis, plate: Plate) -> tuple[IntArray, FloatArray]:
-    """Catalogue stars on the image, and their pixels."""
-    near = np.flatnonzero(_cosine(found.catalog.sky_deg, plate.center_deg) > 0.8)
-    xy = plate.image_xy(found.catalog.sky_deg[near])
-    inside = (np.abs(xy) <= np.array(found.picture.size_px) / 2.0).all(axis=1)
-    return near[inside], xy[inside]
-
-
-def _cosine(sky_deg: FloatArray, center_deg: FloatArray) -> FloatArray:
-    (ra, dec), (ra0, dec0) = np.radians(sky_deg).T, np.radians(center_deg)
-    return np.asarray(np.sin(dec) * np.sin(dec0) + np.cos(dec) * np.cos(dec0) * np.cos(ra - ra0))
-
-
-def triad_figure(found: Analysis) -> Figure:
-    """Table 4.2 as a picture: the two rotations of every triad, by group."""
-    figure, axes = new_figure(size=(6.4, 3.6))
+def _rotations(found: Analysis) -> Values:
+    """Table 4.2 as a picture: the two rotations of every triad, by group, and the largest group of them."""
     largest = max(range(len(found.groups)), key=lambda g: found.groups[g][0], default=-1)
-    for row in found.triads:
-        best = row["group"] - 1 == largest
-        style = {"color": ORANGE if best else BLUE, "marker": "s" if best else "o", "ms": 6 if best else 4}
-        axes.plot(row["rotations_deg"], [row["group"]] * 2, lw=1.0, mfc="none", **style)
-    for group, (size, mean) in enumerate(found.groups):
-        text = f"{size} triad{'' if size == 1 else 's'}, mean {mean:.1f}°"
-        axes.annotate(text, (mean, group + 1), xytext=(0, 7), textcoords="offset points", ha="center", color=INK)
-    axes.set(
-        xlim=(-60.0, 380.0),
-        xticks=range(0, 361, 60),
-        ylim=(0.3, len(found.groups) + 0.9),
-        yticks=range(1, len(found.groups) + 1),
-        xlabel="rotation of image to catalogue, two of each triad [°]",
-        ylabel="group",
-    )
-    return figure
+    triads = [{"x": row["rotations_deg"], "y": [row["group"]] * 2, "group": row["group"] - 1} for row in found.triads]
+    groups = [
+        {"text": f"{size} triad{'' if size == 1 else 's'}, mean {mean:.1f}°", "at": (mean, group + 1)}
+        for group, (size, mean) in enumerate(found.groups)
+    ]
+    best, others = ([triad for triad in triads if (triad["group"] == largest) == same] for same in (True, False))
+    count = len(groups)
+    rows = {"rows": range(1, count + 1), "row_range": (0.3, count + 0.9)}
+    return rows | {"best": best, "others": others, "groups": groups}

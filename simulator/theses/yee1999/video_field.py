@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from simulator.study.style import BLUE, ORANGE
-from simulator.theses.printed import Section, new_figure
+from simulator.theses.figures import figures
+from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
 from startracker.identification.arithmetic import FloatArithmetic
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["FOCAL_LENGTH_MM", "cropped_field_deg", "database_separations", "field_deg", "video_field"]
 
 FOCAL_LENGTH_MM = 25.0
 PIXELS = (588.02, 557.08)
@@ -61,8 +54,8 @@ def video_field() -> Section:
         "largest": largest,
         "within": largest < 0.34,
     }
-    rows = table_rows("yee1999/video_field", values)
-    return Section("The field of OEDIPUS-C", rows, {"fig_4_10_field": lambda: field_figure(stars)})
+    drawn = figures("yee1999/video_field", {"fig_4_10_field": lambda: _differences(stars)})
+    return Section("The field of OEDIPUS-C", table_rows("yee1999/video_field", values), drawn)
 
 
 def database_separations(stars: SubCatalog) -> list[float]:
@@ -83,17 +76,11 @@ def _table_d_1(stars: SubCatalog) -> list[Values]:
     return rows
 
 
-def field_figure(stars: SubCatalog) -> Figure:
-    """Fig. 4.10: difference against true separation, and what the cropped field leaves of it."""
+def _differences(stars: SubCatalog) -> Values:
+    """Difference against true separation, and what the cropped field leaves of it."""
     true = np.array(database_separations(stars))
     seen = np.array([float(row["calculated_deg"]) for row in printed_rows("table_d_1")])
-    ratio = DIGITIZED_PX[0] / PIXELS[0]
     slope = float(true @ (true - seen) / (true @ true))
-    figure, axes = new_figure()
-    axes.plot(true, true - seen, "o", color=BLUE, label="field of 29.67° × 23.59°")
     line = np.array([0.0, true.max()])
-    axes.plot(line, slope * line, color=BLUE, lw=1.0, label=f"line through the origin, slope {slope:.3f}")
-    axes.plot(true, true - ratio * seen, "^", color=ORANGE, label="scaled to the cropped field")
-    axes.set(xlabel="true angular separation [°]", ylabel="true minus calculated separation [°]")
-    axes.legend()
-    return figure
+    scaled = true - DIGITIZED_PX[0] / PIXELS[0] * seen
+    return {"true": true, "off": true - seen, "scaled": scaled, "line": (line, slope * line), "slope": slope}

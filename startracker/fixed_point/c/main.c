@@ -3,9 +3,9 @@
  *
  *     status reason numbers=HR,HR,... triads=N matched=M evidence=E ra=R dec=D roll=P matrix=M11,...,M33
  *
- * all integers, the last four where it is solved; evidence is log2 of the Bayes factor with 12 bits of fraction, ra, dec
- * and roll are degrees of 10.22, the matrix is of 2.30. With an argument each list is solved that many times, to take
- * the time. Coordinates beyond 10.22 are an overflow. */
+ * all integers, the last four only if solved; evidence is log2 of the Bayes factor with 12 fraction bits, ra, dec and
+ * roll are degrees of 10.22, the matrix is of 2.30. With an argument each list is solved that many times, for timing.
+ * Coordinates beyond 10.22 are an overflow. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,7 +20,7 @@ static const char *const reasons[] = {"accepted",    "fewer_than_three", "no_tri
                                       "no_attitude", "few_fit",          "not_spread", "weak_evidence",
                                       "rival",       "outside_image",    "overflow",   "too_many_triads"};
 
-/* A decimal number to 10.22, truncated towards zero; 1: good, 0: does not fit, -1: no number. */
+/* Converts a decimal number to 10.22, truncated towards zero; 1: valid, 0: overflow, -1: not a number. */
 static int parse(const char **text, int32_t *value)
 {
     const char *c = *text;

@@ -62,7 +62,7 @@ static int add_shifted(int64_t value, int power, int64_t *to)
     return 1;
 }
 
-/* Adds to the map what fits what is left over. */
+/* Fits the residuals and adds the result to the map. */
 static int add_fit(struct tracker_context *context, const struct fit *fit, int count, int64_t plate[2][2])
 {
     int64_t sums[4] = {0, 0, 0, 0}, numerator[4];
@@ -144,7 +144,7 @@ static int finish(const int64_t center[3], const int64_t east[3], const int64_t 
     return 1;
 }
 
-/* Takes the mean of the values, downwards, off them. */
+/* Subtracts the mean of the values, rounded down. */
 static void take_off_mean(int64_t values[][2], int count, int64_t mean[2])
 {
     int64_t sum;

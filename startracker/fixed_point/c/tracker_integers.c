@@ -1,5 +1,5 @@
-/* Roots, arctangents, separations and angles in integers. Right shifts of negative numbers, which C99 leaves to the
- * compiler, are made of shifts of positive ones. */
+/* Square roots, arctangents, separations and angles in integers. Right shifts of negative numbers, which are
+ * implementation-defined in C99, are replaced by shifts of positive ones. */
 #include "tracker_internal.h"
 
 int64_t tracker_shift_right(int64_t value, int bits)

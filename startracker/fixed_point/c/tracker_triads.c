@@ -1,4 +1,4 @@
-/* Identification by triads: the order of loops and the rules of startracker/identification/triad_search.py and
+/* Identification by triads: the same loops and rules as startracker/identification/triad_search.py and
  * triad_votes.py. */
 #include "tracker_internal.h"
 
@@ -101,8 +101,8 @@ static int after(const struct tracker_triad *triad, int a, int b, int c)
     return triad->catalog[1] != b ? triad->catalog[1] > b : triad->catalog[2] > c;
 }
 
-/* Keeps a triad that passes, the triads since `first`, of one triangle, in the order of their stars' places.
- * 1: went well, 0: no room. */
+/* Stores a triad that passes; the triads of one triangle, from `first`, are sorted by the indices of their stars.
+ * Returns 1, or 0 if there is no room. */
 static int test_triad(struct tracker_context *context, int first, int p, int q, int r, int a, int b, int c)
 {
     const int32_t one = modulo(catalog_direction(a, b) - context->image_direction[p][q]);
@@ -215,7 +215,7 @@ static int named(struct tracker_context *context, int g, int star)
     return found;
 }
 
-/* Labels of the stars that hang together because they are one in the image. */
+/* Labels the groups of stars that are not resolved in the image. */
 static void combine(struct tracker_context *context, int found)
 {
     int i, j, n;
@@ -233,7 +233,7 @@ static void combine(struct tracker_context *context, int found)
             }
 }
 
-/* The star, or the several that are one, that has most votes: its members. */
+/* Members of the star, or unresolved group of stars, with the most votes. */
 static void vote(struct tracker_context *context, int g, int star, int needed)
 {
     const int found = named(context, g, star);
@@ -248,7 +248,7 @@ static void vote(struct tracker_context *context, int g, int star, int needed)
                 sum += context->frequency[k];
                 size++;
             }
-        for (k = 0; k < 2; k++) { /* the star alone; then, for the first of several, all of them */
+        for (k = 0; k < 2; k++) { /* the single star; then, for the first of a group, all of the group */
             const int votes = k ? sum : context->frequency[n];
             if (k && size < 2)
                 continue;
@@ -279,7 +279,7 @@ static int agree(const struct tracker_context *context, int i, int j)
     return 0;
 }
 
-/* Drops matches until all separations agree, each time the one with most disagreements, of equal ones the last. */
+/* Drops the match with the most disagreeing separations (the last of equal ones) until all separations agree. */
 static void check(struct tracker_context *context, int stars)
 {
     int i, j, worst, most, count;
@@ -358,7 +358,7 @@ static void reached(struct tracker_answer *answer, enum tracker_reason reason)
         answer->reason = reason;
 }
 
-/* Catalogue numbers of the points: the votes' where they agree with the verification. */
+/* Catalogue numbers of the points: from the votes if they agree with the verification. */
 static void name_points(const struct tracker_context *context, int stars, struct tracker_answer *answer)
 {
     int i, m;
@@ -377,7 +377,7 @@ static void name_points(const struct tracker_context *context, int stars, struct
     }
 }
 
-/* Gives the stars that a group names an attitude, and verifies it. */
+/* Computes an attitude from the stars that a group names, and verifies it. */
 static void try_group(struct tracker_context *context, const int32_t xy[][2], int stars, int g, struct bench *bench,
                       struct tracker_answer *answer)
 {

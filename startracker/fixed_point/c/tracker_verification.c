@@ -1,4 +1,4 @@
-/* An attitude checked against all points and all guide stars of the field: the same operations in the same order as
+/* Verification of an attitude against all points and all guide stars of the field: the same operations in the same order as
  * startracker/fixed_point/verification.py and evidence.py, which explain them. */
 #include "tracker_internal.h"
 
@@ -20,7 +20,7 @@ static int64_t larger(int64_t a, int64_t b)
     return a > b ? a : b;
 }
 
-/* log2 of n >= 1, downwards. */
+/* log2 of n >= 1, rounded down. */
 static int64_t log_down(int64_t n)
 {
     int64_t m = n;
@@ -34,7 +34,7 @@ static int64_t log_down(int64_t n)
     return bits * ((int64_t)1 << LOG_BITS) + tracker_log_table[m - 256];
 }
 
-/* log2 of 2^a + 2^b, downwards. */
+/* log2 of 2^a + 2^b, rounded down. */
 static int64_t log_sum(int64_t a, int64_t b)
 {
     const int64_t high = larger(a, b), k = (high - (a < b ? a : b)) >> SUM_STEP;
@@ -173,7 +173,7 @@ static int match(struct tracker_context *context, int points, int in_field, int6
     return count;
 }
 
-/* One step of the fit: 0: none, 1: not settled, 2: settled. */
+/* One iteration of the fit: 0: failed, 1: not converged, 2: converged. */
 static int refit(struct tracker_context *context, int points, int count)
 {
     int64_t mean[2] = {0, 0}, off[2] = {0, 0}, turning = 0, lever = 0, angle, shift_x, shift_y, x, y;
@@ -238,7 +238,7 @@ static int spans(const struct tracker_context *context, int points, int count, i
     return xx * yy - xy * xy >= (int64_t)TRACKER_SPREAD * count * count;
 }
 
-/* log2 of the Bayes factor of the matches at hand, downwards. */
+/* log2 of the Bayes factor of the given matches, rounded down. */
 static int64_t weigh(struct tracker_context *context, int points, int count, int in_field, int64_t lever)
 {
     const int64_t lowered = log_down(count) + LOG_UP + ((log_down(larger(lever, 1)) + LOG_UP + 1) >> 1);

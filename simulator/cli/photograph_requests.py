@@ -1,37 +1,41 @@
-"""``boresight solve`` and ``boresight calibrate``: what they are given about photographs, frames and their camera."""
+"""Options of ``boresight solve`` and ``boresight calibrate``: photographs, frames and their camera."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from simulator.cli.options import Catalog
 
-def solve_command(
+PARITIES = {"seen": 1, "mirrored": -1, "both": None}
+
+
+@dataclass(frozen=True)
+class SolveRequest:
+    """Solve images of the sky, or lists of centroids: where did the camera look?"""
+
     images: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[IMAGE]...", help="PNG, TIFF, JPEG or FITS files, or folders of them.", show_default=False
         ),
-    ] = None,
-    fov: Annotated[
+    ] = None
+    fov_deg: Annotated[
         float | None,
         typer.Option(
             "--fov", metavar="DEG", help="Field of view across the width, to a few per cent; default: found out."
         ),
-    ] = None,
-    camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None,
+    ] = None
+    camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None
     method: Annotated[
         str | None,
         typer.Option("--method", metavar="NAME", help="Identifier, for a known camera; default: adaptive."),
-    ] = None,
-    catalog: Annotated[
-        str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")
-    ] = "hipparcos",
-    magnitude_limit: Annotated[
-        float, typer.Option("--magnitude-limit", metavar="V", help="Faintest guide star.")
-    ] = 6.5,
+    ] = None
+    catalog: Catalog = "hipparcos"
+    magnitude_limit: Annotated[float, typer.Option("--magnitude-limit", metavar="V", help="Faintest guide star.")] = 6.5
     centroids: Annotated[
         Path | None,
         typer.Option(
@@ -39,76 +43,56 @@ def solve_command(
             metavar="FILE.csv",
             help="Solve a list of centroids (columns x, y and optionally flux) instead of an image.",
         ),
-    ] = None,
+    ] = None
     size: Annotated[
         str | None, typer.Option("--size", metavar="WxH", help="Image size in pixels, for --centroids with --fov.")
-    ] = None,
+    ] = None
     lost_in_space: Annotated[
         bool, typer.Option("--lost-in-space", help="Ignore the prior attitude in a frame's header.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object an image.")] = False,
+    ] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object an image.")] = False
     wcs: Annotated[
         Path | None, typer.Option("--wcs", metavar="OUT.fits", help="Write the image with its world coordinates.")
-    ] = None,
+    ] = None
     annotate: Annotated[
         Path | None, typer.Option("--annotate", metavar="OUT.png", help="Write the picture with its identified stars.")
-    ] = None,
-    grid: Annotated[bool, typer.Option("--grid", help="Lines of right ascension and declination on it.")] = False,
-    constellations: Annotated[
-        bool, typer.Option("--constellations", help="Lines of the constellations on it.")
-    ] = False,
-    pixel: Annotated[
+    ] = None
+    grid: Annotated[bool, typer.Option("--grid", help="Lines of right ascension and declination on it.")] = False
+    constellations: Annotated[bool, typer.Option("--constellations", help="Lines of the constellations on it.")] = False
+    pixels: Annotated[
         list[str] | None,
         typer.Option("--pixel", metavar="X,Y", help="Tell where this pixel looks; may be repeated."),
-    ] = None,
+    ] = None
     parity: Annotated[
         str | None,
         typer.Option(
             "--parity", metavar="SIDE", help="seen, mirrored or both; default: the camera's, or both without one."
         ),
-    ] = None,
+    ] = None
     bayer: Annotated[
         str | None,
         typer.Option("--bayer", metavar="PATTERN", help="The file is a raw mosaic: RGGB, BGGR, GRBG or GBRG."),
-    ] = None,
+    ] = None
     bad_pixels: Annotated[
         Path | None,
         typer.Option(
             "--bad-pixels", metavar="MAP", help="Image of the same size, not zero where a pixel is not to be used."
         ),
-    ] = None,
+    ] = None
     explain: Annotated[
         bool, typer.Option("--explain", help="Tell stage by stage what was found, tried and rejected.")
-    ] = False,
-) -> None:
-    """Solve images of the sky, or lists of centroids: where did the camera look?"""
-    from simulator.cli.solve_command import SolveRequest, solve_images
+    ] = False
 
-    request = SolveRequest(
-        images=images or [],
-        fov_deg=fov,
-        camera=camera,
-        method=method,
-        catalog=catalog,
-        magnitude_limit=magnitude_limit,
-        centroids=centroids,
-        size=size,
-        lost_in_space=lost_in_space,
-        as_json=as_json,
-        wcs=wcs,
-        annotate=annotate,
-        explain=explain,
-        grid=grid,
-        constellations=constellations,
-        pixels=tuple(pixel or ()),
-        parity=parity,
-        bayer=bayer,
-        bad_pixels=bad_pixels,
-    )
-    raise typer.Exit(solve_images(request))
+    @property
+    def sides(self) -> int | None:
+        """Parity asked for: 1 as seen, -1 mirrored, None both."""
+        return None if self.parity is None else PARITIES[self.parity]
 
 
-def calibrate_command(
+@dataclass(frozen=True)
+class CalibrateRequest:
+    """Calibrate a camera from photographs of the sky: focal length, principal point, distortion, with uncertainties."""
+
     images: Annotated[
         list[Path],
         typer.Argument(
@@ -116,53 +100,33 @@ def calibrate_command(
             help="Photographs or frames by one camera at one focus and zoom, or folders of them.",
             show_default=False,
         ),
-    ],
+    ]
     out: Annotated[Path, typer.Option("--out", metavar="CAMERA.yaml", help="Camera file to write.")] = Path(
         "camera.yaml"
-    ),
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="OUT.png", help="Write a figure of residuals.")] = None,
+    )
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="OUT.png", help="Write a figure of residuals.")] = None
     camera: Annotated[
         Path | None, typer.Option("--camera", metavar="ROUGH.yaml", help="What is known of the camera, to 5 %.")
-    ] = None,
-    fov: Annotated[
+    ] = None
+    fov_deg: Annotated[
         float | None,
         typer.Option("--fov", metavar="DEG", help="Field of view across the width, to 5 %; default: found out."),
-    ] = None,
+    ] = None
     projection: Annotated[
         str, typer.Option("--projection", metavar="NAME", help="pinhole, fisheye, or auto: what fits better.")
-    ] = "auto",
+    ] = "auto"
     refraction: Annotated[
         bool, typer.Option("--refraction", help="Taken from the ground: fit the air's differential refraction along.")
-    ] = False,
-    epoch: Annotated[
+    ] = False
+    epoch_jyear: Annotated[
         float | None,
         typer.Option("--epoch", metavar="YEAR", help="When taken, such as 2026.2; default: the catalogue's epoch."),
-    ] = None,
-    catalog: Annotated[
-        str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")
-    ] = "hipparcos",
-    centroider: Annotated[
-        str, typer.Option("--centroider", metavar="NAME", help="How stars are measured.")
-    ] = "least_squares",
+    ] = None
+    catalog: Catalog = "hipparcos"
+    centroider: Annotated[str, typer.Option("--centroider", metavar="NAME", help="How stars are measured.")] = (
+        "least_squares"
+    )
     parameters: Annotated[
         str | None,
         typer.Option("--parameters", metavar="A,B,...", help="Fit these (f, aspect, cx, cy, k1 ...), not what tells."),
-    ] = None,
-) -> None:
-    """Calibrate a camera from photographs of the sky: focal length, principal point, distortion, with uncertainties."""
-    from simulator.cli.calibrate_command import CalibrateRequest, calibrate_images
-
-    request = CalibrateRequest(
-        images=images,
-        out=out,
-        plot=plot,
-        camera=camera,
-        fov_deg=fov,
-        projection=projection,
-        refraction=refraction,
-        epoch_jyear=epoch,
-        catalog=catalog,
-        centroider=centroider,
-        parameters=parameters,
-    )
-    raise typer.Exit(calibrate_images(request))
+    ] = None

@@ -1,12 +1,12 @@
-"""Kernels that find and move places on the sky and on the image, against their plain NumPy twins."""
+"""Kernels for directions on the sky and positions on the image, compared with NumPy."""
 
 import numpy as np
 import pytest
 
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
+from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.guide import GuideDatabase
-from startracker.catalog.places import seen_directions
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.distortion import Distortion, undistort
 from startracker.given_centroids import SAME_STAR_PX, clean_centroids
@@ -32,10 +32,10 @@ def test_stars_are_moved_and_aberrated_as_the_catalogue_says():
     start, motion = (np.ascontiguousarray(axes.T) for axes in catalog.space_motion())
     years = epoch - catalog.epoch_jyear
     beta = velocity / SPEED_OF_LIGHT_KM_S
-    found = seen_directions(start, motion, catalog.parallax_rad, years, place, beta)
+    found = apparent_directions(start, motion, catalog.parallax_rad, years, place, beta)
     expected = aberrate(catalog.directions(epoch, place), velocity)
     np.testing.assert_allclose(found, expected, rtol=0, atol=5e-16)
-    still = seen_directions(start, motion, catalog.parallax_rad, 0.0, np.zeros(3), np.zeros(3))
+    still = apparent_directions(start, motion, catalog.parallax_rad, 0.0, np.zeros(3), np.zeros(3))
     np.testing.assert_allclose(still, start.T, rtol=0, atol=5e-16)
 
 

@@ -1,0 +1,32 @@
+"""Files of results: tables and values as their bytes, each file moved into place whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from simulator.paths import write_atomically
+
+
+def json_text(values: Any) -> str:
+    """Values as a JSON file has them."""
+    return json.dumps(values, indent=2, allow_nan=False) + "\n"
+
+
+def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
+    """A table as a Parquet file has it; `options` as of `pyarrow.parquet.write_table`."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, **options)
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
+
+
+def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write files by name; `InputError` where one cannot be written."""
+    for name, data in files.items():
+        write_atomically(folder / name, data)

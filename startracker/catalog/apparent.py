@@ -1,0 +1,52 @@
+"""Kernel: apparent directions of catalogue stars for an observer at a given epoch, position and velocity."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.kernels import kernel
+
+__all__ = ["apparent_directions"]
+
+FloatArray = NDArray[np.float64]
+
+
+@kernel
+def apparent_directions(
+    start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, position_au: FloatArray, beta: FloatArray
+) -> FloatArray:
+    """Unit vectors (N, 3), ICRS axes, with space motion, annual parallax and aberration of light.
+
+    Equivalent to `StarCatalog.directions` followed by `startracker.observer.aberrate`, which state the equations.
+
+    Parameters
+    ----------
+    start, motion : (3, N)
+        Unit vectors at the catalogue's epoch, and their space motion per Julian year (`StarCatalog.space_motion`). One
+        axis per row allows vectorisation over eight stars.
+    parallax : (N,)
+        Radians.
+    years : float
+        Time since the catalogue's epoch.
+    position_au, beta : (3,)
+        The observer's barycentric position (zero: no parallax) and velocity divided by the speed of light (zero: no
+        aberration).
+    """
+    out = np.empty((start.shape[1], 3))
+    vx, vy, vz = beta[0], beta[1], beta[2]
+    inverse_gamma = math.sqrt(1.0 - vx * vx - vy * vy - vz * vz)
+    ahead = 1.0 / (1.0 + inverse_gamma)
+    for i in range(start.shape[1]):
+        p = parallax[i]
+        x = start[0, i] + years * motion[0, i] - p * position_au[0]
+        y = start[1, i] + years * motion[1, i] - p * position_au[1]
+        z = start[2, i] + years * motion[2, i] - p * position_au[2]
+        # aberration of a vector of any length: a unit vector u becomes a vector of length 1 + u·β
+        length, along = math.sqrt(x * x + y * y + z * z), x * vx + y * vy + z * vz
+        shrink = 1.0 / (length + along)
+        forward, kept = (length + along * ahead) * shrink, inverse_gamma * shrink
+        out[i, 0], out[i, 1], out[i, 2] = x * kept + vx * forward, y * kept + vy * forward, z * kept + vz * forward
+    return out

@@ -1,0 +1,173 @@
+"""What all centroiders share: checked input, measurement by moments, and the covariance of what is found."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
+from startracker.centroid.result import Centroids
+from startracker.centroid.window import Peaks, Pixels, frame_widths, measure_stars
+from startracker.detection.background import Background
+from startracker.detection.plane import sample_plane
+from startracker.detection.spots import Spots
+from startracker.detection.values import Image, as_pixels
+from startracker.errors import InputError
+from startracker.kernels import kernel
+from startracker.settings import CentroidSettings
+from startracker.sorting import median
+
+__all__ = [
+    "MODEL_STARS",
+    "SYSTEMATIC_PX",
+    "Prepared",
+    "brightest_alone",
+    "collect",
+    "measure_moments",
+    "measure_psf_sigma",
+    "prepare",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MODEL_STARS = 9
+"""Brightest clean stars from which the star image is measured."""
+_APART_PX = 16.0
+_UNKNOWN_SIGMA_PX = 1.0
+SYSTEMATIC_PX = 0.005
+"""Systematic error floor of a position's standard deviation: the star image is not quite the assumed one."""
+
+
+class Prepared(NamedTuple):
+    """Checked input of a centroider: a frame, the settings, and the half width of the window."""
+
+    pixels: Pixels
+    settings: CentroidSettings
+    half: int
+
+
+def prepare(
+    image: Image, background: Background, settings: CentroidSettings | None, gain_e_per_dn: float | None
+) -> Prepared:
+    """Check what a centroider is given; see `first_moment` for the meaning and the errors raised."""
+    settings = settings or CentroidSettings()
+    window = settings.window_px
+    if window < 3 or window % 2 == 0:
+        raise InputError(f"centroid.window_px is {window}; it must be an odd number of at least 3 pixels")
+    given = settings.psf_sigma_px
+    if given is not None and not SMALLEST_SIGMA_PX <= given < math.inf:
+        raise InputError(
+            f"centroid.psf_sigma_px is {given}; it must be at least {SMALLEST_SIGMA_PX} pixels, or left out"
+        )
+    if gain_e_per_dn is not None and not 0 < gain_e_per_dn < math.inf:
+        raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
+    values = as_pixels(image)
+    if values.shape != background.shape:
+        raise InputError(f"the image is {values.shape} but its background {background.shape}; make it anew")
+    gain = gain_e_per_dn or (_gain_from_background(background) if values.size else 1.0)
+    level, noise = background.level_plane, background.noise_plane
+    return Prepared(Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, window // 2)
+
+
+def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:
+    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths taken.
+
+    NaN where nothing like a star image could be measured.
+    """
+    given = frame.settings.psf_sigma_px
+    sigma_x, sigma_y = (given, given) if given else _widths(frame, spots)
+    peaks = Peaks(spots.x_peak, spots.y_peak, spots.pixels, spots.saturated)
+    table = measure_stars(frame.pixels, peaks, frame.half, sigma_x, sigma_y, frame.settings.bias_correction)
+    return table, (sigma_x, sigma_y)
+
+
+def measure_psf_sigma(image: Image, background: Background, spots: Spots, window_px: int = 5) -> tuple[float, float]:
+    """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
+
+    The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has
+    them; saturated stars and those on the border are left out. (1, 1) when no star tells.
+    """
+    return _widths(prepare(image, background, CentroidSettings(window_px=window_px), 1.0), spots)
+
+
+def _widths(frame: Prepared, spots: Spots) -> tuple[float, float]:
+    found: tuple[float, float] = frame_widths(
+        frame.pixels, spots.x_peak, spots.y_peak, spots.saturated | spots.edge, frame.half
+    )
+    return (_UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX) if math.isnan(found[0]) else found
+
+
+@kernel
+def brightest_alone(x: FloatArray, y: FloatArray, flux: FloatArray, unfit: BoolArray, looked_at: int) -> IntArray:
+    """The brightest stars, at most `MODEL_STARS`, with no other within 16 px, of the brightest that are fit for it."""
+    out, count = np.empty(MODEL_STARS, np.int64), 0
+    done = unfit.copy()
+    for _ in range(looked_at):
+        best = -1
+        for n in range(len(x)):
+            usable = not done[n] and math.isfinite(x[n] + y[n] + flux[n])
+            if usable and (best < 0 or flux[n] > flux[best]):
+                best = n
+        if best < 0 or count == MODEL_STARS:
+            break
+        done[best], alone = True, True
+        for m in range(len(x)):
+            near = abs(x[m] - x[best]) < _APART_PX and abs(y[m] - y[best]) < _APART_PX
+            alone = alone and (not near or m == best)
+        if alone:
+            out[count] = best
+            count += 1
+    return out[:count]
+
+
+def collect(
+    table: FloatArray,
+    sigmas: tuple[float, float],
+    spots: Spots,
+    half: int,
+    together: IntArray | None = None,
+    systematic_px: float = SYSTEMATIC_PX,
+) -> Centroids:
+    """Centroids of the finite rows of a table of measurements: with the floor and the neighbours' light added.
+
+    `together` numbers stars that were measured jointly; their light does not disturb each other.
+    """
+    finite = np.isfinite(table.sum(axis=1))
+    order = np.argsort(np.where(finite, -table[:, 2], np.inf), kind="stable")[: np.count_nonzero(finite)]
+    rows = table[order]
+    covariance = _covariances(rows, sigmas, half, order if together is None else together[order], systematic_px)
+    return Centroids(rows[:, :2], rows[:, 2], covariance, spots.saturated[order])
+
+
+@kernel
+def _covariances(
+    table: FloatArray, sigmas: tuple[float, float], half: int, together: IntArray, systematic_px: float
+) -> FloatArray:
+    """Covariances (N, 2, 2), px², of measurements: the other stars' light in a star's window can shift its position by
+    share × half a window, on either axis."""
+    out = np.empty((len(table), 2, 2))
+    reach = half + 4.0 * max(sigmas[0], sigmas[1])
+    for star in range(len(table)):
+        x, y, more = table[star, 0], table[star, 1], systematic_px**2
+        for other in range(len(table)):
+            near = abs(table[other, 0] - x) < reach and abs(table[other, 1] - y) < reach
+            if not near or together[star] == together[other]:
+                continue
+            dx, dy = table[other, 0] - np.rint(x), table[other, 1] - np.rint(y)
+            light = window_moments(dx, sigmas[0], -half, half)[0] * window_moments(dy, sigmas[1], -half, half)[0]
+            more += (half * light * table[other, 2] / table[star, 2]) ** 2
+        out[star, 0, 0], out[star, 1, 1] = table[star, 3] + more, table[star, 4] + more
+        out[star, 0, 1] = out[star, 1, 0] = table[star, 5]
+    return out
+
+
+def _gain_from_background(background: Background) -> float:
+    """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
+    planes = background.level_plane, background.noise_plane
+    level, noise = (float(median(sample_plane(plane, 16, 16).astype(np.float64))) for plane in planes)
+    return max(level, noise) / noise**2

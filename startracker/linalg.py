@@ -1,0 +1,137 @@
+"""Linear algebra of a few unknowns within kernels: Cholesky's factors, inverses, 3-vectors, rotations.
+
+NumPy's own functions cost a second of compiling each, and half a microsecond a call.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.kernels import kernel, kernel_with
+
+__all__ = [
+    "cross",
+    "factorise",
+    "inverse",
+    "log_determinant",
+    "solve",
+    "substitute",
+    "transform",
+    "triple_product",
+    "turned",
+]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_PIVOT = 1e-14
+"""Share of a diagonal element below which what elimination leaves of it is rounding."""
+
+
+@kernel
+def factorise(matrix: FloatArray, size: int) -> bool:
+    """Cholesky's factor L of the leading block, in place (lower half); False where that is not positive definite."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > _LEAST_PIVOT * matrix[i, i]:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return True
+
+
+@kernel
+def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
+    """Solution of L Lᵀ z = right, in place."""
+    for i in range(size):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= factor[k, i] * right[k]
+        right[i] /= factor[i, i]
+
+
+@kernel
+def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution (n,) of a positive definite system; NaN where it is none."""
+    factor, out = matrix.copy(), right.copy()
+    if factorise(factor, len(out)):
+        substitute(factor, len(out), out)
+    else:
+        out[:] = np.nan
+    return out
+
+
+@kernel
+def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
+    """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant; NaN for any
+    other."""
+    factor, out = matrix.copy(), np.zeros((size, size))
+    if not factorise(factor, size):
+        out[:] = np.nan
+        return out, np.nan
+    for k in range(size):
+        out[k, k] = 1.0
+        substitute(factor, size, out[k])
+    for i in range(size):  # equal to the last digit
+        for j in range(i):
+            out[j, i] = out[i, j]
+    return out, log_determinant(factor, size)
+
+
+@kernel
+def log_determinant(factor: FloatArray, size: int) -> float:
+    """ln of the determinant of a matrix, from its factor."""
+    total = 0.0
+    for i in range(size):
+        total += math.log(factor[i, i])
+    return 2.0 * total
+
+
+@kernel
+def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
+    """Cross product of two vectors (3,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel_with(inline="always")
+def triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """a · (b × c)."""
+    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    product: float = a[0] * x + a[1] * y + a[2] * z
+    return product
+
+
+@kernel
+def transform(matrix: FloatArray, vectors: FloatArray, out: FloatArray) -> None:
+    """matrix · v of vectors (N, 3), written to `out`."""
+    for n in range(len(vectors)):
+        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
+        for i in range(3):
+            out[n, i] = matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
+
+
+@kernel
+def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
+    """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return matrix.copy()
+    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
+    out = np.empty((3, 3))
+    for k in range(3):
+        p, q, r = matrix[0, k], matrix[1, k], matrix[2, k]
+        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
+        out[0, k] = p + s * u + c * (y * w - z * v)
+        out[1, k] = q + s * v + c * (z * u - x * w)
+        out[2, k] = r + s * w + c * (x * v - y * u)
+    return out
