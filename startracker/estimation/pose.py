@@ -100,6 +100,8 @@ class Pose(NamedTuple):
         Mean of s².
     unknowns : (E + 3,)
         Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`).
+    log_evidence : float
+        Of all models together, but for a constant that depends on the stars alone.
     """
 
     turn: FloatArray
@@ -109,6 +111,7 @@ class Pose(NamedTuple):
     systematic_px2: float
     factor: float
     unknowns: FloatArray
+    log_evidence: float
 
 
 def few_stars_factor(freedom: int) -> float:
@@ -437,4 +440,4 @@ def _averaged(
     for i in range(3):
         for j in range(3):
             without[i, j] = covariance[i, j] - without[i, j]
-    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:])
+    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:], highest + math.log(total))
