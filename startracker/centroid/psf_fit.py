@@ -110,8 +110,9 @@ def maximum_likelihood(
     saturated star within a tenth of its highest. Windows reach 2½ σ, at least ``window_px``.
 
     The covariance further has a floor of 0.001 px, and is χ² per degree of freedom times as large where that is more
-    than four standard deviations above one (an image that is not as assumed). A star that cannot be fitted gets its
-    `first_moment`.
+    than four standard deviations above one, unless the brightest stars all misfit (`Centroids.misfit`): then the
+    assumed image is wrong, which need not move the stars, and their residuals show how large the errors are. A star
+    that cannot be fitted gets its `first_moment`.
 
     Parameters
     ----------
@@ -148,7 +149,9 @@ def _fit(
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
     table, excess = fits[:, :MEASURED].copy(), (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
-    table[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
+    misfit = misfit_of_brightest(table[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
+    if misfit is None or misfit < MISFIT_SIGMA:
+        table[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
     failed = np.flatnonzero(~np.isfinite(table.sum(axis=1)))
     # a star measured by its moment counts as apart from its group
     table[failed], group[failed] = moments[failed], len(table) + failed
@@ -157,7 +160,6 @@ def _fit(
         half = int(starts.half.min())
         common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
-    misfit = misfit_of_brightest(table[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
     return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
 
 
