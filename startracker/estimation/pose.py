@@ -12,7 +12,8 @@ s²
     Jeffreys' 1/s² where they are not;
 τ
     systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
-    blends, catalogue), on a grid of multiples of the median stated error. T, of trace 2, is I unless the residuals are
+    blends, catalogue), on a grid of multiples of the median stated error; none with a probability that the misfit of
+    the brightest stars' images says (`probability_as_assumed`). T, of trace 2, is I unless the residuals are
     significantly longer along one direction, as those of undersampled images with coma are;
 u
     smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
@@ -24,7 +25,7 @@ Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V 
 N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ V⁻¹ r, ν = 2M − 3 and n the degrees of freedom of the prior of s²:
 
     mean        N⁻¹ Hᵀ V⁻¹ r
-    covariance  N⁻¹ (n + χ²)/(n + ν)
+    covariance  N⁻¹ (n + χ²)/(n + ν − 2), that of a t distribution
     evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
 
 The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance has the
