@@ -1,1 +1,1 @@
-"""Benchmarks: how often and how well the tracker answers, how fast, and what its peers do on the same scenes."""
+"""Benchmarks of the tracker's success rate, accuracy and speed, compared with other programs on the same scenes."""

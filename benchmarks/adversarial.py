@@ -1,10 +1,10 @@
-"""Lists of points that are no sky: how many of them are accepted, and what the costliest of them takes.
+"""Point lists that are not a sky: how many are accepted, and the cost of the most expensive one.
 
 python -m benchmarks.adversarial [--n 10000] [--kind WORD ...] [--camera NAME ...] [--workers 2] [--seed 1]
-python -m benchmarks.adversarial --n 100000 --state FOLDER       (resumes where it was stopped)
+python -m benchmarks.adversarial --n 100000 --state FOLDER       (resumes an interrupted run)
 
-Every list has a random stream of its own, keyed by (seed, kind, camera, index): `make(kind, camera, seed, index)` gives
-the same list alone as in the middle of a run. Any accepted list is an error, and the exit status is then 1.
+Every list has its own random stream, keyed by (seed, kind, camera, index): `make(kind, camera, seed, index)` gives the
+same list as in a run. Any accepted list is an error, and the exit status is then 1.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from startracker.settings import IdentificationSettings
 FloatArray = NDArray[np.float64]
 
 FEWEST, MOST = 5, 60
-"""Points of a list, evenly in their logarithm: short lists are the ones that chance has most to offer."""
+"""Number of points of a list, log-uniform: chance matches are most likely in short lists."""
 _CHUNK = 200
 _LISTED = 20
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A camera and the depth of its guide stars."""
+    """A camera and the magnitude limit of its guide stars."""
 
     fov_deg: float
     size_px: int
@@ -60,12 +60,12 @@ SETUPS = {
 
 # ---------------------------------------------------------------------- points
 def uniform(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """Anywhere on the image."""
+    """Uniform over the image."""
     return rng.uniform(0.0, size, (n, 2))
 
 
 def clump(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """One tight clump, a disk or a Gaussian, 0.5 % to 15 % of the image in radius."""
+    """One compact cluster, a disk or a Gaussian, with a radius of 0.5 % to 15 % of the image."""
     radius = size * math.exp(rng.uniform(math.log(0.005), math.log(0.15)))
     centre = rng.uniform(radius, size - radius, 2)
     if rng.random() < 0.5:
@@ -75,13 +75,13 @@ def clump(rng: np.random.Generator, n: int, size: float) -> FloatArray:
 
 
 def pleiades_size(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """One clump as large as the open clusters are: 2 % to 10 % of the image in radius."""
+    """One cluster of the size of open clusters: radius 2 % to 10 % of the image."""
     radius = size * rng.uniform(0.02, 0.10)
     return rng.uniform(radius, size - radius, 2) + 0.6 * radius * rng.standard_normal((n, 2))
 
 
 def clumps(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """Two to five clumps, and up to a third of the points anywhere."""
+    """Two to five clusters, with up to a third of the points uniform."""
     count, loose = int(rng.integers(2, 6)), int(rng.integers(0, n // 3 + 1))
     centres = rng.uniform(0.05 * size, 0.95 * size, (count, 2))
     radius = size * np.exp(rng.uniform(math.log(0.005), math.log(0.1), count))
@@ -92,13 +92,13 @@ def clumps(rng: np.random.Generator, n: int, size: float) -> FloatArray:
 
 
 def clump_and_field(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """A clump of a third to nine tenths of the points, the rest anywhere."""
+    """A cluster of a third to nine tenths of the points, the rest uniform."""
     inside = max(int(n * rng.uniform(0.33, 0.9)), 3)
     return np.concatenate([clump(rng, inside, size), uniform(rng, n - inside, size)])
 
 
 def grid(rng: np.random.Generator, n: int, size: float, jitter: float = 0.0) -> FloatArray:
-    """A grid of any spacing, aspect and angle; of its points the n nearest to its middle."""
+    """A grid of random spacing, aspect ratio and angle; the n points nearest to its centre."""
     spacing = size * np.exp(rng.uniform(math.log(0.02), math.log(0.8 / math.sqrt(n)), 2 if rng.random() < 0.5 else 1))
     angle = rng.uniform(0.0, math.pi) if rng.random() < 0.7 else 0.0
     steps = np.arange(-12, 13)
@@ -112,12 +112,12 @@ def grid(rng: np.random.Generator, n: int, size: float, jitter: float = 0.0) -> 
 
 
 def grid_with_jitter(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """The same, every point off by 0.1 % to 20 % of the spacing."""
+    """The same, with every point displaced by 0.1 % to 20 % of the spacing."""
     return grid(rng, n, size, math.exp(rng.uniform(math.log(0.001), math.log(0.2))))
 
 
 def line(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """Along one line, evenly or not, scattered across it by nothing to 10 px."""
+    """Along one line, regular or random, with a scatter of 0 to 10 px across it."""
     ends = rng.uniform(0.02 * size, 0.98 * size, (2, 2))
     at = np.linspace(0.0, 1.0, n) if rng.random() < 0.5 else rng.random(n)
     scatter = 0.0 if rng.random() < 0.3 else math.exp(rng.uniform(math.log(0.05), math.log(10.0)))
@@ -125,7 +125,7 @@ def line(rng: np.random.Generator, n: int, size: float) -> FloatArray:
 
 
 def lines(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """Two to six lines, parallel or not: trains of satellites, charge bleeding, rows of hot pixels."""
+    """Two to six lines, parallel or not: satellite trains, blooming, rows of hot pixels."""
     count = int(rng.integers(2, 7))
     direction = np.repeat(rng.uniform(0.0, math.pi, 1), count) if rng.random() < 0.5 else rng.uniform(0, math.pi, count)
     middles, lengths = rng.uniform(0.1 * size, 0.9 * size, (count, 2)), size * rng.uniform(0.05, 0.9, count)
@@ -135,7 +135,7 @@ def lines(rng: np.random.Generator, n: int, size: float) -> FloatArray:
 
 
 def arc(rng: np.random.Generator, n: int, size: float) -> FloatArray:
-    """Along an arc or a whole circle: the rim of a lens flare, the Moon's limb."""
+    """Along an arc or a full circle: edge of a lens flare, limb of the Moon."""
     radius = size * math.exp(rng.uniform(math.log(0.01), math.log(2.0)))
     span = min(rng.uniform(0.2, 2.0 * math.pi), 0.8 * size / radius)
     start = rng.uniform(0.0, 2.0 * math.pi)
@@ -165,19 +165,19 @@ def _magnitudes(limit: float) -> FloatArray:
 
 
 def make(kind: str, name: str, seed: int, index: int) -> tuple[FloatArray, FloatArray | None]:
-    """Points (N, 2) and signal (N,) or None of one list."""
+    """Points (N, 2), and signal (N,) or None, of one list."""
     rng = stream(seed, f"adversarial {kind} {name}", index)
     return drawn(rng, kind, name, int(math.exp(rng.uniform(math.log(FEWEST), math.log(MOST + 1)))))
 
 
 def drawn(rng: np.random.Generator, kind: str, name: str, n: int) -> tuple[FloatArray, FloatArray | None]:
-    """The same with n points, less those beyond the image."""
+    """The same with n points, without those outside the image."""
     setup = SETUPS[name]
     size = setup.size_px - 1.0
     xy = KINDS[kind](rng, n, size)
     xy = xy[((xy >= 0.0) & (xy <= size)).all(axis=1)]
     brightness = rng.random()
-    if brightness < 0.4:  # as stars, so that it does not give them away
+    if brightness < 0.4:  # like stars, so that it does not distinguish them
         magnitudes = _magnitudes(setup.magnitude_limit)
         return xy, 10.0 ** (-0.4 * np.sort(magnitudes[rng.integers(len(magnitudes), size=len(xy))]))
     if brightness < 0.7:
@@ -197,7 +197,7 @@ def tracker(name: str, identifier: str, rate: float) -> StarTracker:
 
 
 def run_chunk(identifier: str, kind: str, name: str, seed: int, rate: float, start: int, stop: int) -> dict[str, Any]:
-    """What some lists of a kind were answered: counts by status, the costliest list, the lists accepted."""
+    """Results of lists of one kind: counts by status, the most expensive list, the accepted lists."""
     counts: dict[str, int] = {}
     worst, accepted, spent = (0, -1), [], time.process_time()
     for index in range(start, stop):
@@ -217,7 +217,7 @@ def run_chunk(identifier: str, kind: str, name: str, seed: int, rate: float, sta
 
 
 def merge(state: dict[str, Any], new: dict[str, Any]) -> None:
-    """Add a chunk's counts to those of a kind."""
+    """Add the counts of a chunk to those of a kind."""
     for status, count in new["counts"].items():
         state["counts"][status] = state["counts"].get(status, 0) + count
     state["worst"] = max(tuple(state["worst"]), new["worst"])
@@ -226,7 +226,7 @@ def merge(state: dict[str, Any], new: dict[str, Any]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what the command line asks for; 1 when a list is accepted."""
+    """Run the command line; returns 1 if a list is accepted."""
     options = parser().parse_args(arguments)
     options.state.mkdir(parents=True, exist_ok=True)
     rows = [

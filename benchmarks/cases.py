@@ -1,4 +1,4 @@
-"""The cases: those that peers are measured on, with what this tracker is to reach."""
+"""Benchmark cases, on which other programs are measured as well, with this tracker's targets."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ RANDOM_SHARES = {
     "25 random points": 0.016,
     "100 random points": 0.004,
 }
-"""How the frames of a long run of random points are shared out: where chance has most to offer, and time least."""
+"""Distribution of the frames of a long run of random points: more where chance matches are likely."""
 ACCURACY = tuple(case.name for case in _ALL if case.noise_px == 0.1 and case.focal_error == 0.0 and case.sky)
 """Cases whose accuracy is compared with the oracle's."""
 
@@ -69,7 +69,7 @@ def matching(words: list[str]) -> list[Case]:
 
 
 def chosen(words: list[str], names: list[str]) -> list[str]:
-    """Names that a word is, or else that contain it; all where there are no words."""
+    """Names equal to one of the words, or else containing it; all names if there are no words."""
     if not words:
         return names
     whole = [word for word in words if word in names]

@@ -1,10 +1,10 @@
-"""What a fresh installation waits for: kernels compiled before the first result.
+"""Start-up of a fresh installation: time to compile the kernels before the first result.
 
     python -m benchmarks.cold_start [--what run solve] [--image FILE] [--least-s 0.3] [--signatures] [--write]
 
-Each command runs in a process of its own, with an empty ``NUMBA_CACHE_DIR``. The tables give processor time of the
-compilation by room, module and kernel, without that of the kernels that are called. "NumPy and Python" are functions
-of libraries compiled into ours, such as ``np.sort``.
+Each command runs in a separate process with an empty ``NUMBA_CACHE_DIR``. The tables give the CPU time of compilation
+by package, module and kernel, without that of the called kernels. "NumPy and Python" are library functions compiled
+into ours, such as ``np.sort``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LIBRARIES = "NumPy and Python"
 
 @dataclass(frozen=True)
 class Compiled:
-    """A kernel compiled for one signature; processor seconds without those of the kernels that it calls."""
+    """A kernel compiled for one signature; CPU seconds without those of the kernels it calls."""
 
     module: str
     kernel: str
@@ -56,7 +56,7 @@ class Compiled:
 
 @dataclass(frozen=True)
 class ColdStart:
-    """One command from an empty cache, and once more."""
+    """One command with an empty cache, and repeated with a filled one."""
 
     cpu_s: float
     wall_s: float
@@ -94,7 +94,7 @@ _RUN = ["--trials", "4", "--workers", "1", "--force", "--out"]
 
 
 def measure(command: list[str], folder: Path) -> ColdStart:
-    """A command of ``boresight`` from an empty cache in `folder`, and once more with what it left there."""
+    """Run a command of ``boresight`` with an empty cache in `folder`, and again with the filled cache."""
     child = [sys.executable, "-m", "benchmarks.cold_start", "--child", str(folder / "compiled.json"), *command]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "numba"), "OMP_NUM_THREADS": "1"}
     cpu_s, wall_s = _times(child, environment)
@@ -103,7 +103,7 @@ def measure(command: list[str], folder: Path) -> ColdStart:
 
 
 def _times(command: list[str], environment: dict[str, str]) -> tuple[float, float]:
-    """Processor and wall seconds of a process and its children."""
+    """CPU and wall-clock seconds of a process and its children."""
     before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(command, check=True, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -112,7 +112,7 @@ def _times(command: list[str], environment: dict[str, str]) -> tuple[float, floa
 
 
 def _image(folder: Path) -> Path:
-    """A photograph, or the preview of a rendered frame where there is none."""
+    """A photograph, or the preview of a rendered frame if there is none."""
     if PHOTOGRAPH.exists():
         return PHOTOGRAPH
     preview = folder / "preview.png"
@@ -122,7 +122,7 @@ def _image(folder: Path) -> Path:
 
 
 class _Recorder(event.Listener):  # type: ignore[misc]
-    """Listens to the compiler; times exclude the kernels that are compiled within."""
+    """Numba event listener that records compile times, excluding those of nested kernels."""
 
     def __init__(self) -> None:
         self.compiled: list[Compiled] = []
@@ -148,7 +148,7 @@ def _name(seen: event.Event) -> str:
 
 
 def _record(file: Path, command: list[str]) -> None:
-    """In the child: run the command, and write what was compiled."""
+    """In the child process: run the command and write the list of compiled kernels."""
     recorder = _Recorder()
     event.register("numba:compile", recorder)
     from simulator.cli import main as boresight
@@ -164,7 +164,7 @@ def _record(file: Path, command: list[str]) -> None:
 
 
 def _write(measured: dict[str, list[Compiled]]) -> None:
-    """The list that tells users how many kernels are to come."""
+    """Write the list from which the progress message takes the number of kernels."""
     seconds: dict[str, float] = defaultdict(float)
     tasks: dict[str, set[str]] = defaultdict(set)
     for task, compiled in measured.items():
@@ -214,7 +214,7 @@ def _table(
     least_s: float,
     within: dict[str, float] | None = None,
 ) -> Table:
-    """Processor seconds and counts, the most expensive first."""
+    """CPU seconds and counts, the most expensive first."""
     seconds: dict[str, float] = defaultdict(float)
     counts: dict[str, int] = defaultdict(int)
     for kernel in compiled:

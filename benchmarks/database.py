@@ -1,4 +1,4 @@
-"""What the guide database costs: seconds and megabytes."""
+"""Time and memory of the guide database."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ COLUMNS = ["what", "guide stars", "build s", "first solve s", "later tracker ms"
 
 
 def database_row(identifier: str) -> list[str]:
-    """One row, measured in a process of its own, where nothing is in memory yet.
+    """One row, measured in a separate process, where nothing is cached in memory.
 
-    The first solve counts too: tables may be made when they are first asked for.
+    The first solve is included because some tables are built on first use.
     """
     answer = subprocess.run(
         [sys.executable, "-m", "benchmarks.database", identifier], check=True, capture_output=True, text=True
@@ -56,7 +56,7 @@ def measure(identifier: str) -> list[str]:
 
 
 def megabytes(thing: Any) -> float:
-    """Size of all arrays that an object holds, each counted once."""
+    """Total size of all arrays of an object, each counted once."""
     seen: dict[int, int] = {}
 
     def visit(part: Any) -> None:

@@ -1,9 +1,9 @@
-"""Frames from end to end: rendered, detected, identified, solved, lost in space.
+"""End-to-end benchmark: frames are rendered, detected, identified and solved, lost in space.
 
     python -m benchmarks.frames [--case WORD ...] [--identifier NAME] [--n 200] [--workers 1] [--out FILE.md]
 
 The camera is that of ``scenarios/cubesat.yaml``; attitudes are uniformly random over the sky, and the tracker has no
-prior. Rates turn the camera across its boresight, where stars are drawn out most.
+prior. Body rates are perpendicular to the boresight, where the trails are longest.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SEED = 4
 HITS = 15
 DAY_S = 86_400.0
 LEAST_ELONGATION_DEG = 30.0
-"""Nearer to the Sun a camera is blind, whatever else is there."""
+"""Closer to the Sun no camera can be used."""
 _ACROSS = math.sqrt(0.5)
 _CHUNK = 10
 _WARM_UP = 1_000_000  # a frame that no run reaches
@@ -55,19 +55,19 @@ class FrameCase:
     Parameters
     ----------
     name : str
-        Names the random streams too.
+        Also the key of the random streams.
     target : float, optional
-        Share to be identified at least.
+        Minimum fraction to be identified.
     rate_deg_s : float
-        Body rate across the boresight.
+        Body rate perpendicular to the boresight.
     exposure_s : float, optional
-        In place of the scenario's.
+        Replaces that of the scenario.
     hits : float
-        Particles that cross the detector in an exposure, on average.
+        Mean number of particles that cross the detector in an exposure.
     bodies : tuple of str
-        Placed on the image: their middle at a random place, on its edge with `edge`.
+        Bodies on the image: their midpoint is at a random position, or on the border with `edge`.
     days : (float, float)
-        Span after the scenario's epoch from which the times of such frames are drawn.
+        Range of times of such frames after the scenario's epoch.
     """
 
     name: str
@@ -80,7 +80,7 @@ class FrameCase:
     days: tuple[float, float] = (0.0, 365.0)
 
     def scenario(self, identifier: str) -> Scenario:
-        """The cubesat's scenario, changed to this case."""
+        """The cubesat scenario, modified for this case."""
         across = _ACROSS * self.rate_deg_s  # the boresight is the body's Y axis
         overrides = [
             "study.sampling=sky",
@@ -137,7 +137,7 @@ class Bench:
         solve_frame(self.tracker, self.renderer.frame(_WARM_UP)[0])
 
     def row(self, index: int) -> FrameRow:
-        """Frame `index`, rendered, solved and judged."""
+        """Render, solve and score frame `index`."""
         at_s, attitude = self._placed(index) if self.case.bodies else (None, None)
         frame, truth = self.renderer.frame(index, at_s=at_s, attitude=attitude)
         start = time.perf_counter()
@@ -158,7 +158,7 @@ class Bench:
         return FrameRow(index, IDENTIFIED if right else WRONG, stars, arcsec * cross, arcsec * roll, solve_ms)
 
     def _placed(self, index: int) -> tuple[float, Attitude]:
-        """A time, and the attitude at which the bodies' middle stands where the case wants it, rolled at random."""
+        """A time, and an attitude with random roll that puts the midpoint of the bodies where the case requires it."""
         case, camera = self.case, self.renderer.camera
         rng = stream(SEED, f"benchmark frames {case.name}", index)
         while True:
@@ -183,7 +183,7 @@ class Bench:
 
 
 def _triad(axis: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Rotation matrix (3, 3) with `axis` as its last column, turned about it at random."""
+    """Rotation matrix (3, 3) with `axis` as its last column and a random rotation about it."""
     first = np.cross(axis, rng.standard_normal(3))
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis], axis=1)
@@ -256,7 +256,7 @@ def table_row(case: FrameCase, rows: list[FrameRow]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what the command line asks for; 1 when a target is missed."""
+    """Run the command line; returns 1 if a target is missed."""
     made = argparse.ArgumentParser(prog="python -m benchmarks.frames", description=__doc__.splitlines()[0])
     made.add_argument("--case", nargs="*", default=[], metavar="WORD", help="cases whose name contains a word")
     made.add_argument("--identifier", default="adaptive")

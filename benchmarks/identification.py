@@ -1,9 +1,9 @@
-"""Lost in space from centroids: how often each identifier answers, is right, and how fast.
+"""Lost-in-space benchmark from centroids: success rate, correctness and speed of each identifier.
 
 python -m benchmarks.identification [--case WORD ...] [--identifier NAME ...] [--n 2000] [--peers] [--out FILE.md]
 python -m benchmarks.identification --random-points 100000
 python -m benchmarks.identification --million --state FOLDER     (a million random attitudes; --total for fewer,
-    resumes where it was stopped, states the worst solve in operations)
+    resumes an interrupted run, reports the largest number of operations)
 python -m benchmarks.identification --failures                   (lists the scenes not identified)
 """
 
@@ -46,7 +46,7 @@ NOTES = [
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what the command line asks for; 1 when a target is missed."""
+    """Run the command line; returns 1 if a target is missed."""
     options = parser().parse_args(arguments)
     if options.peers and not has_tetra3rs():
         print("tetra3rs is not installed: pip install 'boresight[peers]'", file=sys.stderr)
@@ -76,12 +76,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def pool_of(workers: int) -> ProcessPoolExecutor | nullcontext[None]:
-    """Processes that share the work; none for one."""
+    """Process pool, or None for one process."""
     return ProcessPoolExecutor(workers) if workers > 1 else nullcontext(None)
 
 
 def table(options: argparse.Namespace, pool: ProcessPoolExecutor | None) -> int:
-    """The tables over all cases asked for."""
+    """Tables of all selected cases."""
     scenes = dict.fromkeys(matching(options.case), options.n)
     if options.random_points is not None:
         scenes = {CASES[name]: round(options.random_points * share) for name, share in RANDOM_SHARES.items()}
@@ -120,7 +120,7 @@ def table(options: argparse.Namespace, pool: ProcessPoolExecutor | None) -> int:
 
 
 def failures(case: Case, solver: str, rows: NDArray[np.void]) -> list[list[str]]:
-    """Scenes that could have been identified and were not, and every wrong one: one row, none where there are none."""
+    """One row listing solvable scenes that were not identified and all wrong ones; no row if there are none."""
     wrong = rows["outcome"] == WRONG
     missed = (rows["outcome"] != IDENTIFIED) & (rows["true_stars"] >= LISTED_STARS) & case.sky & ~wrong
     if solver in PEERS or not (wrong | missed).any():
@@ -132,7 +132,7 @@ def failures(case: Case, solver: str, rows: NDArray[np.void]) -> list[list[str]]
 
 
 def million(identifier: str, total: int, seed: int, pool: ProcessPoolExecutor | None, folder: Path) -> int:
-    """The long run: counts are written every ten thousand scenes, and a run that was stopped goes on from them."""
+    """The long run: counts are written every ten thousand scenes, from which an interrupted run resumes."""
     case = CASES[MILLION]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{identifier}-{seed}.json"

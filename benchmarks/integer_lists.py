@@ -1,4 +1,4 @@
-"""Lists that try to make a tracker err: simulated fields with disturbances, and lists that show no sky at all."""
+"""Test lists for the integer tracker: simulated fields with disturbances, and lists that are not a sky."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATTERNS: tuple[Pattern, ...] = ("uniform", "clump", "clumps", "line", "grid", "
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera: field (degrees) and size (pixels), across and down."""
+    """A pinhole camera: field of view (degrees) and size (pixels), horizontal and vertical."""
 
     fov_deg: tuple[float, float]
     size_px: tuple[int, int]
@@ -36,7 +36,7 @@ class Camera:
 
     @property
     def scale_deg(self) -> tuple[float, float]:
-        """Degrees a pixel, across and down, as the triads take them."""
+        """Degrees per pixel, horizontal and vertical, for the triads."""
         return self.fov_deg[0] / self.size_px[0], self.fov_deg[1] / self.size_px[1]
 
 
@@ -49,7 +49,7 @@ class Scene:
     xy : (N, 2)
         Pixels, x right, y up from the centre, brightest first.
     star : int (N,)
-        Which star of the sky each is, −1: a false one.
+        Index of the star, −1 for a false one.
     matrix : (3, 3)
         Rows: the camera's x (right), y (down), boresight.
     """
@@ -71,18 +71,18 @@ def scene(
     max_stars: int = 12,
     scatter_mag: float = 0.2,
 ) -> Scene:
-    """A field at a random attitude, its boresight uniform over the declinations given.
+    """A field at a random attitude with the boresight uniform over the given declinations.
 
     Parameters
     ----------
     directions, v_mag : (G, 3), (G,)
         The sky, brightest first.
     false_stars : int
-        Anywhere in the image and in the order.
+        Number of false stars, random in position and order.
     missing : float
-        Share of the stars that are not seen.
+        Fraction of the stars that are not detected.
     scatter_mag : float
-        Of the magnitudes, which changes the order.
+        Scatter of the magnitudes, which changes the order.
     """
     low, high = np.sin(np.radians(declination_deg))
     z3, a = rng.uniform(low, high), rng.uniform(0.0, 2.0 * math.pi)
@@ -106,7 +106,7 @@ def scene(
 
 
 def pattern_list(pattern: Pattern, camera: Camera, rng: np.random.Generator, count: int) -> FloatArray:
-    """`count` points (≤ count, 2) that show no sky: pixels from the centre, in a random order."""
+    """Up to `count` points (≤ count, 2) that are not a sky: pixels from the centre, in random order."""
     half = camera.half
     jitter = rng.normal(0.0, rng.choice([0.0, 0.1, 1.0]), (count, 2))
     center = rng.uniform(-half, half) * 0.7
@@ -143,7 +143,7 @@ def pattern_list(pattern: Pattern, camera: Camera, rng: np.random.Generator, cou
 
 @dataclass(frozen=True)
 class Answer:
-    """A line of the exported program, read.
+    """A parsed output line of the exported program.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class Answer:
 
     @classmethod
     def of_line(cls, line: str) -> Answer:
-        """Read one."""
+        """Parse a line."""
         status, reason, *rest = line.split()
         field = dict(word.split("=", 1) for word in rest)
         number = np.array([int(n) for n in field["numbers"].split(",") if n], dtype=np.int64)
@@ -174,10 +174,10 @@ class Answer:
 
 
 def errors_px(answer: Answer, truth: Scene, camera: Camera, star_id: IntArray, directions: FloatArray) -> FloatArray:
-    """How far off a solved answer is (3,), pixels.
+    """Errors (3,) of a solution, pixels.
 
-    The largest displacement of the image's corners by the attitude's error; the largest distance of a named point from
-    where its star stands at the true attitude, of single stars, and of several that are one.
+    The largest displacement of the image's corners by the attitude error; the largest distance of a named point from
+    the position of its star at the true attitude, for single stars and for unresolved groups.
     """
     if answer.matrix is None:
         return np.zeros(3)

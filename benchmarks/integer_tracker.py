@@ -1,12 +1,12 @@
-"""The exported C under attack: simulated fields with all that goes wrong in them, and lists that show no sky.
+"""Stress test of the exported C: simulated fields with disturbances, and lists that are not a sky.
 
 python -m benchmarks.integer_tracker [--camera vega|wide|narrow|pleiades] [--n 12500] [--seed 1]
 
-Ten kinds of fields and eight of lists, `n` of each; a line for each with what was solved, what was wrong, the largest
-errors and the strongest evidence that was refused (fields) or found (lists). Exit status 1 where anything was wrong.
+Ten kinds of fields and eight of lists, `n` of each. For each kind one line gives the numbers solved and wrong, the
+largest errors and the strongest evidence that was rejected (fields) or found (lists). Exit status 1 if any is wrong.
 
-An answer is wrong where the corners of the image move by more than WRONG_PX between its attitude and the true one, or
-where a named star stands further from its point than that, and the τ of 8 px more for stars that are one.
+A solution is wrong if the corners of the image differ by more than WRONG_PX between its attitude and the true one, or
+if a named star is further from its point than that (plus the τ of 8 px for unresolved groups).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from startracker.identification.integer_solution import (
 from startracker.identification.triad_search import TriadLimits
 
 WRONG_PX = 4.0
-"""Noise of 0.5 px, extrapolated from few stars to the corners, moves these by 2.1 px at most in 10⁵ fields."""
+"""Noise of 0.5 px, extrapolated from few stars to the corners, displaces these by at most 2.1 px in 10⁵ fields."""
 COMBINED_PX = 8.0
 _CHUNK = 2_000
 _NORTH, _OUTSIDE, _BORDER = (31.0, 90.0), (-90.0, 24.0), (24.0, 31.0)
@@ -46,7 +46,7 @@ _NORTH, _OUTSIDE, _BORDER = (31.0, 90.0), (-90.0, 24.0), (24.0, 31.0)
 
 @dataclass(frozen=True)
 class Case:
-    """A camera and what is exported for it: faintest star, longest pair, lowest declination, separation tolerance."""
+    """A camera and its export parameters: magnitude limit, maximum separation, minimum declination, tolerance."""
 
     camera: Camera
     faintest: float
@@ -65,9 +65,10 @@ CAMERAS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """Fields: boresights between two declinations, most false stars (at least one, or 0), missing share, noise.
+    """Fields: boresights between two declinations, maximum number of false stars (at least one, or 0), missing
+    fraction, noise.
 
-    Stretched by factors across and down: mirrored, or of another focal length; none of these may be solved.
+    Scaled horizontally and vertically: mirrored, or of another focal length; none of these may be solved.
     """
 
     declination_deg: tuple[float, float]
@@ -104,7 +105,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Result:
-    """Of `lists`: how many were solved and wrong, the largest error of a corner, the strongest evidence refused."""
+    """Result of `lists`: numbers solved and wrong, largest error of a corner, strongest rejected evidence."""
 
     lists: int
     solved: int
@@ -165,7 +166,7 @@ def attack_fields(target: Target, kind: str, count: int, seed: int) -> Result:
 
 
 def attack_patterns(target: Target, pattern: Pattern, count: int, seed: int) -> Result:
-    """Solve lists of 4 to 24 points that show no sky; whatever is solved is wrong."""
+    """Solve lists of 4 to 24 points that are not a sky; every solution is wrong."""
     solved, strongest = 0, -np.inf
     rng = stream(seed, "patterns", PATTERNS.index(pattern))
     for begin in range(0, count, _CHUNK):
@@ -180,7 +181,7 @@ def attack_patterns(target: Target, pattern: Pattern, count: int, seed: int) -> 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run all kinds; 1 where anything was wrong."""
+    """Run all kinds; returns 1 if anything was wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--camera", choices=CAMERAS, default="vega")
     parser.add_argument("--n", type=int, default=12_500, help="lists of each kind")

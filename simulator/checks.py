@@ -1,7 +1,7 @@
-"""Names in a scenario that belong to later stages: algorithms, catalogues, mountings, curves.
+"""Checks of names in a scenario that refer to later stages: algorithms, catalogues, mountings, curves.
 
-The scenario's own layer may not import those stages; it takes these checks as an argument instead, so that an unknown
-name is told with its line, together with every other mistake of the file.
+The scenario package may not import those stages. It takes these checks as an argument instead, so that an unknown name
+is reported with its line, together with all other mistakes of the file.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ NameCheck = Callable[[Any, Mapping[str, Any]], str | None]
 def load_scenario(
     path: str | Path, overrides: Sequence[str] | None = None, *, trials: int | None = None, seed: int | None = None
 ) -> Scenario:
-    """`Scenario.load` with every name checked too.
+    """`Scenario.load` with all names checked.
 
     Raises
     ------
     ScenarioError
-        With every mistake of the file, its bases and the options.
+        With all mistakes of the file, its bases and the options.
     """
     return Scenario.load(path, overrides or (), seed=seed, trials=trials, names=NAME_CHECKS)
 
 
 def _registered(kind: str, module: str, registry: str) -> NameCheck:
-    """Check of a name against a registry and the entry points of its kind; the module loads when a name is checked."""
+    """Check of a name against a registry and the entry points of its kind; the module is imported on first use."""
 
     def check(name: Any, _: Mapping[str, Any]) -> str | None:
         if not isinstance(name, str):  # a mounting may be a quaternion
@@ -95,4 +95,4 @@ NAME_CHECKS: NameChecks = {
     "tracker.identifier": _registered("identifiers", "startracker.identification", "METHODS"),
     "tracker.estimator": _registered("estimators", "startracker.estimation", "METHODS"),
 }
-"""Dotted path of a key to the check of its value, as `Scenario.load` takes them."""
+"""Checks of values by the dotted path of their key, for `Scenario.load`."""

@@ -1,4 +1,4 @@
-"""Physical constants of the simulator: value, unit and source side by side."""
+"""Physical constants of the simulator with units and sources."""
 
 EARTH_RADIUS_KM = 6378.137
 """Equatorial radius; WGS 84."""

@@ -1,6 +1,6 @@
 """The exposure: when the shutter is open, for how long, and what it makes of rates.
 
-What reaches the focal plane are rates, electrons a second. They become electrons here and nowhere else: still light by
+What reaches the focal plane are rates, electrons per second. They become electrons here alone: still light by
 the duration, a moving source by the time for which it is exposed at each position of its path, and charge that is moved
 under light by the time it stands in each row.
 """
@@ -25,25 +25,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shutter:
-    """How the detector is exposed.
-
-    Parameters
-    ----------
-    kind : str
-        ``global``; ``rolling``: rows one after another; ``frame_transfer``: charge is moved through the image under
-        light.
-    line_time_s : float
-        From row to row: of a rolling shutter, or of the transfer.
-    transfer_direction : str
-        ``up``: charge leaves past row 0; ``down``: past the last row.
-    transfer_smear : str
-        Light falls on moving charge ``both`` before and after the exposure, or ``after`` it alone.
-    """
+    """How the detector is exposed."""
 
     kind: Literal["global", "rolling", "frame_transfer"] = "global"
+    """``global``; ``rolling``: rows one after another; ``frame_transfer``: charge is moved through the image under
+    light."""
     line_time_s: float = 0.0
+    """From row to row: of a rolling shutter, or of the transfer."""
     transfer_direction: Literal["up", "down"] = "up"
+    """``up``: charge leaves past row 0; ``down``: past the last row."""
     transfer_smear: Literal["both", "after"] = "both"
+    """Light falls on moving charge ``both`` before and after the exposure, or ``after`` it alone."""
 
 
 class Motion(NamedTuple):
@@ -54,40 +46,26 @@ class Motion(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Positions of sources on the image during an exposure.
-
-    Parameters
-    ----------
-    xy : (N, K, 2) array
-        Pixels at K moments; NaN where a source is not followed.
-    weights : (K,) array
-        Share of the exposure of each moment.
-    electrons : (N,) array
-        Electrons that each source leaves over the exposure.
-    """
+    """Positions of sources on the image during an exposure."""
 
     xy: FloatArray
+    """(N, K, 2): Pixels at K moments; NaN where a source is not followed."""
     weights: FloatArray
+    """(K,): Share of the exposure of each moment."""
     electrons: FloatArray
+    """(N,): Electrons that each source leaves over the exposure."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One exposure.
-
-    Parameters
-    ----------
-    start_s : float
-        Seconds after the scenario's epoch; of the middle row, where the shutter is rolling.
-    duration_s : float
-        Exposure time.
-    shutter : Shutter
-        How the detector is exposed.
-    """
+    """One exposure."""
 
     start_s: float
+    """Seconds after the scenario's epoch; of the middle row, where the shutter is rolling."""
     duration_s: float
+    """Exposure time."""
     shutter: Shutter = Shutter()
+    """How the detector is exposed."""
 
     @classmethod
     def about(cls, middle_s: float, duration_s: float, shutter: Shutter) -> Exposure:
@@ -100,7 +78,7 @@ class Exposure:
         return self.start_s + 0.5 * self.duration_s
 
     def electrons(self, rate_e_s: FloatArray) -> FloatArray:
-        """Electrons of light that stands still, from electrons a second; any shape, a new array."""
+        """Electrons of light that stands still, from electrons per second; any shape, a new array."""
         return np.multiply(rate_e_s, self.duration_s)
 
     def paths(

@@ -1,4 +1,4 @@
-"""Frames as FITS files: image and every camera parameter first, truth in a table extension of its own."""
+"""Frames as FITS files: image and camera parameters in the primary unit, truth in a table extension."""
 
 from __future__ import annotations
 
@@ -29,18 +29,17 @@ _DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 def write_fits(
     path: str | Path, frame: Frame, truth: FrameTruth | None = None, *, noiseless_plane: bool = False
 ) -> None:
-    """Write a frame, beside its place first and then moved there.
+    """Write a frame, atomically.
 
-    The primary image (BUNIT adu) carries the UTC of the exposure's beginning, middle and end (DATE-BEG, DATE-AVG and
-    DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys under
-    HIERARCH), the observer, the prior attitude, and, where the truth is given, a TAN(-SIP) world coordinate system of
-    astrometric ICRS positions, free of aberration, for the middle of the exposure (`startracker.wcs`).
+    The header of the primary image (BUNIT adu) has the UTC of the exposure's beginning, middle and end (DATE-BEG,
+    DATE-AVG and DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys
+    under HIERARCH), the observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system of
+    astrometric ICRS positions (without aberration) at mid-exposure (`startracker.wcs`).
 
-    The truth itself is the extension TRUTH: a table of the sources, with attitude and rate in its header. `x` and `y`
-    are where the true attitude has them, at the middle of the exposure (of the middle row of a rolling shutter);
-    `x_image` and `y_image` the middle of the path that was rendered, over the exposure of each source's own row;
-    `direction` is apparent, `ra` and `dec` astrometric, as the WCS has them. With `noiseless_plane` the light before
-    the detector follows as MEAN_E, in electrons.
+    The extension TRUTH is a table of the sources, with attitude and rate in its header. `x` and `y` are the positions
+    for the true attitude at mid-exposure (of the middle row of a rolling shutter); `x_image` and `y_image` are the
+    midpoint of the rendered path during the exposure of the source's own row; `direction` is apparent, `ra` and `dec`
+    are astrometric, as in the WCS. With `noiseless_plane` the extension MEAN_E has the mean photo-electrons.
     """
     from astropy.io import fits
 
@@ -52,7 +51,7 @@ def write_fits(
         header[f"HIERARCH {name}"] = value
     units: list[Any] = [primary]
     if truth is not None:
-        # a scenario may leave aberration out
+        # a scenario may omit aberration
         velocity = frame.observer.velocity_km_s if frame.parameters.get("sky.aberration", True) else None
         header.update(wcs_header(frame.camera, truth.attitude, velocity))
         header.comments["RADESYS"] = "astrometric: without aberration and refraction"
@@ -106,11 +105,11 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
 
 
 def _dates(utc: str, exposure_s: float) -> list[tuple[str, Any, str]]:
-    """Beginning, middle and end of an exposure from its middle, as labels and as modified Julian dates, UTC."""
+    """Beginning, middle and end of an exposure from its middle, as ISO 8601 and modified Julian dates, UTC."""
     date, _, clock = utc.partition("T")
     year, month, day = (int(part) for part in date.split("-"))
     hour, minute, second = clock.split(":")
-    # the ufuncs themselves, as their wrappers warn of dates after the table of leap seconds
+    # the ufuncs, because their wrappers warn of dates after the table of leap seconds
     utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", year, month, day, int(hour), int(minute), float(second))
     tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
     cards: list[tuple[str, Any, str]] = []
@@ -158,7 +157,7 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
     )
     unit = fits.table_to_hdu(table)
     unit.name = "TRUTH"
-    # the standard of FITS has no unit of electrons: readers warn of any that it does not list
+    # the FITS standard has no unit for electrons, and readers warn of unknown units
     unit.header.comments[f"TUNIT{table.colnames.index('electrons') + 1}"] = "photo-electrons in the exposure"
     for axis, value in zip("XYZW", truth.attitude.quat, strict=True):
         unit.header[f"ATT_Q{axis}"] = (float(value), "true attitude, ICRS to camera")
@@ -174,13 +173,13 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
 
 
 def read_fits(path: str | Path) -> Frame:
-    """Read a frame that `write_fits` wrote; the truth stays in the file.
+    """Read a frame written by `write_fits`, without its truth.
 
     Raises
     ------
     InputError
-        When the file cannot be read, is no FITS file or not one of ours, is damaged (its checksum does not match), or
-        lacks a value or has an impossible one: one line with the file's name and what is wrong.
+        If the file cannot be read, is not a FITS file of boresight, is damaged (its checksum does not match), or has
+        missing or impossible values.
     """
     header, image = _primary(Path(path))
     if "CAM_FX" not in header:
@@ -205,7 +204,7 @@ def read_fits(path: str | Path) -> Frame:
             cards.text("CAM_PROJ"),
             cards.number("CAM_ROW", 0.0) if "CAM_ROW" in header else 0.0,
         )
-        field_of(camera)  # refuses a distortion that cannot be undone
+        field_of(camera)  # rejects a distortion that cannot be inverted
         return Frame(
             image=np.asarray(image).astype(image.dtype.newbyteorder("=")),
             camera=camera,
@@ -223,22 +222,21 @@ def read_fits(path: str | Path) -> Frame:
             index=int(cards.number("TRIAL")),
         )
     except InputError as error:
-        told = str(error)
-        raise InputError(told if told.startswith(str(path)) else f"{path}: {told}") from error
+        text = str(error)
+        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
 
 
 _CHECKSUM_FAILED = re.compile(r"verification failed for HDU \(.*, 1\)")
-"""astropy's warning on the first unit."""
+"""Warning of astropy for the first unit."""
 
 _EPOCHS = (1000.0, 3000.0)
-"""Julian years that an observer's epoch may be."""
+"""Valid Julian years of an observer's epoch."""
 
 
 def _primary(path: Path) -> tuple[dict[str, Any], Any]:
-    """Cards and image of the first unit of a FITS file, its checksum verified where it has one.
+    """Cards and image of the first unit of a FITS file; a checksum is verified if there is one.
 
-    The file is read first and parsed in memory, so that astropy has no open file to close when a damaged one makes it
-    give up.
+    The file is parsed in memory, so that astropy does not leave a damaged file open.
     """
     import warnings
 
@@ -249,15 +247,15 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     try:
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             with fits.open(io.BytesIO(data), memmap=False, checksum=True) as units:
                 header = {key: value for key, value in units[0].header.items() if key not in ("COMMENT", "HISTORY", "")}
                 image = units[0].data
-    except Exception as error:  # astropy raises whatever its parsing meets
+    except Exception as error:  # astropy may raise anything while parsing
         text = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: is damaged, truncated, or no FITS file ({text}); get it anew") from error
-    if failed := [str(w.message) for w in told if _CHECKSUM_FAILED.search(str(w.message))]:
+        raise InputError(f"{path}: is damaged, truncated, or not a FITS file ({text}); get it anew") from error
+    if failed := [str(w.message) for w in caught if _CHECKSUM_FAILED.search(str(w.message))]:
         what = "image" if any("Datasum" in text for text in failed) else "header"
         raise InputError(
             f"{path}: its {what} does not match its checksum, so it was damaged or edited; get it anew, or remove the "
@@ -267,7 +265,7 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
 
 
 class _Cards:
-    """Values of a header by keyword; each missing or impossible one is an `InputError` with its name."""
+    """Values of a header by keyword; `InputError` with the keyword if one is missing or impossible."""
 
     def __init__(self, path: str | Path, header: dict[str, Any]) -> None:
         self.path, self.header = path, header
@@ -294,5 +292,5 @@ class _Cards:
         return value
 
     def vector(self, key: str, axes: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Numbers of several cards that differ in their last letter."""
+        """Numbers of several cards whose keywords differ in the last letter."""
         return np.array([self.number(f"{key}{axis}") for axis in axes])

@@ -1,6 +1,6 @@
 """The focal plane: a scene through lens, point spread function and smear, as mean photo-electrons a pixel.
 
-Sources and background arrive as rates, electrons a second; the exposure (`simulator.exposure`) makes electrons of them.
+Sources and background arrive as rates, electrons per second; `simulator.exposure` makes electrons of them.
 """
 
 from __future__ import annotations
@@ -46,21 +46,14 @@ _DISK_PX = 1.5
 
 
 class Illumination(NamedTuple):
-    """Light of one exposure.
-
-    Parameters
-    ----------
-    sources : TrueSources
-        Every source whose light reaches the detector.
-    mean_e : array, shape (height, width)
-        Mean photo-electrons, of the sources and of the background.
-    excluded : tuple of str
-        Bodies within the baffle's exclusion angle.
-    """
+    """Light of one exposure."""
 
     sources: TrueSources
+    """Every source whose light reaches the detector."""
     mean_e: FloatArray
+    """(height, width): Mean photo-electrons, of the sources and of the background."""
     excluded: tuple[str, ...]
+    """Bodies within the baffle's exclusion angle."""
 
 
 class Reaching(NamedTuple):
@@ -79,37 +72,26 @@ class Reaching(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
-    """Camera, response and point spread functions of one instrument.
-
-    Parameters
-    ----------
-    camera : Camera
-        As calibrated: what the frame carries.
-    true_camera : Camera
-        As it is: what the sky is drawn through.
-    photometer : Photometer
-        Aperture, transmission and quantum efficiency.
-    psfs : PsfSet
-        Images of points.
-    sky : Sky
-        What shines.
-    aperture_mm, pixel_area_cm2 : float
-        Diameter of the lens and area of a pixel.
-    vignetting, ghosts, baffle, tether
-        Of the lens, and before it.
-    """
+    """Camera, response and point spread functions of one instrument."""
 
     camera: Camera
+    """As calibrated: what the frame carries."""
     true_camera: Camera
+    """As it is: what the sky is drawn through."""
     photometer: Photometer
+    """Aperture, transmission and quantum efficiency."""
     psfs: PsfSet
+    """Images of points."""
     sky: Sky
+    """What shines."""
     aperture_mm: float
     pixel_area_cm2: float
+    """Diameter of the lens and area of a pixel."""
     vignetting: Vignetting
     ghosts: tuple[Ghost, ...]
     baffle: Baffle | None
     tether: Tether
+    """Of the lens, and before it."""
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
 
     def half_field_rad(self, exposure_s: float) -> float:
@@ -189,16 +171,16 @@ class FocalPlane:
             return rate_e_s
         return rate_e_s * star_illumination(self.true_camera, self.vignetting, in_camera)
 
-    def _draw(self, mean_e: FloatArray, light: Light, places: FloatArray, paths: Paths) -> None:
+    def _draw(self, mean_e: FloatArray, light: Light, positions: FloatArray, paths: Paths) -> None:
         """Stars and small bodies through their PSFs, large bodies as disks."""
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
         points = np.flatnonzero(~disk)
-        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], places[points]):
+        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], positions[points]):
             chosen = points[members]
             add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
         for i in np.flatnonzero(disk):
-            position = (float(places[i, 0]), float(places[i, 1]))
+            position = (float(positions[i, 0]), float(positions[i, 1]))
             size = (float(light.radius_rad[i] * camera.fx), float(light.radius_rad[i] * camera.fy))
             draw_body(
                 mean_e,
@@ -250,7 +232,7 @@ class FocalPlane:
         return rate_e_s, excluded
 
     def _tether_rate_e_s(self, scene: Scene) -> FloatArray:
-        """The tether in the light of Sun and Moon, electrons a second in every pixel."""
+        """The tether in the light of Sun and Moon, electrons per second in every pixel."""
         camera, bodies = self.true_camera, scene.bodies
         image = np.zeros((camera.height, camera.width))
         lit_by = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
@@ -279,7 +261,7 @@ class FocalPlane:
             add_stars(image, positions, np.ones(1), rate_e_s[chosen] * share, psf)
 
     def _stray_light(self, scene: Scene) -> tuple[float, tuple[str, ...]]:
-        """Sun, Moon and Earth through the baffle, electrons a second and pixel, and whose exclusion angle is broken."""
+        """Sun, Moon and Earth through the baffle, electrons per second and pixel, and whose exclusion is violated."""
         if self.baffle is None:
             return 0.0, ()
         boresight = scene.pointing.camera.boresight

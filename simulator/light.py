@@ -1,4 +1,4 @@
-"""Light before the exposure: sources with their rates, electrons a second, and what drawing them needs."""
+"""Light before the exposure: sources with their rates, electrons per second, and what drawing them needs."""
 
 from __future__ import annotations
 
@@ -28,23 +28,7 @@ _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """Sources of light, columns of equal length N.
-
-    Parameters
-    ----------
-    id, name, kind, direction, v_mag, b_v, variable
-        As in `simulator.frame.TrueSources`.
-    rate_e_s : (N,) array
-        Photo-electrons a second through the lens, vignetting left out.
-    radius_rad : (N,) array
-        Angular radius; 0 for stars.
-    lit, sun_angle_rad : (N,) arrays
-        Lit share of the disk, and where on it the light comes from.
-    limb : (N, 3) array
-        Edge of the Earth across the disk (`simulator.optics.bodies.Limb`).
-    wavelength_nm : (N,) array
-        Mean wavelength of the photo-electrons.
-    """
+    """Sources of light, columns of equal length N."""
 
     id: IntArray
     name: NDArray[np.str_]
@@ -53,12 +37,18 @@ class Light:
     v_mag: FloatArray
     b_v: FloatArray
     variable: NDArray[np.bool_]
+    """As in `simulator.frame.TrueSources`."""
     rate_e_s: FloatArray
+    """(N,): Photo-electrons per second through the lens, vignetting left out."""
     radius_rad: FloatArray
+    """(N,): Angular radius; 0 for stars."""
     lit: FloatArray
     sun_angle_rad: FloatArray
+    """(N,): Lit share of the disk, and where on it the light comes from."""
     limb: FloatArray
+    """(N, 3): Edge of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
     wavelength_nm: FloatArray
+    """(N,): Mean wavelength of the photo-electrons."""
 
     def joined(self, other: Light) -> Light:
         """These sources, then others."""
@@ -72,7 +62,7 @@ class Light:
 
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons a second of the scene's stars (N,); 0 behind the Earth."""
+    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth."""
     v_mag = scene.catalog.v_mag[scene.rows]
     rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
     if sky.earth:
@@ -102,7 +92,7 @@ def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: P
 
 
 def body_rates_e_s(scene: Scene, bodies: Bodies, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons a second of bodies (N,), less what the Earth hides of them."""
+    """Photo-electrons per second of bodies (N,), less what the Earth hides of them."""
     share = unhidden(bodies, scene.r_km, scene.sun_direction, sky)
     return photometer.body_electrons_per_s(bodies.name, bodies.v_mag) * share
 
@@ -139,7 +129,7 @@ def body_light(
 
 @kernel
 def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
-    """Rows of those places (N, 2) that lie on the image or outside by no more than an extent (N,)."""
+    """Rows of those positions (N, 2) that lie on the image or outside by no more than an extent (N,)."""
     rows, count = np.empty(len(xy), np.int64), 0
     for n in range(len(xy)):
         x, y = xy[n, 0], xy[n, 1]

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Atomic writing of files, and output folders."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from startracker.errors import InputError
 
 @contextlib.contextmanager
 def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """Stream that becomes the file `path` when the block ends well, and leaves nothing behind when it does not.
+    """Stream that becomes the file `path` if the block succeeds, and leaves no file behind if it fails.
 
     Parameters
     ----------
     path : Path
-        The file; what is written goes to another beside it that is moved into place at the end.
+        The file; data are written to a temporary file in the same folder, which is renamed at the end.
     durable : bool
-        Wait until the disk has it, so that not even a power cut leaves half a file in place.
+        Flush to disk, so that not even a power cut leaves an incomplete file.
 
     Raises
     ------
     InputError
-        When the file cannot be written, or the disk is full; says why.
+        If the file cannot be written or the disk is full.
     """
     try:
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -42,28 +42,28 @@ def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(temporary)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another path") from error
 
 
 def write_atomically(path: Path, data: bytes | str, *, durable: bool = True) -> None:
-    """Write `data` beside `path` and move it into place, so that nobody ever meets half a file.
+    """Write `data` to `path` atomically, through a temporary file.
 
     Raises
     ------
     InputError
-        When the folder cannot be written; says why.
+        If the file cannot be written.
     """
     with open_atomically(path, durable=durable) as stream:
         stream.write(data.encode("utf-8") if isinstance(data, str) else data)
 
 
 def make_folder(path: Path) -> Path:
-    """Folder for results, made where it is missing, known to be writable.
+    """Create a folder for results if it is missing, and check that it is writable.
 
     Raises
     ------
     InputError
-        When it cannot be made or written into; says why.
+        If it cannot be created or is not writable.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,8 @@
-"""Random streams keyed by (seed, stage, trial): the same scenario and seed draw the same numbers on any number of
-workers, and a new stage shifts no other."""
+"""Random streams keyed by (seed, stage, trial).
+
+The same scenario and seed give the same random numbers on any number of workers, and a new stage does not change the
+others.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +12,19 @@ from collections.abc import Callable
 import numpy as np
 
 DEVICE = -1
-"""Trial index of what belongs to the device and not to a trial: fixed-pattern noise, hot pixels."""
+"""Trial index for properties of the device, which do not depend on the trial: fixed-pattern noise, hot pixels."""
 
 Streams = Callable[[str], np.random.Generator]
-"""Gives the generator of a stage by its name."""
+"""Returns the generator of a stage by its name."""
 
 
 def stream(seed: int, stage: str, trial: int = DEVICE) -> np.random.Generator:
     """Independent generator of one stage of one trial.
 
-    The key goes through NumPy's `SeedSequence` (a hash built for it), the bits come from Philox-4x64
-    (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"). Stage names are hashed by CRC-32, which is
-    the same in every process and version.
+    The key is hashed by NumPy's `SeedSequence`, and the generator is Philox-4x64 (Salmon et al. 2011, "Parallel random
+    numbers: as easy as 1, 2, 3"). Stage names are hashed by CRC-32, which is the same in every process and version.
     """
     if seed < 0 or trial < DEVICE:
-        raise ValueError(f"streams have a seed from 0 and a trial from {DEVICE} up; got {seed} and {trial}")
+        raise ValueError(f"a stream needs a seed from 0 and a trial from {DEVICE} up; got {seed} and {trial}")
     key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), trial + 1))
     return np.random.Generator(np.random.Philox(key))

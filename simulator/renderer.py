@@ -1,7 +1,7 @@
 """The stages in order: scenario → scene (orbit, pointing, sky) → focal plane (optics) → detector → frame and truth.
 
-This is the one place where the order of the physics is written down; every stage is a pure function of what stands
-before it, and of a random stream of its own.
+The order of the physics is only defined here. Every stage is a pure function of the previous ones and of its own random
+stream.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from startracker.attitude import Attitude
 from startracker.interop import is_rotation
 
 _LEAST_PRIOR_DEG = 0.1
-"""No other sensor is trusted beyond this, even where a scenario gives it no error."""
+"""Minimum error of the prior, also if the scenario states no pointing error."""
 
 
 def render(
@@ -37,19 +37,19 @@ def render(
     Parameters
     ----------
     scenario : Scenario
-        The scenario; what its frames share is kept for the next call.
+        The scenario; data common to its frames are cached for the next call.
     index : int
-        Index of the trial: its time, its attitude, its noise.
+        Index of the trial, which determines its time, attitude and noise.
     at_s : float, astropy Quantity or astropy Time, optional
-        Seconds after the epoch, or the date itself, in place of the trial's own time.
+        Seconds after the epoch, or a date, instead of the time of the trial.
     attitude : Attitude or scipy Rotation, optional
-        True camera attitude, in place of the trial's own; the prior is then off by the trial's random error.
+        True camera attitude instead of that of the trial; the prior then has the random error of the trial.
     """
     return _renderer(scenario).frame(index, at_s=at_s, attitude=attitude)
 
 
 class Renderer:
-    """Renders frames of one scenario; what they share (catalogue, PSF, response, device) is built once.
+    """Renders frames of one scenario; common data (catalogue, PSF, response, device) are built once.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Renderer:
     Raises
     ------
     InputError
-        For names or files in the scenario that cannot be used.
+        For invalid names or files in the scenario.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -84,7 +84,7 @@ class Renderer:
         jitter: JitterPath | None = None,
         exposure_s: float | None = None,
     ) -> Scene:
-        """What the camera could see in trial `index`; parameters as in `frame`."""
+        """Scene of trial `index`; parameters as in `frame`."""
         duration_s = exposure_s or self.exposure_s
         half_field_rad = self.focal_plane.half_field_rad(duration_s)
         streams = self._streams(index)
@@ -107,9 +107,9 @@ class Renderer:
     ) -> tuple[Frame, FrameTruth]:
         """Frame and truth of trial `index`; parameters as in `render`.
 
-        `rate_camera_rad_s` (3,), inertial angular velocity in camera axes, takes the place of the trial's own rate
-        where an attitude is given, `jitter`, about this mid-exposure, that of the trial's own jitter, and `exposure_s`
-        that of the scenario's exposure time.
+        `rate_camera_rad_s` (3,), the inertial angular velocity in camera axes, replaces the rate of the trial if an
+        attitude is given; `jitter`, relative to mid-exposure, replaces that of the trial, and `exposure_s` that of the
+        scenario.
         """
         if at_s is not None:
             at_s = self.scenes.clock.elapsed_s(at_s)
@@ -161,7 +161,7 @@ class Renderer:
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
-    """Scalar keys of the sections that make a frame, orbit to detector, by dotted path, for a file header."""
+    """Scalar keys of the sections from orbit to detector by dotted path, for a file header."""
     flat: dict[str, float | int | str | bool] = {}
 
     def walk(prefix: str, value: Any) -> None:

@@ -48,49 +48,33 @@ the processor's cache."""
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The sky from the spacecraft at one instant.
-
-    Parameters
-    ----------
-    t_s : float
-        Seconds after the scenario's epoch.
-    r_km : array, shape (3,)
-        Position of the spacecraft, GCRS.
-    observer : Observer
-        Epoch, barycentric position and velocity.
-    sun_direction : array, shape (3,)
-        Unit vector from the spacecraft to the Sun, without aberration.
-    pointing : Pointing
-        Attitudes and rate; the true attitude is the mean over the exposure where there is jitter.
-    jitter : JitterPath, optional
-        Turning of the camera about that attitude during the exposure.
-    streak_rad : float
-        Angle that the camera turns by over the exposure.
-    catalog : StarCatalog
-        All stars of the sky.
-    rows : int array, shape (N,)
-        Those of them in and around the field.
-    star_directions : array, shape (N, 3)
-        Where each appears, ICRS axes.
-    star_b_v, star_giant : array, shape (N,)
-        Colour and class of their spectra (`simulator.sky.colours`).
-    bodies : Bodies
-        Sun, Moon and planets, wherever they are.
-    """
+    """The sky from the spacecraft at one instant."""
 
     t_s: float
+    """Seconds after the scenario's epoch."""
     r_km: FloatArray
+    """(3,): Position of the spacecraft, GCRS."""
     observer: Observer
+    """Epoch, barycentric position and velocity."""
     sun_direction: FloatArray
+    """(3,): Unit vector from the spacecraft to the Sun, without aberration."""
     pointing: Pointing
+    """Attitudes and rate; the true attitude is the mean over the exposure where there is jitter."""
     jitter: JitterPath | None
+    """Turning of the camera about that attitude during the exposure."""
     streak_rad: float
+    """Angle that the camera turns by over the exposure."""
     catalog: StarCatalog
+    """All stars of the sky."""
     rows: IntArray
+    """(N,): Those of them in and around the field."""
     star_directions: FloatArray
+    """(N, 3): Where each appears, ICRS axes."""
     star_b_v: FloatArray
     star_giant: FloatArray
+    """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
+    """Sun, Moon and planets, wherever they are."""
 
     @property
     def stars(self) -> StarCatalog:
@@ -100,23 +84,16 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneParameters:
-    """What scenes are made of, besides the orbit.
-
-    Parameters
-    ----------
-    seed : int
-        Of the run.
-    sampling : str
-        When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`).
-    pointing, spectrum, sky
-        Mounting, what the body holds and how the camera shakes; by which spectrum; what is seen.
-    """
+    """What scenes are made of, besides the orbit."""
 
     seed: int
+    """Of the run."""
     sampling: str
+    """When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`)."""
     pointing: PointingParameters
     spectrum: Spectrum
     sky: Sky
+    """Mounting, what the body holds and how the camera shakes; by which spectrum; what is seen."""
 
 
 class SceneBuilder:

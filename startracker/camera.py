@@ -206,7 +206,7 @@ class Camera:
             raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from error
 
     # ------------------------------------------------------------------ derived quantities
-    @property
+    @functools.cached_property
     def fov_deg(self) -> float:
         """Field of view across the full width, edge to edge, along the row of the principal point, with distortion."""
         return self._seen_deg([[-0.5, self.cy], [self.width - 0.5, self.cy]], self.undistorted_fov_deg)
@@ -267,7 +267,7 @@ class Camera:
         angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(radius))
         return float(angle.max())
 
-    @property
+    @functools.cached_property
     def pixel_rad(self) -> float:
         """Angle of one pixel at the centre of the field, radians."""
         return 1.0 / math.sqrt(self.fx * self.fy)

@@ -48,7 +48,7 @@ def _steps(shape: tuple[int, ...]) -> tuple[int, int]:
     return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
 
 
-def _extent(values: FloatArray) -> tuple[float, float, float]:
+def _extent(values: NDArray[Any]) -> tuple[float, float, float]:
     """Minimum, median and maximum."""
     ordered = np.sort(values, axis=None)
     last = len(ordered) - 1

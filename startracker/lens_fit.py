@@ -23,6 +23,7 @@ __all__ = [
     "JointFit",
     "Matches",
     "fit_jointly",
+    "image_equations",
     "noise_floor",
     "rescaled",
     "significant",
@@ -258,6 +259,36 @@ def _held(names: tuple[str, ...], state: _State) -> list[tuple[str, float]]:
     return [(name, sigma) for name, sigma in sigmas if np.isfinite(sigma)]
 
 
+def image_equations(
+    camera: Camera,
+    matrix: FloatArray,
+    stars: Matches,
+    names: tuple[str, ...],
+    amounts: FloatArray | None = None,
+    *,
+    with_refraction: bool = False,
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and right-hand side of one Gauss–Newton step over the stars of an image, without priors.
+
+    Unknowns: the parameters `names` of the camera, the rotation vector and, with refraction, its `amounts` (2,), see
+    `stretch`.
+    """
+    vectors = stars.directions @ matrix.T
+    if amounts is not None:
+        vectors = stretch(vectors, amounts)
+    places, moves, by_vector = sensitivity(camera, vectors)
+    # the stretch's own share of a turn, 1e-3, does not matter for the step
+    columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
+    if with_refraction:
+        x, y = vectors[:, :2].T
+        zero = np.zeros_like(x)
+        by_amount = np.stack([np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1)], axis=2)
+        columns.append(by_vector @ by_amount)
+    weight = np.repeat(1.0 / stars.sigma_px, 2)
+    jacobian = np.concatenate(columns, axis=2).reshape(len(weight), -1) * weight[:, None]
+    return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - places).ravel() * weight)
+
+
 def _normal_equations(
     state: _State, matches: list[Matches], names: tuple[str, ...], with_refraction: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -265,22 +296,13 @@ def _normal_equations(
     size = lens + (5 if with_refraction else 3) * images
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for i, m in enumerate(matches):
-        vectors = stretch(m.directions @ state.matrices[i].T, state.stretches[i])
-        places, moves, by_vector = sensitivity(state.camera, vectors)
-        # the stretch's own share of a turn, 1e-3, does not matter for the step
-        blocks = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
         at = [np.arange(lens), lens + 3 * i + np.arange(3)]
         if with_refraction:
-            x, y = vectors[:, :2].T
-            zero = np.zeros_like(x)
-            by_amount = np.stack([np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1)], axis=2)
-            blocks.append(by_vector @ by_amount)
             at.append(lens + 3 * images + 2 * i + np.arange(2))
-        weight = np.repeat(1.0 / m.sigma_px, 2)
-        jacobian = np.concatenate(blocks, axis=2).reshape(len(weight), -1) * weight[:, None]
-        where = np.concatenate(at)
-        normal[np.ix_(where, where)] += jacobian.T @ jacobian
-        gradient[where] += jacobian.T @ ((m.xy - places).ravel() * weight)
+        where, given = np.concatenate(at), (state.camera, state.matrices[i], m, names, state.stretches[i])
+        of_image, right = image_equations(*given, with_refraction=with_refraction)
+        normal[np.ix_(where, where)] += of_image
+        gradient[where] += right
     for name, sigma in _held(names, state):
         k = names.index(name)
         normal[k, k] += 1.0 / sigma**2

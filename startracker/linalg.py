@@ -63,38 +63,51 @@ def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
 @kernel
 def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution (n,) of a positive definite system; NaN where it is none."""
-    factor, out = matrix.copy(), right.copy()
-    if factorise(factor, len(out)):
-        substitute(factor, len(out), out)
+    size = len(right)
+    factor, out = np.empty((size, size)), np.empty(size)
+    for i in range(size):
+        out[i] = right[i]
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+    if factorise(factor, size):
+        substitute(factor, size, out)
     else:
-        out[:] = np.nan
+        for i in range(size):
+            out[i] = math.nan
     return out
+
+
+@kernel
+def log_determinant(matrix: FloatArray) -> float:
+    """ln of the determinant of a positive definite matrix; −inf for any other."""
+    size, total = len(matrix), 0.0
+    factor = np.empty((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+    if not factorise(factor, size):
+        return -math.inf
+    for i in range(size):
+        total += 2.0 * math.log(factor[i, i])
+    return total
 
 
 @kernel
 def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
     """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant; NaN for any
     other."""
-    factor, out = matrix.copy(), np.zeros((size, size))
-    if not factorise(factor, size):
-        out[:] = np.nan
-        return out, np.nan
-    for k in range(size):
-        out[k, k] = 1.0
-        substitute(factor, size, out[k])
-    for i in range(size):  # equal to the last digit
-        for j in range(i):
-            out[j, i] = out[i, j]
-    return out, log_determinant(factor, size)
-
-
-@kernel
-def log_determinant(factor: FloatArray, size: int) -> float:
-    """ln of the determinant of a matrix, from its factor."""
-    total = 0.0
+    factor, out, log_determinant = np.empty((size, size)), np.zeros((size, size)), 0.0
     for i in range(size):
-        total += math.log(factor[i, i])
-    return 2.0 * total
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+    positive = factorise(factor, size)
+    for k in range(size):
+        out[k, k] = 1.0 if positive else math.nan
+        log_determinant += 2.0 * math.log(factor[k, k]) if positive else math.nan
+        substitute(factor, size, out[k])
+        for j in range(k):  # equal to the last digit
+            out[j, k] = out[k, j]
+    return out, log_determinant
 
 
 @kernel
@@ -124,9 +137,9 @@ def transform(matrix: FloatArray, vectors: FloatArray, out: FloatArray) -> None:
 def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
-    if angle == 0.0:
-        return matrix.copy()
-    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
+    s, c = 1.0, 0.0
+    if angle > 0.0:
+        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
     out = np.empty((3, 3))
     for k in range(3):
         p, q, r = matrix[0, k], matrix[1, k], matrix[2, k]

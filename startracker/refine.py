@@ -13,10 +13,12 @@ from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation import OPTIMAL, Estimator
+from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.pixel_phase import HARMONIC_SIGMA, phase_columns, phase_shift, shared_shift
 from startracker.estimation.pose import (
     TRUSTED,
     UNKNOWN_FLOOR_PX,
+    Linearised,
     Pose,
     displacements,
     few_stars_factor,
@@ -26,10 +28,11 @@ from startracker.estimation.pose import (
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
-from startracker.identification.verification import fit_step, focal_slopes, turned
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
+from startracker.linalg import solve, turned
 from startracker.observer import Observer, unknown_aberration
+from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -78,18 +81,41 @@ class Refined:
     camera: Camera
 
 
+class Measured(NamedTuple):
+    """Centroids of an image and what is known of their errors.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Pixels.
+    flux : (N,), optional
+        Signal.
+    variance_px2 : (N,), optional
+        Variance on one axis; None: unknown, equal, and told by the residuals.
+    covariance_px2 : (N, 2, 2), optional
+        Where the two axes differ, as of streaks.
+    common_px2 : (2, 2), optional
+        Of an error that all centroids share, which turns the attitude and no residual shows.
+    misfit : float, optional
+        How far the star images are from those that were fitted to them (`Centroids.misfit`).
+    """
+
+    xy: FloatArray
+    flux: FloatArray | None = None
+    variance_px2: FloatArray | None = None
+    covariance_px2: FloatArray | None = None
+    common_px2: FloatArray | None = None
+    misfit: float | None = None
+
+
 def refine(
     pairs: IntArray,
-    xy: FloatArray,
-    variance_px2: FloatArray | None,
+    stars: Measured,
     camera: Camera,
     guide: GuideDatabase,
     estimator: Estimator,
     free_focal: bool = False,
     directions: FloatArray | None = None,
-    covariance_px2: FloatArray | None = None,
-    common_px2: FloatArray | None = None,
-    misfit: float | None = None,
     observer: Observer | None = None,
 ) -> Refined:
     """Attitude from all centroids that agree with guide stars of the field.
@@ -104,58 +130,28 @@ def refine(
     ----------
     pairs : (M, 2)
         Identified (centroid, guide star).
-    xy : (N, 2)
-        Centroids, pixels.
-    variance_px2 : (N,), optional
-        Variance of each centroid on one axis; None: unknown, equal, and told by the residuals.
+    stars : Measured
     camera, guide, estimator
         The camera, the guide stars as the observer sees them, and a method of `startracker.estimation`.
     free_focal : bool
         Whether the focal length is fitted along (both axes by one factor); the covariance has its part then.
     directions : (N, 3), optional
         Of the centroids through the camera, where they are known.
-    covariance_px2 : (N, 2, 2), optional
-        Of each centroid, where the two axes differ, as of streaks.
-    common_px2 : (2, 2), optional
-        Of an error that all centroids share, which turns the attitude and no residual shows.
-    misfit : float, optional
-        How far the star images are from those that were fitted to them (`Centroids.misfit`).
     observer : Observer, optional
         What the guide stars are seen by. Without it the covariance has the motion of the stars since the catalogue's
         epoch and the aberration of light in it.
     """
-    known = variance_px2 is not None
+    xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
-    sigma = np.ones(len(xy)) if variance_px2 is None else np.sqrt(variance_px2 + floor**2)
-    used, same = np.ascontiguousarray(pairs, dtype=np.int64), False
-    sky, grid = guide.directions, guide.grid
+    sigma = np.ones(len(xy)) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
+    identified = np.ascontiguousarray(pairs, dtype=np.int64)
     directions = camera.unproject(xy) if directions is None else directions
-    for _ in range(12):
-        matrix, reference = _first_fit(used, directions, sky, sigma)
-        if free_focal:
-            stars = used[:, 0]
-            camera, matrix = _refocused(camera, matrix, xy[stars], reference, sigma[stars])
-            directions = camera.unproject(xy)
-        if same:
-            break
-        cosine = field_cosine(camera, MARGIN_PX)
-        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
-        if len(fitting) < min(len(pairs), _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
-            break
-        used = fitting
-        if same and not free_focal:  # nor would the next fit be another
-            break
-    if known and len(used) >= _FEWEST_TO_REJECT:  # a systematic error shows in bright stars: they are not yet left out
-        wide = np.maximum(sigma, np.median(sigma[used[:, 0]]))
-        matrix, reference = _first_fit(used, directions, sky, wide)
-        cosine = field_cosine(camera, MARGIN_PX)
-        more, _ = matched_again(used, matrix, reference, xy, wide, known, sky, grid, cosine, camera.image_map)
-        used = more if len(more) >= len(used) else used
+    used, matrix, camera = _matched(identified, xy, sigma, directions, camera, guide, known, free_focal)
     stated = np.zeros((len(xy), 2, 2))
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
-    if known and covariance_px2 is not None:
-        stated = covariance_px2 + floor**2 * np.eye(2)
-    as_assumed = probability_as_assumed(misfit)
+    if known and stars.covariance_px2 is not None:
+        stated = stars.covariance_px2 + floor**2 * np.eye(2)
+    as_assumed = probability_as_assumed(stars.misfit)
     field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
@@ -165,14 +161,50 @@ def refine(
         fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
-    common_px2 = shared_shift(fit.phases) + (0.0 if common_px2 is None else common_px2)
+    common_px2 = shared_shift(fit.phases) + (0.0 if stars.common_px2 is None else stars.common_px2)
     if common_px2.any():
         turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
         covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
     if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)
-    residual = xy[named[:, 0]] - camera.project(sky[named[:, 1]] @ matrix.T)
+    residual = xy[named[:, 0]] - camera.project(guide.directions[named[:, 1]] @ matrix.T)
     return Refined(matrix, covariance, named, fits, residual, camera)
+
+
+def _matched(
+    used: IntArray,
+    xy: FloatArray,
+    sigma: FloatArray,
+    directions: FloatArray,
+    camera: Camera,
+    guide: GuideDatabase,
+    known: bool,
+    free_focal: bool,
+) -> tuple[IntArray, FloatArray, Camera]:
+    """Pairs that agree with the attitude of those before, until these stay the same; their attitude, and the camera."""
+    sky, grid, fewest, same, matrix = guide.directions, guide.grid, len(used), False, np.zeros((3, 3))
+    for _ in range(12):
+        matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
+        if free_focal:
+            chosen = used[:, 0]
+            camera, matrix = _refocused(camera, matrix, xy[chosen], reference, sigma[chosen])
+            directions = camera.unproject(xy)
+        if same:
+            break
+        cosine = field_cosine(camera, MARGIN_PX)
+        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
+        if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
+            break
+        used = fitting
+        if same and not free_focal:  # nor would the next fit be another
+            break
+    if known and len(used) >= _FEWEST_TO_REJECT:  # a systematic error shows in bright stars: they are not yet left out
+        wide = np.maximum(sigma, median(sigma[used[:, 0]]))
+        matrix, reference = _first_fit(used, directions, sky, wide, matrix)
+        cosine = field_cosine(camera, MARGIN_PX)
+        more, _ = matched_again(used, matrix, reference, xy, wide, known, sky, grid, cosine, camera.image_map)
+        used = more if len(more) >= len(used) else used
+    return used, matrix, camera
 
 
 class _Fit(NamedTuple):
@@ -226,26 +258,22 @@ class _Field:
         residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
         offset -= (camera.cx, camera.cy)
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
-        stated, first, models = self.stated[stars], 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
+        first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
+        given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
         phases = np.empty(0)
         if self.known:
-            pose = fit_pose(
-                residual, slopes, offset, stated, extra, extra_sigma, TRUSTED, first, models, self.as_assumed
-            )
+            pose = fit_pose(given, TRUSTED, first, models)
             if self.as_assumed < _MISFITTING:
                 columns = np.concatenate([extra, phase_columns(measured[stars])], axis=2)
                 sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * HARMONIC_SIGMA])
-                other = fit_pose(
-                    residual, slopes, offset, stated, columns, sigma, TRUSTED, first, models, self.as_assumed
-                )
+                other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models)
                 if other.log_evidence > pose.log_evidence:
-                    known = len(extra_sigma)
-                    theirs = np.arange(known, len(sigma))
+                    theirs = np.arange(len(extra_sigma), len(sigma))
                     phases, pose = other.unknowns[theirs], other._replace(unknowns=np.delete(other.unknowns, theirs))
         else:
             scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
             for _ in range(2):
-                pose = fit_pose(residual, slopes, offset, stated * scale, extra, extra_sigma, 0.0, first, models)
+                pose = fit_pose(given._replace(covariance=given.covariance * scale), 0.0, first, models)
                 scale *= pose.factor
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
@@ -294,7 +322,7 @@ class _Field:
         )
         slopes, offset = pixel_slopes(vectors, camera.image_map), places - (camera.cx, camera.cy)
         extra, _ = self._extra(index, matrix, slopes, offset)
-        return index, places, displacements(slopes, offset, extra, pose.unknowns)
+        return index, places, displacements(offset, extra, pose.unknowns)
 
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
@@ -306,7 +334,7 @@ class _Field:
             offset -= (camera.cx, camera.cy)
             extra, _ = self._extra(used[:, 1], matrix, slopes, offset)
             pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-            seen = camera.unproject(measured[used[:, 0]] - displacements(slopes, offset, extra, pose.unknowns))
+            seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
         if self.observer is None:
@@ -314,36 +342,30 @@ class _Field:
         return matrix, covariance
 
 
+def _first_fit(
+    used: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray, start: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Attitude (3, 3) of pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these; `start` as for
+    `fit_pairs`."""
+    matrix, reference = fit_pairs(used, directions, guides, sigma, start)
+    if math.isnan(matrix[0, 0]):
+        seen = used[:, 0]
+        matrix = fit_rotation(directions[seen], reference, 1.0 / sigma[seen] ** 2)
+    return matrix, reference
+
+
 def _refocused(
     camera: Camera, matrix: FloatArray, xy: FloatArray, reference: FloatArray, sigma: FloatArray
 ) -> tuple[Camera, FloatArray]:
     """Camera and attitude with the focal length that fits best: two steps of Gauss–Newton suffice within 3 %."""
     for _ in range(2):
-        normal, right = _normal(camera, matrix, camera.unproject(xy), reference, sigma)
-        change = np.linalg.solve(normal, right)
+        vectors, every = camera.unproject(xy), np.arange(len(xy))
+        predicted, slopes = reference @ matrix.T, focal_slopes(vectors)
+        change = solve(*normal_equations(vectors, slopes, predicted, every, sigma * camera.pixel_rad, 4))
         matrix = turned(matrix, *change[:3])
         factor = math.exp(change[3])
         camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
     return camera, matrix
-
-
-def _normal(
-    camera: Camera, matrix: FloatArray, vectors: FloatArray, reference: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Normal equations of rotation vector and ln of the focal length."""
-    every = np.arange(len(vectors))
-    slopes, predicted = focal_slopes(vectors), reference @ matrix.T
-    normal, right = fit_step(vectors, slopes, predicted, every, sigma * camera.pixel_rad, 4)
-    return normal, right
-
-
-def _first_fit(
-    used: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Attitude (3, 3) of pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these."""
-    seen, star = used[:, 0], used[:, 1]
-    reference = guides[star]
-    return fit_rotation(directions[seen], reference, 1.0 / sigma[seen] ** 2), reference
 
 
 @kernel

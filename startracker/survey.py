@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.defects import mask_extremes
-from startracker.detection.values import Image, as_pixels, whole_range
+from startracker.detection.values import Image, as_pixels
 
 __all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
 
@@ -67,9 +67,6 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
     level = saturation_dn
     if level is None and as_given.dtype.kind == "u":
         level = float(np.iinfo(as_given.dtype).max)
-    if level is not None and pixels.dtype == np.uint16:
-        least, most, full = whole_range(pixels, float(level))
-        return Survey(pixels, float(least), float(most), full / pixels.size, level), ""
     # integers are always finite, and their range takes a quarter of the time
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
@@ -84,7 +81,7 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
     if level is None:
         level = highest if highest > 0 else math.inf
-    full = np.count_nonzero(pixels >= level) if highest >= level else 0
+    full = int(np.count_nonzero(pixels >= level)) if highest >= level else 0
     return Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 

@@ -30,7 +30,7 @@ from startracker.identification.given import as_prior, usable_directions
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.refine import refine
+from startracker.refine import Measured, Refined, refine
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -206,16 +206,17 @@ class StarTracker:
         clock, observer = Clock(), observer_of(observer, time)
         points, signal = clean_centroids(xy, flux, self.camera)
         guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
-        solution = self._solve(points, signal, variance, as_prior(prior, prior_deg), observer, guide, clock)
+        measured = Measured(points, signal, variance)
+        solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock)
         left_out = np.size(xy) // 2 - len(points)
         if left_out and not solution.solved:
             reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
             solution = replace(solution, reason=reason)
-        steps = (
-            listed_step(np.size(xy) // 2, points, signal),
-            *solution.steps,
-            *attitude_steps(solution),
-            *hints(solution.status, len(points), known_camera=True),
+        steps = Steps(
+            partial(listed_step, np.size(xy) // 2, points, signal),
+            solution.steps,
+            partial(attitude_steps, solution),
+            hints(solution.status, len(points), known_camera=True),
         )
         return replace(solution, steps=steps)
 
@@ -235,8 +236,8 @@ class StarTracker:
             stars = look() if callable(look) else look
             if stars is None:
                 continue
-            errors = stars.covariance_px2, stars.common_px2, stars.misfit
-            tried = self._solve(stars.xy, stars.flux, stars.variance_px2, prior, observer, guide, clock, *errors)
+            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
+            tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
             looks.append((stars, tried))
             if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):
                 break
@@ -254,50 +255,17 @@ class StarTracker:
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
-        self,
-        xy: FloatArray,
-        flux: FloatArray | None,
-        variance_px2: FloatArray | None,
-        prior: Prior | None,
-        observer: Observer | None,
-        guide: GuideDatabase,
-        clock: Clock,
-        covariance_px2: FloatArray | None = None,
-        common_px2: FloatArray | None = None,
-        misfit: float | None = None,
+        self, stars: Measured, prior: Prior | None, observer: Observer | None, guide: GuideDatabase, clock: Clock
     ) -> Solution:
         tried: Sequence[Step] = ()
         free_fit: Solution | None = None
-        if self.focal_error > 0.0 and len(xy) >= FEWEST_MATCHED:
-            camera, error = self.camera, self.focal_error
-            search = FreeSearch(
-                xy,
-                flux,
-                camera.width,
-                camera.height,
-                self.catalog,
-                self.identification,
-                observer,
-                variance_px2=variance_px2,
-                rough=camera,
-            )
-            fov = camera.undistorted_fov_deg
-            band = (fov * (1.0 - error), fov, fov * (1.0 + error))
-            free_fit = search.run((band,), (camera.parity,))
-            clock.lap("free_scale")
-            tried = (
-                search_step(search.trials, (band,), (camera.parity,)),
-                Step("identification", free_fit.reason),
-            )
+        if self.focal_error > 0.0 and len(stars.xy) >= FEWEST_MATCHED:
+            free_fit, tried = self._free_fit(stars, observer, clock)
             if is_beyond_doubt(free_fit, self.identification):
                 return replace(free_fit, times_ms=clock.times_ms(), steps=tried)
-        stated = np.full(len(xy), STATED_PX) if variance_px2 is None else np.sqrt(variance_px2 + IMAGE_FLOOR_PX**2)
-        directions, usable, vectors, sigma = usable_directions(xy, stated, self.camera.pixel_rad, self.camera.image_map)
-        signal, most = None if flux is None else flux[usable], self.identification.max_centroids
-        observed = Observed(vectors, signal, sigma)
-        if len(vectors) > most:
-            observed = Observed(vectors[:most], None if signal is None else signal[:most], sigma[:most])
-            text = f"the {most} brightest of {len(vectors)} centroids are used (max_centroids)"
+        observed, usable, directions = self._observed(stars)
+        if len(usable) > len(observed.vectors):
+            text = f"the {len(observed.vectors)} brightest of {len(usable)} centroids are used (max_centroids)"
             tried = (*tried, Step("identification", text))
         found, contradicted = self._around_prior(observed, guide, prior)
         clock.lap("identification")
@@ -311,39 +279,62 @@ class StarTracker:
             ):
                 return replace(free_fit, times_ms=clock.times_ms(), steps=tried, operations=found.operations)
         if found.status is not Status.SOLVED:
-            unsolved = self._unsolved(found.status, found.reason, clock, xy)
+            unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
             chance, operations = found.log_false_alarm, found.operations
             return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
-        pairs = found.pairs.copy()
-        pairs[:, 0] = usable[pairs[:, 0]]
+        pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
             known = None if free else directions
-            refined = refine(
-                pairs,
-                xy,
-                variance_px2,
-                camera,
-                guide,
-                self._estimate,
-                free,
-                directions=known,
-                covariance_px2=covariance_px2,
-                common_px2=common_px2,
-                misfit=misfit,
-                observer=observer,
-            )
+            refined = refine(pairs, stars, camera, guide, self._estimate, free, known, observer)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
-            return self._unsolved(Status.NO_MATCH, f"{found.reason}; but the estimator says: {error}", clock, xy)
+            reason = f"{found.reason}; but the estimator says: {error}"
+            return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
+        return replace(self._solved(found, refined, stars, guide, clock), steps=tried, prior_contradicted=contradicted)
+
+    def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
+        """Solution with the focal length fitted along, within its error, and what was tried."""
+        camera, error = self.camera, self.focal_error
+        search = FreeSearch(
+            stars.xy,
+            stars.flux,
+            camera.width,
+            camera.height,
+            self.catalog,
+            self.identification,
+            observer,
+            variance_px2=stars.variance_px2,
+            rough=camera,
+        )
+        fov = camera.undistorted_fov_deg
+        band = (fov * (1.0 - error), fov, fov * (1.0 + error))
+        found = search.run((band,), (camera.parity,))
+        clock.lap("free_scale")
+        step = search_step(search.trials, (band,), (camera.parity,))
+        return found, (step, Step("identification", found.reason))
+
+    def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
+        """Directions for the identification, the centroids that have one, and those of all centroids."""
+        stated = np.full(len(stars.xy), STATED_PX)
+        if stars.variance_px2 is not None:
+            stated = np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+        camera, most = self.camera, self.identification.max_centroids
+        directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
+        signal = None if stars.flux is None else stars.flux[usable[:most]]
+        return Observed(vectors[:most], signal, sigma[:most]), usable, directions
+
+    def _solved(
+        self, found: Identification, refined: Refined, measured: Measured, guide: GuideDatabase, clock: Clock
+    ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         stars = MatchedStars(
-            xy[used],
+            measured.xy[used],
             guide.catalog.id[chosen],
             guide.catalog.star_name[chosen],
             guide.v_mag[chosen],
-            np.full(len(used), np.nan) if flux is None else flux[used],
+            np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
             refined.residual_px,
             refined.used,
         )
@@ -354,15 +345,13 @@ class StarTracker:
             Attitude.from_matrix(refined.matrix),
             refined.covariance,
             stars,
-            xy,
+            measured.xy,
             refined.camera.fov_deg,
             self.camera.parity,
             clock.times_ms(),
             refined.camera,
-            tried,
-            found.log_false_alarm,
-            found.operations,
-            contradicted,
+            log_false_alarm=found.log_false_alarm,
+            operations=found.operations,
         )
 
     def _around_prior(

@@ -125,12 +125,12 @@ def earth_limb() -> None:
         one.set_title(f"Earth's limb from 800 km, {title}", fontsize=9)
         one.set_xticks([])
         one.set_yticks([])
-    figure.colorbar(drawn, ax=axes, label="electrons a second and pixel", shrink=0.85)
+    figure.colorbar(drawn, ax=axes, label="electrons per second and pixel", shrink=0.85)
     figure.savefig(IMAGES / "earth-limb.png", dpi=100)
 
 
 def terminator_azimuth(nadir: FloatArray, sun: FloatArray, pole: FloatArray, horizon: float) -> float:
-    """Azimuth of the place on the horizon where the Sun stands at the horizon too."""
+    """Azimuth of the point of the horizon where the Sun is at the horizon as well."""
     azimuth = np.linspace(0.0, np.pi, 2000)
     side = np.cos(azimuth)[:, None] * np.cross(pole, nadir) + np.sin(azimuth)[:, None] * pole
     vertical = -np.sin(horizon) * nadir + np.cos(horizon) * side

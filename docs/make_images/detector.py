@@ -41,8 +41,8 @@ def star_field(shape, stars, sigma_px=0.8, sky_e=20.0):
     image = np.full(shape, sky_e)
     y, x = np.arange(shape[0]), np.arange(shape[1])
 
-    def share(pixel, place):
-        edge = (pixel - place) / (np.sqrt(2) * sigma_px)
+    def share(pixel, centre):
+        edge = (pixel - centre) / (np.sqrt(2) * sigma_px)
         half = 0.5 / (np.sqrt(2) * sigma_px)
         return 0.5 * (erf(edge + half) - erf(edge - half))
 

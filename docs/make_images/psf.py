@@ -29,8 +29,8 @@ def weights_of(b_v: np.ndarray, edges_nm: np.ndarray) -> np.ndarray:
 
 
 def star(psf: Psf, offset: float = 0.0) -> np.ndarray:
-    place = np.array([[SIZE // 2 + offset, SIZE // 2 + offset]])
-    return render_stars((SIZE, SIZE), place, np.ones(1), [1e6], psf) / 1e6
+    xy = np.array([[SIZE // 2 + offset, SIZE // 2 + offset]])
+    return render_stars((SIZE, SIZE), xy, np.ones(1), [1e6], psf) / 1e6
 
 
 def single(obscuration: float = 0.0, b_v: float = 0.6, **keys: object) -> np.ndarray:
@@ -61,10 +61,10 @@ def main() -> None:
         model="diffraction", field=FieldAberrations(coma_waves=0.3, astigmatism_waves=0.15, curvature_waves=0.15)
     )
     stars = build_psf_set(section, F_NUMBER, (PITCH_UM, PITCH_UM), (400, 400))
-    places = np.linspace(0.0, 399.0, 5)
+    grid = np.linspace(0.0, 399.0, 5)
     field = np.zeros((5 * SIZE, 5 * SIZE))
-    for j, y in enumerate(places):
-        for i, x in enumerate(places):
+    for j, y in enumerate(grid):
+        for i, x in enumerate(grid):
             image = star(stars.psf(xy=(float(x), float(y))))
             field[j * SIZE : (j + 1) * SIZE, i * SIZE : (i + 1) * SIZE] = image / image.max()
     shown = axes.flat[7].imshow(np.log10(field + 1e-5), vmin=-4, vmax=0, cmap="magma")

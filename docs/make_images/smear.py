@@ -75,11 +75,11 @@ def main() -> None:
         7.0,
     )
     panels[1, 0].set(xlim=(119.5, 219.5), ylim=(199.5, 99.5), xticks=[120, 219], yticks=[100, 199])
-    show(panels[1, 1], rolled((0.0, 0.8, 0.0), 2e-3), "rolling shutter, 2 ms a line, 0.8°/s")
+    show(panels[1, 1], rolled((0.0, 0.8, 0.0), 2e-3), "rolling shutter, 2 ms per line, 0.8°/s")
     panels[1, 1].contour(exposed((0.0, 0.8, 0.0)), levels=[150.0], colors="tab:orange", linewidths=0.7)
     panels[1, 1].set_xlabel("orange: where a global shutter sees them", fontsize=8)
     smear = frame_transfer_smear(strong, EXPOSURE_S, 20e-6, "up", "after")
-    show(panels[1, 2], strong + smear, "frame transfer under light, 20 µs a line, upwards")
+    show(panels[1, 2], strong + smear, "frame transfer under light, 20 µs per line, upwards")
     OUTPUT.parent.mkdir(exist_ok=True)
     figure.savefig(OUTPUT, dpi=80)
 

@@ -11,7 +11,7 @@ from simulator.checks import load_scenario
 from simulator.study.coverage.maps import coverage_map
 from simulator.study.coverage.survey import coverage
 from simulator.study.design.plot import design_plot
-from simulator.study.design.search import design
+from simulator.study.design.search import Trade, design
 from simulator.study.plots import save_bytes
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
@@ -20,7 +20,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "images"
 def main() -> None:
     cubesat = load_scenario("cubesat")
     (IMAGES / "coverage.png").write_bytes(save_bytes(coverage_map(coverage(cubesat)), dpi=100))
-    trade = design(cubesat, "optics.aperture_mm", 3.0, 30.0)
+    trade = design(cubesat, Trade("optics.aperture_mm", 3.0, 30.0))
     (IMAGES / "design.png").write_bytes(save_bytes(design_plot(trade), dpi=100))
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from simulator.cli.export_request import ExportRequest
-from simulator.cli.options import ScenarioFile, SetValues, as_command
+from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
 from simulator.cli.run_requests import RenderRequest, RunRequest, SweepRequest
 from simulator.cli.study_command import study_app
@@ -66,10 +66,9 @@ def report_command(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder that `boresight run` left.", show_default=False)
     ],
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too.")] = False,
+    pdf: Annotated[bool, switch("--pdf", "Write report.pdf too.")] = False,
     budget: Annotated[
-        Path | None,
-        typer.Option("--budget", metavar="FILE", help="Error budget to take in: that of `boresight study budget`."),
+        Path | None, option("--budget", "FILE", "Error budget to take in: that of `boresight study budget`.")
     ] = None,
 ) -> None:
     """Write the report of a finished run again, from its files: report.html, and report.pdf for signing."""
@@ -88,7 +87,7 @@ def compare_command(
             show_default=False,
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="PAGE.html", help="Page to write.")] = Path("comparison.html"),
+    out: Annotated[Path, option("--out", "PAGE.html", "Page to write.")] = Path("comparison.html"),
 ) -> None:
     """Compare runs: what differs in their scenarios, errors with intervals, rates and times."""
     from simulator.cli.sweep_command import compare_runs
@@ -153,7 +152,7 @@ def _run(arguments: list[str]) -> int:
         return code if isinstance(code, int) else 0
     except typer.TyperException as error:  # a wrong option or argument
         message = error.format_message() if hasattr(error, "format_message") else str(error)
-        print(f"boresight: {' '.join(message.split())} (boresight --help tells more)", file=sys.stderr)
+        print(f"boresight: {' '.join(message.split())} (see boresight --help)", file=sys.stderr)
         return 2
     except BoresightError as error:
         print(error, file=sys.stderr)

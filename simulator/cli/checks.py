@@ -1,4 +1,4 @@
-"""What several commands check before they begin: the numbers they were given, and the places to write to."""
+"""What several commands check before they begin: the numbers they were given, and the files to write to."""
 
 from __future__ import annotations
 

@@ -13,22 +13,31 @@ from typing import Annotated, Any
 
 import typer
 
+
+def option(name: str, metavar: str, help_text: str) -> Any:
+    """An option that takes a value."""
+    return typer.Option(name, metavar=metavar, help=help_text)
+
+
+def switch(name: str, help_text: str) -> Any:
+    """An option that takes none."""
+    return typer.Option(name, help=help_text)
+
+
 ScenarioFile = Annotated[
     Path,
     typer.Argument(help="Scenario YAML, or one that ships (sunsat, cubesat, tc211, orbit, slew).", show_default=False),
 ]
 SetValues = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Override a key, e.g. optics.aperture_mm=25; may be repeated."),
+    option("--set", "PATH=VALUE", "Override a key, e.g. optics.aperture_mm=25; may be repeated."),
 ]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's seed.")]
+Seed = Annotated[int | None, option("--seed", "S", "In place of the scenario's seed.")]
 Dask = Annotated[
     str | None,
-    typer.Option(
-        "--dask", metavar="ADDRESS", help="Run on the workers of the dask.distributed scheduler there instead."
-    ),
+    option("--dask", "ADDRESS", "Run on the workers of the dask.distributed scheduler there instead."),
 ]
-Catalog = Annotated[str, typer.Option("--catalog", metavar="NAME", help="Star catalogue: hipparcos or bsc5.")]
+Catalog = Annotated[str, option("--catalog", "NAME", "Star catalogue: hipparcos or bsc5.")]
 
 
 def as_command(request: type, module: str) -> Callable[..., None]:

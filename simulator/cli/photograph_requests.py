@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.cli.options import Catalog
+from simulator.cli.options import Catalog, option, switch
 
 PARITIES = {"seen": 1, "mirrored": -1, "both": None}
 
@@ -24,64 +24,44 @@ class SolveRequest:
         ),
     ] = None
     fov_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--fov", metavar="DEG", help="Field of view across the width, to a few per cent; default: found out."
-        ),
+        float | None, option("--fov", "DEG", "Field of view across the width, to a few per cent; default: found out.")
     ] = None
-    camera: Annotated[Path | None, typer.Option("--camera", metavar="CAMERA.yaml", help="Calibrated camera.")] = None
-    method: Annotated[
-        str | None,
-        typer.Option("--method", metavar="NAME", help="Identifier, for a known camera; default: adaptive."),
-    ] = None
+    camera: Annotated[Path | None, option("--camera", "CAMERA.yaml", "Calibrated camera.")] = None
+    method: Annotated[str | None, option("--method", "NAME", "Identifier, for a known camera; default: adaptive.")] = (
+        None
+    )
     catalog: Catalog = "hipparcos"
-    magnitude_limit: Annotated[float, typer.Option("--magnitude-limit", metavar="V", help="Faintest guide star.")] = 6.5
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest guide star.")] = 6.5
     centroids: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--centroids",
-            metavar="FILE.csv",
-            help="Solve a list of centroids (columns x, y and optionally flux) instead of an image.",
+            "FILE.csv",
+            "Solve a list of centroids (columns x, y and optionally flux) instead of an image.",
         ),
     ] = None
-    size: Annotated[
-        str | None, typer.Option("--size", metavar="WxH", help="Image size in pixels, for --centroids with --fov.")
-    ] = None
-    lost_in_space: Annotated[
-        bool, typer.Option("--lost-in-space", help="Ignore the prior attitude in a frame's header.")
-    ] = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object an image.")] = False
-    wcs: Annotated[
-        Path | None, typer.Option("--wcs", metavar="OUT.fits", help="Write the image with its world coordinates.")
-    ] = None
+    size: Annotated[str | None, option("--size", "WxH", "Image size in pixels, for --centroids with --fov.")] = None
+    lost_in_space: Annotated[bool, switch("--lost-in-space", "Ignore the prior attitude in a frame's header.")] = False
+    as_json: Annotated[bool, switch("--json", "Print one JSON object an image.")] = False
+    wcs: Annotated[Path | None, option("--wcs", "OUT.fits", "Write the image with its world coordinates.")] = None
     annotate: Annotated[
-        Path | None, typer.Option("--annotate", metavar="OUT.png", help="Write the picture with its identified stars.")
+        Path | None, option("--annotate", "OUT.png", "Write the picture with its identified stars.")
     ] = None
-    grid: Annotated[bool, typer.Option("--grid", help="Lines of right ascension and declination on it.")] = False
-    constellations: Annotated[bool, typer.Option("--constellations", help="Lines of the constellations on it.")] = False
-    pixels: Annotated[
-        list[str] | None,
-        typer.Option("--pixel", metavar="X,Y", help="Tell where this pixel looks; may be repeated."),
-    ] = None
+    grid: Annotated[bool, switch("--grid", "Lines of right ascension and declination on it.")] = False
+    constellations: Annotated[bool, switch("--constellations", "Lines of the constellations on it.")] = False
+    pixels: Annotated[list[str] | None, option("--pixel", "X,Y", "Print where this pixel looks; may be repeated.")] = (
+        None
+    )
     parity: Annotated[
-        str | None,
-        typer.Option(
-            "--parity", metavar="SIDE", help="seen, mirrored or both; default: the camera's, or both without one."
-        ),
+        str | None, option("--parity", "SIDE", "seen, mirrored or both; default: the camera's, or both without one.")
     ] = None
     bayer: Annotated[
-        str | None,
-        typer.Option("--bayer", metavar="PATTERN", help="The file is a raw mosaic: RGGB, BGGR, GRBG or GBRG."),
+        str | None, option("--bayer", "PATTERN", "The file is a raw mosaic: RGGB, BGGR, GRBG or GBRG.")
     ] = None
     bad_pixels: Annotated[
-        Path | None,
-        typer.Option(
-            "--bad-pixels", metavar="MAP", help="Image of the same size, not zero where a pixel is not to be used."
-        ),
+        Path | None, option("--bad-pixels", "MAP", "Image of the same size, not zero where a pixel is not to be used.")
     ] = None
-    explain: Annotated[
-        bool, typer.Option("--explain", help="Tell stage by stage what was found, tried and rejected.")
-    ] = False
+    explain: Annotated[bool, switch("--explain", "Print stage by stage what was found, tried and rejected.")] = False
 
     @property
     def sides(self) -> int | None:
@@ -101,32 +81,22 @@ class CalibrateRequest:
             show_default=False,
         ),
     ]
-    out: Annotated[Path, typer.Option("--out", metavar="CAMERA.yaml", help="Camera file to write.")] = Path(
-        "camera.yaml"
-    )
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="OUT.png", help="Write a figure of residuals.")] = None
-    camera: Annotated[
-        Path | None, typer.Option("--camera", metavar="ROUGH.yaml", help="What is known of the camera, to 5 %.")
-    ] = None
+    out: Annotated[Path, option("--out", "CAMERA.yaml", "Camera file to write.")] = Path("camera.yaml")
+    plot: Annotated[Path | None, option("--plot", "OUT.png", "Write a figure of residuals.")] = None
+    camera: Annotated[Path | None, option("--camera", "ROUGH.yaml", "What is known of the camera, to 5 %.")] = None
     fov_deg: Annotated[
-        float | None,
-        typer.Option("--fov", metavar="DEG", help="Field of view across the width, to 5 %; default: found out."),
+        float | None, option("--fov", "DEG", "Field of view across the width, to 5 %; default: found out.")
     ] = None
-    projection: Annotated[
-        str, typer.Option("--projection", metavar="NAME", help="pinhole, fisheye, or auto: what fits better.")
-    ] = "auto"
+    projection: Annotated[str, option("--projection", "NAME", "pinhole, fisheye, or auto: what fits better.")] = "auto"
     refraction: Annotated[
-        bool, typer.Option("--refraction", help="Taken from the ground: fit the air's differential refraction along.")
+        bool, switch("--refraction", "Taken from the ground: fit the air's differential refraction along.")
     ] = False
     epoch_jyear: Annotated[
-        float | None,
-        typer.Option("--epoch", metavar="YEAR", help="When taken, such as 2026.2; default: the catalogue's epoch."),
+        float | None, option("--epoch", "YEAR", "When taken, such as 2026.2; default: the catalogue's epoch.")
     ] = None
     catalog: Catalog = "hipparcos"
-    centroider: Annotated[str, typer.Option("--centroider", metavar="NAME", help="How stars are measured.")] = (
-        "least_squares"
-    )
+    centroider: Annotated[str, option("--centroider", "NAME", "How stars are measured.")] = "least_squares"
     parameters: Annotated[
         str | None,
-        typer.Option("--parameters", metavar="A,B,...", help="Fit these (f, aspect, cx, cy, k1 ...), not what tells."),
+        option("--parameters", "A,B,...", "Fit these (f, aspect, cx, cy, k1 ...), not what the images determine."),
     ] = None

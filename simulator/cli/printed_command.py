@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from simulator.cli.options import option, switch
 from simulator.cli.terminal import open_console
 from startracker._version import __version__
 from startracker.errors import InputError
@@ -21,15 +22,11 @@ __all__ = ["PictureRequest", "finish", "greyling1995_study"]
 
 WIDTH = 140  # columns of the table where the output is no terminal
 
-SectionName = Annotated[
-    str | None, typer.Option("--section", metavar="NAME", help="Only this part; an unknown name lists them.")
-]
-OutFolder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the table and the figures; default: out/NAME.")
-]
+SectionName = Annotated[str | None, option("--section", "NAME", "Only this part; an unknown name lists them.")]
+OutFolder = Annotated[Path | None, option("--out", "DIR", "Folder for the table and the figures; default: out/NAME.")]
 
 Force = Annotated[
-    bool, typer.Option("--force", help="Replace results of another version, or of more sections, that stand in DIR.")
+    bool, switch("--force", "Replace results of another version, or of more sections, that stand in DIR.")
 ]
 
 
@@ -39,40 +36,26 @@ class PictureRequest:
 
     centroids: Annotated[
         Path | None,
-        typer.Option(
-            "--centroids",
-            metavar="FILE.csv",
-            help="Columns x, y, brightest first, or with flux; default: her Vega image.",
-        ),
+        option("--centroids", "FILE.csv", "Columns x, y, brightest first, or with flux; default: her Vega image."),
     ] = None
-    size: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Of the image, pixels.")] = None
-    fov: Annotated[
-        str | None, typer.Option("--fov", metavar="XxY", help="Field across and down, degrees, such as 9.0130x6.9049.")
-    ] = None
+    size: Annotated[str | None, option("--size", "WxH", "Of the image, pixels.")] = None
+    fov: Annotated[str | None, option("--fov", "XxY", "Field across and down, degrees, such as 9.0130x6.9049.")] = None
     edition: Annotated[
-        int | None,
-        typer.Option(
-            "--edition", metavar="4|5", help="Of the Bright Star Catalogue; default: 4 for the Vega image, else 5."
-        ),
+        int | None, option("--edition", "4|5", "Of the Bright Star Catalogue; default: 4 for the Vega image, else 5.")
     ] = None
     origin: Annotated[
         str,
-        typer.Option(
+        option(
             "--origin",
-            metavar="WHERE",
-            help="Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
+            "WHERE",
+            "Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
             "negative.",
         ),
     ] = "auto"
-    magnitude_limit: Annotated[
-        float, typer.Option("--magnitude-limit", metavar="V", help="Faintest star of the sub-catalogue.")
-    ] = 6.0
-    dec: Annotated[
-        str, typer.Option("--dec", metavar="MIN:MAX", help="Declinations of the sub-catalogue, degrees.")
-    ] = "30:90"
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest star of the sub-catalogue.")] = 6.0
+    dec: Annotated[str, option("--dec", "MIN:MAX", "Declinations of the sub-catalogue, degrees.")] = "30:90"
     max_separation_deg: Annotated[
-        float | None,
-        typer.Option("--max-separation-deg", metavar="A", help="Of the pair database; default: the field's diagonal."),
+        float | None, option("--max-separation-deg", "A", "Of the pair database; default: the field's diagonal.")
     ] = None
     separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15
     rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
@@ -81,18 +64,14 @@ class PictureRequest:
     vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2
     tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0
     three_stars: Annotated[
-        bool, typer.Option("--three-stars", help="Match three stars alone, where one group of triads is found.")
+        bool, switch("--three-stars", "Match three stars alone, where one group of triads is found.")
     ] = False
-    integers: Annotated[bool, typer.Option("--integers", help="Identify in integer arithmetic.")] = False
+    integers: Annotated[bool, switch("--integers", "Identify in integer arithmetic.")] = False
     points: Annotated[
         list[str] | None,
-        typer.Option(
-            "--point", metavar="X,Y", help="Right ascension and declination of a point, origin as the centroids'."
-        ),
+        option("--point", "X,Y", "Right ascension and declination of a point, origin as the centroids'."),
     ] = None
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write every table of the picture as JSON.")
-    ] = None
+    json_file: Annotated[Path | None, option("--json", "FILE", "Write every table of the picture as JSON.")] = None
     section: SectionName = None
     out: OutFolder = None
     force: Force = False

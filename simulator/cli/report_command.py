@@ -32,15 +32,17 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
     summary = _read_json(files["summary.json"], {"trials", "errors_deg", "specification", "versions"})
     if "trials_sha256" in summary and (fault := fault_of(files["trials.parquet"], str(summary["trials_sha256"]))):
         raise InputError(f"{files['trials.parquet']}: {fault}; boresight run --resume computes its trials again")
-    told = None if budget is None else _read_json(budget, {"effects", "classes", "rms_deg"})
+    added = None if budget is None else _read_json(budget, {"effects", "classes", "rms_deg"})
     scenario = load_scenario(files["scenario.resolved.yaml"], [])
-    if told is not None and told.get("scenario") != scenario.name:
-        raise InputError(f"{budget}: the budget is that of '{told.get('scenario')}', the run that of '{scenario.name}'")
+    if added is not None and added.get("scenario") != scenario.name:
+        raise InputError(
+            f"{budget}: the budget is that of '{added.get('scenario')}', the run that of '{scenario.name}'"
+        )
     try:
         columns = Columns(files["trials.parquet"])
     except (OSError, ValueError) as error:  # pyarrow's errors are of these classes
         raise InputError(f"{files['trials.parquet']}: cannot be read ({str(error).splitlines()[0]})") from error
-    report = build_report(scenario, summary, columns, budget=told)
+    report = build_report(scenario, summary, columns, budget=added)
     pages: dict[str, str | bytes] = {"report.html": drawn_apart(html_of, report)}
     if pdf:
         pages["report.pdf"] = drawn_apart(pdf_of, report)

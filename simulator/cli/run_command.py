@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import RunRequest
-from simulator.cli.terminal import open_console, progress_bar
+from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
 from simulator.study.run import RESULT_FILES, Study, run
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from simulator.study.verdict import MET, NOT_MET, UNDECIDED, advice
@@ -34,7 +32,7 @@ def main(request: RunRequest) -> int:
     scenario = load_scenario(request.scenario, request.set_values or (), trials=request.trials, seed=request.seed)
     workers = processes(request.workers, request.dask, scenario.study.trials)
     folder = request.out or Path("out") / scenario.name
-    with progress_bar(scenario.name, "trials", scenario.study.trials) as tell:
+    with progress_bar(scenario.name, "trials", scenario.study.trials) as progress:
         study = run(
             scenario,
             workers=workers,
@@ -42,7 +40,7 @@ def main(request: RunRequest) -> int:
             out=folder,
             resume=request.resume,
             force=request.force,
-            progress=tell,
+            progress=progress,
         )
     _print(study, folder, open_console())
     return 130 if study.summary["interrupted"] else 0
@@ -68,24 +66,21 @@ def _print(study: Study, folder: Path, console: Console) -> None:
         console.print(f"Interrupted: {summary['trials']} of {summary['requested']} trials are finished and kept.")
     for reason in summary["unphysical"]:
         console.print(f"Unphysical, and allowed by the scenario: {reason}")
-    table = Table(title=f"{name}: attitude errors over {summary['solved']} solved frames", title_justify="left")
-    table.add_column("axis")
-    for heading in ("mean", "std", "rms", "99.7 % below", "95 % interval", "largest", "specified", ""):
-        table.add_column(heading, justify="right")
+    rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
         verdict = summary["specification"].get(axis)
-        between = " to ".join(map(deg_text, e["p997_interval95"]))
-        table.add_row(
-            "about boresight" if axis == "about_boresight" else axis.replace("_", " "),
+        rows.append((
+            axis_title(axis),
             *(deg_text(e[key]) for key in ("mean", "std", "rms", "p997")),
-            between,
+            " to ".join(map(deg_text, e["p997_interval95"])),
             deg_text(e["max"]),
             deg_text(verdict["specified_deg"]) if verdict else "",
             f"[{_COLOURS[verdict['verdict']]}]{verdict['verdict']}[/]" if verdict else "",
-            end_section=axis == BODY_AXES[-1],
-        )
-    console.print(table)
+        ))  # fmt: skip
+    title = f"{name}: attitude errors over {summary['solved']} solved frames"
+    headings = ("axis", "mean", "std", "rms", "99.7 % below", "95 % interval", "largest", "specified", "")
+    print_table(console, title, headings, rows, block=len(BODY_AXES))
     if any(entry["verdict"] == UNDECIDED for entry in summary["specification"].values()):
         console.print(
             "undecided: the interval of the 99.7 % percentile does not lie on one side of what is specified; "

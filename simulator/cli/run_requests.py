@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from simulator.cli.options import Dask, ScenarioFile, Seed, SetValues
+from simulator.cli.options import Dask, ScenarioFile, Seed, SetValues, option, switch
 
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Compute everything again, and replace results of another run that stand in DIR."),
+    switch("--force", "Compute everything again, and replace results of another run that stand in DIR."),
 ]
 
 
@@ -21,49 +21,31 @@ class RunRequest:
     """Run a Monte Carlo study: statistics on the terminal, trials.parquet, summary.json and report.html in DIR."""
 
     scenario: ScenarioFile
-    trials: Annotated[
-        int | None, typer.Option("--trials", metavar="N", help="In place of the scenario's number of trials.")
-    ] = None
+    trials: Annotated[int | None, option("--trials", "N", "In place of the scenario's number of trials.")] = None
     seed: Seed = None
     set_values: SetValues = None
     workers: Annotated[
         int | None,
-        typer.Option(
-            "--workers",
-            metavar="N",
-            help="Processes on this machine; default: its cores. The rows do not depend on it.",
-        ),
+        option("--workers", "N", "Processes on this machine; default: its cores. The rows do not depend on it."),
     ] = None
     dask: Dask = None
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME.")
-    ] = None
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME.")] = None
     resume: Annotated[
         bool,
-        typer.Option(
+        switch(
             "--resume",
-            help="Make a finished run longer by its trials in DIR. Those of an interrupted run are taken over anyway.",
+            "Make a finished run longer by its trials in DIR. Those of an interrupted run are taken over anyway.",
         ),
     ] = False
     force: Force = False
     sequence: Annotated[
-        bool,
-        typer.Option(
-            "--sequence", help="Run the scenario's sequence instead: frames one after the other, in tracking mode."
-        ),
+        bool, switch("--sequence", "Run the scenario's sequence instead: frames one after the other, in tracking mode.")
     ] = False
-    frames: Annotated[
-        int | None, typer.Option("--frames", metavar="N", help="Of a sequence, in place of the scenario's number.")
-    ] = None
-    step_s: Annotated[
-        float | None, typer.Option("--step-s", metavar="S", help="Of a sequence, in place of the scenario's step.")
-    ] = None
-    single: Annotated[
-        bool, typer.Option("--single", help="Of a sequence: solve every frame alone too, to compare.")
-    ] = False
+    frames: Annotated[int | None, option("--frames", "N", "Of a sequence, in place of the scenario's number.")] = None
+    step_s: Annotated[float | None, option("--step-s", "S", "Of a sequence, in place of the scenario's step.")] = None
+    single: Annotated[bool, switch("--single", "Of a sequence: solve every frame alone too, to compare.")] = False
     animate: Annotated[
-        bool,
-        typer.Option("--animate", help="Of a sequence: a GIF of the frames, and an MP4 where ffmpeg is installed."),
+        bool, switch("--animate", "Of a sequence: a GIF of the frames, and an MP4 where ffmpeg is installed.")
     ] = False
 
 
@@ -75,27 +57,20 @@ class RenderRequest:
         list[Path],
         typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
     ]
-    index: Annotated[int | None, typer.Option("--index", metavar="I", help="The frame of this trial; default 0.")] = (
-        None
-    )
-    at: Annotated[
-        str | None, typer.Option("--at", metavar="TIME", help="The frame at this UTC time (ISO 8601) instead.")
-    ] = None
+    index: Annotated[int | None, option("--index", "I", "The frame of this trial; default 0.")] = None
+    at: Annotated[str | None, option("--at", "TIME", "The frame at this UTC time (ISO 8601) instead.")] = None
     pointing: Annotated[
-        str | None,
-        typer.Option("--pointing", metavar="RA,DEC,ROLL", help="Point the camera there (degrees, ICRS) instead."),
+        str | None, option("--pointing", "RA,DEC,ROLL", "Point the camera there (degrees, ICRS) instead.")
     ] = None
     seed: Seed = None
     set_values: SetValues = None
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FRAME.fits", help="Write image, camera and truth as FITS.")
-    ] = None
-    preview: Annotated[Path | None, typer.Option("--preview", metavar="FRAME.png", help="Write a picture.")] = None
+    out: Annotated[Path | None, option("--out", "FRAME.fits", "Write image, camera and truth as FITS.")] = None
+    preview: Annotated[Path | None, option("--preview", "FRAME.png", "Write a picture.")] = None
     noiseless: Annotated[
-        bool, typer.Option("--noiseless", help="Switch off every noise and flaw of the detector, and the background.")
+        bool, switch("--noiseless", "Switch off every noise and flaw of the detector, and the background.")
     ] = False
     noiseless_plane: Annotated[
-        bool, typer.Option("--noiseless-plane", help="Add the light before the detector to the FITS file (MEAN_E).")
+        bool, switch("--noiseless-plane", "Add the light before the detector to the FITS file (MEAN_E).")
     ] = False
 
 
@@ -113,24 +88,14 @@ class SweepRequest:
             show_default=False,
         ),
     ]
-    lhs: Annotated[
-        int | None,
-        typer.Option("--lhs", metavar="N", help="A Latin hypercube of N points instead of the full grid."),
-    ] = None
-    trials: Annotated[
-        int | None, typer.Option("--trials", metavar="N", help="Trials per point, in place of the scenario's.")
-    ] = None
+    lhs: Annotated[int | None, option("--lhs", "N", "A Latin hypercube of N points instead of the full grid.")] = None
+    trials: Annotated[int | None, option("--trials", "N", "Trials per point, in place of the scenario's.")] = None
     seed: Seed = None
     set_values: SetValues = None
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", help="Processes on this machine; default: its cores."),
-    ] = None
+    workers: Annotated[int | None, option("--workers", "N", "Processes on this machine; default: its cores.")] = None
     dask: Dask = None
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-sweep.")
-    ] = None
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-sweep.")] = None
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from an interrupted sweep in DIR; a finished one stays as it is.")
+        bool, switch("--resume", "Go on from an interrupted sweep in DIR; a finished one stays as it is.")
     ] = False
     force: Force = False

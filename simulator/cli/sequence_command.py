@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.run_requests import RunRequest
-from simulator.cli.terminal import open_console, progress_bar
+from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.run import Sequence, run_sequence
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
@@ -31,14 +29,14 @@ def run_sequence_command(request: RunRequest) -> int:
     values += [f"sequence.step_s={request.step_s!r}"] if request.step_s is not None else []
     scenario = load_scenario(request.scenario, values, seed=request.seed)
     folder = request.out or Path("out") / f"{scenario.name}-sequence"
-    with progress_bar(scenario.name, "frames", scenario.sequence.frames) as tell:
+    with progress_bar(scenario.name, "frames", scenario.sequence.frames) as progress:
         sequence = run_sequence(
             scenario,
             out=folder,
             single=request.single,
             animate=request.animate,
             force=request.force,
-            progress=tell,
+            progress=progress,
         )
     _print(sequence, open_console())
     if request.animate and find_ffmpeg() is None:
@@ -53,21 +51,17 @@ def _print(sequence: Sequence, console: Console) -> None:
     for reason in summary["unphysical"]:
         console.print(f"Unphysical, and allowed by the scenario: {reason}")
     single = summary.get("single")
-    table = Table(
-        title=f"{summary['name']}: attitude errors over {summary['solved']} solved frames", title_justify="left"
-    )
-    table.add_column("axis")
-    for heading in ("mean", "rms", "3σ", "largest", *(("rms alone", "gain") if single else ())):
-        table.add_column(heading, justify="right")
+    rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
-        row = [deg_text(e[key]) for key in ("mean", "rms", "three_sigma", "max")]
+        row = [axis_title(axis), *(deg_text(e[key]) for key in ("mean", "rms", "three_sigma", "max"))]
         if single:
             gain = single["gain"][axis]
             row += [deg_text(single["errors_deg"][axis]["rms"]), f"{gain:.2f} ×" if gain else "–"]
-        title = "about boresight" if axis == "about_boresight" else axis.replace("_", " ")
-        table.add_row(title, *row, end_section=axis == BODY_AXES[-1])
-    console.print(table)
+        rows.append(row)
+    title = f"{summary['name']}: attitude errors over {summary['solved']} solved frames"
+    headings = ("axis", "mean", "rms", "3σ", "largest", *(("rms alone", "gain") if single else ()))
+    print_table(console, title, headings, rows, block=len(BODY_AXES))
     console.print(
         f"An attitude for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
         + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
@@ -88,15 +82,15 @@ def _print(sequence: Sequence, console: Console) -> None:
 
 def _print_operation(rules: dict[str, Any], console: Console) -> None:
     """What the sensor's rules of operation did."""
-    exposure, blemishes, magnitudes = rules["exposure_s"], rules["blemishes"], rules["magnitudes"]
+    exposure, defects, magnitudes = rules["exposure_s"], rules["blemishes"], rules["magnitudes"]
     console.print(
         f"Rules: {rules['discarded']} frames discarded as over-exposed (exposure {exposure['first']:g} s, shortest "
         f"{exposure['shortest']:g} s, last {exposure['last']:g} s); suspended for {rules['suspended_s']:g} s, "
         f"{rules['sun_frames']} frames of the Sun; {rules['moon_frames']} cleared of what is larger than a star"
     )
     console.print(
-        f"Blemishes: {blemishes['mapped']} pixels mapped, {blemishes['certain_mapped']} of {blemishes['certain']} that "
-        f"are beyond doubt, {blemishes['sound_mapped']} sound ones"
+        f"Defective pixels: {defects['mapped']} mapped, {defects['certain_mapped']} of {defects['certain']} that "
+        f"are beyond doubt, {defects['sound_mapped']} sound ones"
     )
     if magnitudes["stars"]:
         slope = magnitudes["colour_slope"]

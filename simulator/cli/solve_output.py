@@ -1,4 +1,4 @@
-"""What ``boresight solve`` tells and leaves behind: a line or a JSON object, a WCS file, a picture."""
+"""What ``boresight solve`` prints and writes: a line or a JSON object, a WCS file, a picture."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 
 def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -> dict[str, Any]:
-    """Solution in plain values; `pixels` (N, 2) with their places."""
+    """Solution in plain values; `pixels` (N, 2) with their directions."""
     stars = solution.stars
     return {
         "status": str(solution.status),
@@ -52,7 +52,7 @@ def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -
         ],
         "pixels": [
             {"x": float(x), "y": float(y), "ra_deg": _number(ra), "dec_deg": _number(dec)}
-            for (x, y), (ra, dec) in zip(pixels, _places(solution, pixels, observer), strict=True)
+            for (x, y), (ra, dec) in zip(pixels, _radec_deg(solution, pixels, observer), strict=True)
         ],
         "steps": [{"stage": step.stage, "text": step.text} for step in solution.steps],
         "times_ms": {stage: round(float(value), 3) for stage, value in solution.times_ms.items()},
@@ -63,9 +63,9 @@ def as_text(solution: Solution, pixels: FloatArray, observer: Observer | None, *
     """Solution in a line; a line more for each of `pixels` (N, 2), and the stages' account where asked for."""
     lines = [_summary(solution)]
     if solution.solved:
-        for (x, y), (ra, dec) in zip(pixels, _places(solution, pixels, observer), strict=True):
-            place = f"RA {ra:.5f}°  Dec {dec:+.5f}°" if np.isfinite(ra) else "beyond the lens model's reach"
-            lines.append(f"  pixel {x:g},{y:g}  {place}")
+        for (x, y), (ra, dec) in zip(pixels, _radec_deg(solution, pixels, observer), strict=True):
+            direction = f"RA {ra:.5f}°  Dec {dec:+.5f}°" if np.isfinite(ra) else "beyond the lens model's reach"
+            lines.append(f"  pixel {x:g},{y:g}  {direction}")
     if explain:
         lines.append(explaining.as_text(solution.steps))
     return "\n".join(lines)
@@ -84,7 +84,7 @@ def _summary(solution: Solution) -> str:
     )
 
 
-def _places(solution: Solution, pixels: FloatArray, observer: Observer | None) -> FloatArray:
+def _radec_deg(solution: Solution, pixels: FloatArray, observer: Observer | None) -> FloatArray:
     """Right ascension and declination (N, 2), degrees; NaN where there is no solution."""
     return solution.radec_of(pixels, observer) if solution.solved and len(pixels) else np.full((len(pixels), 2), np.nan)
 

@@ -14,9 +14,9 @@ import typer
 from typer.core import TyperGroup
 
 from simulator.cli.checks import at_least
-from simulator.cli.options import ScenarioFile, SetValues, as_command
+from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.printed_command import PictureRequest, greyling1995_study
-from simulator.cli.terminal import open_console, progress_bar
+from simulator.cli.terminal import open_console, print_table, progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,49 +26,37 @@ if TYPE_CHECKING:
 
 __all__ = ["STUDIES", "study_app"]
 
-AlongPath = Annotated[
-    bool, typer.Option("--path", help="Along the mission's boresight path in place of the whole sky.")
-]
-Force = Annotated[
-    bool, typer.Option("--force", help="Replace results of another scenario, version or longer study in DIR.")
-]
-Workers = Annotated[int, typer.Option("--workers", metavar="N", help="Processes on this machine.")]
+AlongPath = Annotated[bool, switch("--path", "Along the mission's boresight path in place of the whole sky.")]
+Force = Annotated[bool, switch("--force", "Replace results of another scenario, version or longer study in DIR.")]
+Workers = Annotated[int, option("--workers", "N", "Processes on this machine.")]
 
 
 def coverage_study(
     scenario: ScenarioFile,
     magnitude_limit: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--magnitude-limit",
-            metavar="V",
-            help="Faintest star counted; default: the faintest that the tracker knows and the camera detects.",
+            "V",
+            "Faintest star counted; default: the faintest that the tracker knows and the camera detects.",
         ),
     ] = None,
     snr: Annotated[
-        float | None,
-        typer.Option("--snr", metavar="R", help="Signal-to-noise ratio of a detection; default: the tracker's."),
+        float | None, option("--snr", "R", "Signal-to-noise ratio of a detection; default: the tracker's.")
     ] = None,
     circle_deg: Annotated[
-        float | None,
-        typer.Option("--circle-deg", metavar="R", help="A circular field of this radius in place of the camera's."),
+        float | None, option("--circle-deg", "R", "A circular field of this radius in place of the camera's.")
     ] = None,
-    sun_deg: Annotated[float | None, typer.Option("--sun-deg", metavar="A", help="Exclusion angle of the Sun.")] = None,
-    moon_deg: Annotated[
-        float | None, typer.Option("--moon-deg", metavar="A", help="Exclusion angle of the Moon.")
-    ] = None,
-    earth_deg: Annotated[
-        float | None, typer.Option("--earth-deg", metavar="A", help="Exclusion angle from the Earth's limb.")
-    ] = None,
+    sun_deg: Annotated[float | None, option("--sun-deg", "A", "Exclusion angle of the Sun.")] = None,
+    moon_deg: Annotated[float | None, option("--moon-deg", "A", "Exclusion angle of the Moon.")] = None,
+    earth_deg: Annotated[float | None, option("--earth-deg", "A", "Exclusion angle from the Earth's limb.")] = None,
     boresights: Annotated[
-        int, typer.Option("--boresights", metavar="N", help="Directions over the sky, or instants along the path.")
+        int, option("--boresights", "N", "Directions over the sky, or instants along the path.")
     ] = 10_000,
-    rolls: Annotated[int, typer.Option("--rolls", metavar="N", help="Rolls tried at each direction.")] = 1,
+    rolls: Annotated[int, option("--rolls", "N", "Rolls tried at each direction.")] = 1,
     path: AlongPath = False,
     set_values: SetValues = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-coverage.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-coverage.")] = None,
     force: Force = False,
 ) -> int:
     """Stars in the field over the whole sky or along the path: map, minima, availability."""
@@ -102,66 +90,46 @@ def coverage_study(
 
 def design_study(
     scenario: ScenarioFile,
-    over: Annotated[
-        str,
-        typer.Option("--over", metavar="PARAMETER", help="optics.aperture_mm, field (degrees) or detector.exposure_s."),
-    ],
-    low: Annotated[float, typer.Option("--from", metavar="A", help="Smallest value tried.")],
-    high: Annotated[float, typer.Option("--to", metavar="B", help="Largest value tried.")],
-    steps: Annotated[int, typer.Option("--steps", metavar="N", help="Values of the table.")] = 12,
-    stars: Annotated[int, typer.Option("--stars", metavar="K", help="Stars that an attitude needs.")] = 5,
+    over: Annotated[str, option("--over", "PARAMETER", "optics.aperture_mm, field (degrees) or detector.exposure_s.")],
+    low: Annotated[float, option("--from", "A", "Smallest value tried.")],
+    high: Annotated[float, option("--to", "B", "Largest value tried.")],
+    steps: Annotated[int, option("--steps", "N", "Values of the table.")] = 12,
+    stars: Annotated[int, option("--stars", "K", "Stars that an attitude needs.")] = 5,
     availability: Annotated[
-        float,
-        typer.Option("--availability", metavar="P", help="Share of the sky, or of the time, that must have them."),
+        float, option("--availability", "P", "Share of the sky, or of the time, that must have them.")
     ] = 0.999,
-    boresights: Annotated[int, typer.Option("--boresights", metavar="N", help="Attitudes looked at.")] = 5000,
+    boresights: Annotated[int, option("--boresights", "N", "Attitudes looked at.")] = 5000,
     path: AlongPath = False,
-    verify_trials: Annotated[
-        int, typer.Option("--verify", metavar="N", help="Run so many trials of the value found; 0: none.")
-    ] = 0,
+    verify_trials: Annotated[int, option("--verify", "N", "Run so many trials of the value found; 0: none.")] = 0,
     workers: Workers = 1,
     set_values: SetValues = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-design.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-design.")] = None,
     force: Force = False,
 ) -> int:
     """The smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.study.design.files import write_design
-    from simulator.study.design.search import design, verify
+    from simulator.study.design.search import Trade, design, verify
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
     loaded = load_scenario(scenario, set_values)
-    console, told = open_console(error=True), open_console()
-    asked: dict[str, Any] = {
-        "steps": steps,
-        "least_stars": stars,
-        "least_availability": availability,
-        "path": path,
-    }
+    progress, console = open_console(error=True), open_console()
+    trade = Trade(over, low, high, steps, stars, availability, boresights, path)
+    asked = {name: getattr(trade, name) for name in ("steps", "least_stars", "least_availability", "path")}
     sha256 = scenario_sha256(loaded, design=(over, low, high), **asked)
     amounts = {"boresights": boresights, "verification trials": verify_trials}
     identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
     checked = None
     with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
-        with console.status("reckoning") as status:
-            result = design(
-                loaded,
-                over,
-                low,
-                high,
-                count=boresights,
-                progress=lambda done: status.update(f"reckoning: {done} values of {over}"),
-                **asked,
-            )
-        _print_design(result, told)
+        with progress.status("computing") as status:
+            result = design(loaded, trade, lambda done: status.update(f"computing: {done} values of {over}"))
+        _print_design(result, console)
         if verify_trials and result.best is not None:
-            with console.status(f"verifying: {verify_trials} trials"):
+            with progress.status(f"verifying: {verify_trials} trials"):
                 checked = verify(loaded, result, verify_trials, workers)
-            _print_verification(result, checked, told)
+            _print_verification(result, checked, console)
         write_design(result, checked, folder, identity)
     print(f"{folder}: design.json, design.png")
     return 1 if result.best is None or (checked and checked.contradictions) else 0
@@ -169,12 +137,10 @@ def design_study(
 
 def budget_study(
     scenario: ScenarioFile,
-    trials: Annotated[int, typer.Option("--trials", metavar="N", help="Trials of each run.")] = 200,
+    trials: Annotated[int, option("--trials", "N", "Trials of each run.")] = 200,
     workers: Workers = 1,
     set_values: SetValues = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results; default: out/NAME-budget.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-budget.")] = None,
     force: Force = False,
 ) -> int:
     """What makes up the error: effects switched off one at a time, and the classes of ECSS-E-ST-60-20C."""
@@ -191,8 +157,8 @@ def budget_study(
     sha256 = scenario_sha256(loaded, budget=True)
     identity = Identity("budget", loaded.name, loaded.seed, sha256, {"trials": trials})
     with results_folder(out or Path("out") / f"{loaded.name}-budget", identity, force=force) as folder:
-        with progress_bar(f"{loaded.name}: error budget", "trials") as tell:
-            result = budget(loaded, trials, workers, progress=tell)
+        with progress_bar(f"{loaded.name}: error budget", "trials") as progress:
+            result = budget(loaded, trials, workers, progress=progress)
         print(result.table())
         if result.interrupted and not force and standing(folder, "budget"):
             print(f"{folder}: keeps the budget that was there, as this one was interrupted")
@@ -216,7 +182,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
 
 
 class _Studies(TyperGroup):
-    """The group of studies; an unknown name is told with those that there are."""
+    """The group of studies; an unknown name is answered with those that there are."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command of a name."""
@@ -233,17 +199,6 @@ study_app = typer.Typer(
 )
 for _name, _function in STUDIES.items():
     study_app.command(_name)(_function)
-
-
-def _table(console: Console, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if i else "left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
 
 
 def _exclusion_text(body: str, angle_deg: float, of_baffle: bool) -> str:
@@ -265,8 +220,8 @@ def _print_coverage(result: Coverage, of_baffle: Sequence[str], console: Console
         f"in {summary['field_deg2']:.1f} square degrees, over {summary['over']}"
     )
     for body, share in summary["excluded_share"].items():
-        told = _exclusion_text(body, summary["exclusion_deg"][body], body in of_baffle)
-        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}, {told}")
+        angle = _exclusion_text(body, summary["exclusion_deg"][body], body in of_baffle)
+        console.print(f"  {100 * share:.2f} % of the {what} excluded by the {body.title()}, {angle}")
     if stars["min"] is None:
         console.print("  everything is excluded; the options --sun-deg, --moon-deg and --earth-deg set other angles")
         return
@@ -281,7 +236,7 @@ def _print_coverage(result: Coverage, of_baffle: Sequence[str], console: Console
         (f"at least {k}", f"{100 * summary['availability'][k]:.2f} %", f"{100 * share:.2f} %")
         for k, share in summary["availability_where_allowed"].items()
     ]
-    _table(console, f"share of the {what}", ("stars", "available", "where not excluded"), rows)
+    print_table(console, f"share of the {what}", ("stars", "available", "where not excluded"), rows)
 
 
 def _print_design(result: Design, console: Console) -> None:
@@ -314,7 +269,7 @@ def _print_design(result: Design, console: Console) -> None:
         "",
     )
     specified = ", ".join(f"{axis} {deg_text(limit)}" for axis, limit in result.specification_deg.items())
-    _table(
+    print_table(
         console,
         f"{result.name}: 3σ to meet: {specified}; at least {result.least_stars} stars over "
         f"{100 * result.least_availability:g} % of the {'time' if result.over == 'path' else 'sky'}",
@@ -341,7 +296,7 @@ def _print_verification(result: Design, checked: Verification, console: Console)
         specified = deg_text(result.specification_deg[axis])
         rows.append((axis, deg_text(predicted), deg_text(measured), ratio, deg_text(checked.p997_deg[axis]), specified))
     title = f"{checked.trials} trials, {checked.solved} solved, {checked.wrong} wrong"
-    _table(console, title, ("3σ", "predicted", "measured", "ratio", "99.7 % below", "specified"), rows)
+    print_table(console, title, ("3σ", "predicted", "measured", "ratio", "99.7 % below", "specified"), rows)
     name, unit, _ = PARAMETERS[result.parameter]
     value = result.best.value if result.best else math.nan
     if checked.contradictions:

@@ -6,15 +6,14 @@ import time
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import SweepRequest
-from simulator.cli.terminal import open_console
+from simulator.cli.terminal import open_console, print_table
 from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
@@ -51,7 +50,7 @@ def main(request: SweepRequest) -> int:
             dask=request.dask,
             resume=request.resume,
             force=request.force,
-            progress=bar.tell,
+            progress=bar.update,
         )
     _print(sweep, open_console(_WIDTH))
     return 130 if sweep.table["interrupted"] else 0
@@ -94,8 +93,8 @@ class SweepProgress:
     def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
-    def tell(self, done: int, total: int, point: Point) -> None:
-        """Take note of progress, as `simulator.study.sweep.run.run_sweep` tells it."""
+    def update(self, done: int, total: int, point: Point) -> None:
+        """Take note of progress, as `simulator.study.sweep.run.run_sweep` reports it."""
         if self.done_before is None:
             self.done_before, self.started_s = done, self.clock()
         left_s = time_left_s(done, self.done_before, total, self.clock() - self.started_s)
@@ -119,22 +118,19 @@ def _print(sweep: Sweep, console: Console) -> None:
 
     table = sweep.table
     done = [point for point in table["points"] if "statistics" in point]
-    grid = Table(title=f"{table['name']}: rms errors (95 % interval)", title_justify="left")
     paths = [axis["path"] for axis in table["swept"]]
     short = [path.rpartition(".")[2] for path in paths]
-    for heading in short if len(set(short)) == len(short) else paths:
-        grid.add_column(heading, justify="right")
-    for heading in ("identified", *BODY_AXES, "wrong"):
-        grid.add_column(heading, justify="right")
-    for point in done[:MOST_ROWS]:
+    keys = short if len(set(short)) == len(short) else paths
+
+    def row(point: dict[str, Any]) -> list[str]:
         statistics = point["statistics"]
-        grid.add_row(
-            *(value_text(point["values"][axis["path"]]) for axis in table["swept"]),
-            percent_text(statistics).partition(" (")[0],
-            *(interval_text(statistics, axis) for axis in BODY_AXES),
-            f"[red]{statistics['wrong']}[/]" if statistics["wrong"] else "0",
-        )
-    console.print(grid)
+        values = [value_text(point["values"][path]) for path in paths]
+        errors = [interval_text(statistics, axis) for axis in BODY_AXES]
+        wrong = f"[red]{statistics['wrong']}[/]" if statistics["wrong"] else "0"
+        return [*values, percent_text(statistics).partition(" (")[0], *errors, wrong]
+
+    title = f"{table['name']}: rms errors (95 % interval)"
+    print_table(console, title, (*keys, "identified", *BODY_AXES, "wrong"), map(row, done[:MOST_ROWS]), words=0)
     if len(done) > MOST_ROWS:
         console.print(f"… and {len(done) - MOST_ROWS} points more")
     for point in table["points"]:
@@ -159,13 +155,15 @@ def compare_runs(folders: list[str], out: Path) -> int:
     comparison = compare(folders)
     write_atomically(out, comparison_page(comparison))
     console = open_console(_WIDTH)
-    table = Table(title="rms errors (95 % interval)", title_justify="left")
-    for heading in ("run", "identified", *BODY_AXES):
-        table.add_column(heading, justify="left" if heading == "run" else "right")
-    for number, run in enumerate(comparison.runs, start=1):
-        cells = [interval_text(run.statistics, axis) for axis in BODY_AXES]
-        table.add_row(f"{number}: {run.name}", percent_text(run.statistics).partition(" (")[0], *cells)
-    console.print(table)
+    rows = [
+        (
+            f"{number}: {run.name}",
+            percent_text(run.statistics).partition(" (")[0],
+            *(interval_text(run.statistics, axis) for axis in BODY_AXES),
+        )
+        for number, run in enumerate(comparison.runs, start=1)
+    ]
+    print_table(console, "rms errors (95 % interval)", ("run", "identified", *BODY_AXES), rows)
     for path, values in comparison.differences.items():
         console.print(f"{path}: " + ", ".join("–" if v is None else value_text(v) for v in values), markup=False)
     console.print(str(out), markup=False)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.text import Text
 
 from simulator.cli.checks import writable
 from simulator.cli.printed_command import WIDTH, PictureRequest, finish
 from simulator.cli.solve_command import parse_pixel, parse_size, read_centroids
-from simulator.cli.terminal import open_console
+from simulator.cli.terminal import open_console, print_table
 from simulator.paths import write_atomically
 from simulator.theses.yee1999.catalogue import EDITIONS
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
@@ -42,7 +42,7 @@ def main(request: PictureRequest) -> int:
     if request.centroids is None:
         folder = request.out or Path("out") / "yee1999"
         section = request.section
-        finish(lambda tell: yee1999.run(section, tell, analysis), "yee1999", section, folder, request.force)
+        finish(lambda progress: yee1999.run(section, progress, analysis), "yee1999", section, folder, request.force)
     return 0 if analysis.plate is not None else 1
 
 
@@ -133,7 +133,7 @@ def report(found: Analysis, request: PictureRequest, console: Console) -> None:
         f"{len(found.catalog):,} stars of the {found.edition}th edition, {len(found.match.tables.separation):,} pairs"
     )
     for title, headings, rows in step_tables(found):
-        _print_table(console, title, headings, rows)
+        print_table(console, Text(title), [Text(heading) for heading in headings], rows, words=0)
     sizes = ", ".join(f"{size}" for size, _mean in found.groups)
     console.print(f"{len(found.triads)} triads in {len(found.groups)} groups of {sizes or 'none'}")
     if found.plate is None:
@@ -155,15 +155,3 @@ def _two(text: str, between: str, message: str) -> tuple[float, float]:
     if not all(math.isfinite(value) for value in pair):
         raise InputError(f"{message}, not '{text}'")
     return pair
-
-
-def _print_table(console: Console, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), title_justify="left")
-    for heading in headings:
-        table.add_column(Text(heading), justify="right")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)

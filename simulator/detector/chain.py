@@ -115,29 +115,21 @@ READOUT: tuple[Effect, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """A frame as it leaves the detector.
-
-    Parameters
-    ----------
-    image : (H, W) uint16, or float64 without a converter
-        Digital numbers.
-    electrons : (H, W) float64, optional
-        Charge in the pixels at the end of the exposure, before the noise of the readout; None where it was not kept.
-    saturated : (H, W) bool, optional
-        Pixels at the full well or at the top of the converter: truth, which a tracker has to find by `saturation_dn`.
-        None where the charge was not kept.
-    saturation_dn : float
-        DN from which on a pixel counts as saturated.
-    gain_e_per_dn : float
-        Electrons a DN, as a photon-transfer curve gives them: signal over variance. Behind an intensifier these are
-        photo-electrons of the photocathode, over the excess noise factor.
-    """
+    """A frame as it leaves the detector."""
 
     image: NDArray[np.uint16] | NDArray[np.float64]
+    """(H, W): Digital numbers."""
     electrons: FloatArray | None
+    """(H, W): Charge in the pixels at the end of the exposure, before the noise of the readout; None where it was not
+    kept."""
     saturated: NDArray[np.bool_] | None
+    """(H, W): Pixels at the full well or at the top of the converter: truth, which a tracker has to find by
+    `saturation_dn`. None where the charge was not kept."""
     saturation_dn: float
+    """DN from which on a pixel counts as saturated."""
     gain_e_per_dn: float
+    """Electrons a DN, as a photon-transfer curve gives them: signal over variance. Behind an intensifier these are
+    photo-electrons of the photocathode, over the excess noise factor."""
 
 
 def detect(

@@ -40,22 +40,15 @@ _XI_SHARE = SILICON_XI_EV_UM / PAIR_ENERGY_EV / _REFERENCE_E_UM  # ξ relative t
 
 @dataclass(frozen=True, eq=False)
 class CosmicRayTracks:
-    """Tracks of the cosmic rays of one exposure.
-
-    Parameters
-    ----------
-    start_px, end_px : (N, 2) float64
-        Where the particle enters and leaves the sensitive layer, (x, y) in pixels.
-    length_um : (N,) float64
-        Length in the silicon.
-    charge_e : (N,) float64
-        Electrons freed along the whole track, in the detector or beside it.
-    """
+    """Tracks of the cosmic rays of one exposure."""
 
     start_px: FloatArray
     end_px: FloatArray
+    """(N, 2): Where the particle enters and leaves the sensitive layer, (x, y) in pixels."""
     length_um: FloatArray
+    """(N,): Length in the silicon."""
     charge_e: FloatArray
+    """(N,): Electrons freed along the whole track, in the detector or beside it."""
 
 
 def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float) -> float:

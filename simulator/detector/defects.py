@@ -13,7 +13,7 @@ from startracker.errors import InputError
 def hot_defects(
     detector: DetectorParameters, dark_factor: float, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Dark current on top of the ordinary one, electrons a second, and where it is, (H, W) each; None without hot
+    """Dark current on top of the ordinary one, electrons per second, and where it is, (H, W) each; None without hot
     defects.
 
     Parameters

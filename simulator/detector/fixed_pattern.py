@@ -19,24 +19,16 @@ Map = NDArray[np.float64] | NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
-    """Fixed pattern of one device at one temperature.
-
-    Parameters
-    ----------
-    prnu : (H, W) array or float
-        Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off.
-    dark_e_s : (H, W) array or float
-        Mean dark current of each pixel, electrons a second; a scalar where all pixels are alike.
-    dead : (H, W) bool, optional
-        Dead pixels and columns; None where there are none.
-    hot : (H, W) bool, optional
-        Hot pixels and columns, however little they glow; None where there are none.
-    """
+    """Fixed pattern of one device at one temperature."""
 
     prnu: Map | float
+    """Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off."""
     dark_e_s: Map | float
+    """Mean dark current of each pixel, electrons per second; a scalar where all pixels are alike."""
     dead: NDArray[np.bool_] | None = None
+    """(H, W): Dead pixels and columns; None where there are none."""
     hot: NDArray[np.bool_] | None = None
+    """(H, W): Hot pixels and columns, however little they glow; None where there are none."""
 
     def single(self) -> FixedPattern:
         """The same in single precision, as frames take it: half as much to fetch from slow memory each time, and no
@@ -122,7 +114,7 @@ def _unit_mean_lognormal(sigma: float, shape: tuple[int, int], rng: np.random.Ge
 def _check_countable(dark_e_s: float, detector: DetectorParameters) -> None:
     if not dark_e_s <= LARGEST_MEAN:
         raise InputError(
-            f"the dark current comes to {dark_e_s:.3g} electrons a second and pixel at detector.temperature_c = "
+            f"the dark current comes to {dark_e_s:.3g} electrons per second and pixel at detector.temperature_c = "
             f"{detector.temperature_c:g}; lower dark_current_e_s, hot_pixel_dark_e_s, dsnu or temperature_c, or "
             "raise dark_doubling_c"
         )

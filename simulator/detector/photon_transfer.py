@@ -33,25 +33,17 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """A photon-transfer curve and what its straight part gives.
-
-    Parameters
-    ----------
-    signal_dn, variance_dn2 : (L,) float64
-        Mean above the bias and variance of the noise at each level, fixed pattern taken out.
-    used : (L,) bool
-        Levels of the straight part.
-    gain_e_per_dn : Measured
-        Electrons a DN: 1 / slope.
-    read_noise_e : Measured
-        Noise of the bias pair, rounding taken out.
-    """
+    """A photon-transfer curve and what its straight part gives."""
 
     signal_dn: FloatArray
     variance_dn2: FloatArray
+    """(L,): Mean above the bias and variance of the noise at each level, fixed pattern taken out."""
     used: NDArray[np.bool_]
+    """(L,): Levels of the straight part."""
     gain_e_per_dn: Measured
+    """Electrons a DN: 1 / slope."""
     read_noise_e: Measured
+    """Noise of the bias pair, rounding taken out."""
 
 
 def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
@@ -163,6 +155,6 @@ def _nonuniformity(bright: Pair, dark: Pair) -> Measured:
     variance = max(pattern.value - below.value, 0.0)
     error = math.hypot(pattern.error, below.error)
     value = math.sqrt(variance) / signal
-    # near zero the error of the variance is all there is to tell
+    # near zero the error of the variance is all that is known
     spread = error / (2.0 * math.sqrt(variance)) if variance > error else math.sqrt(error)
     return Measured(value, math.hypot(spread, value * math.hypot(high.error, low.error)) / signal)

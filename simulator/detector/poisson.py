@@ -130,7 +130,7 @@ def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleA
 
 @kernel
 def expand(mean: SingleArray, number: SingleArray) -> None:
-    """Quantiles by the expansion, from the normal ones in `number` and in their place; −1 where it does not settle."""
+    """Quantiles by the expansion, from the Gaussian ones in `number`, replaced; −1 where it does not settle."""
     for i in range(number.size):
         rate, w = mean[i], number[i]
         root = np.float32(math.sqrt(rate))

@@ -53,7 +53,7 @@ class Clock:
     def tt_jd(self, t_s: float | FloatArray) -> tuple[float, float | FloatArray]:
         """Two-part Julian date TT, days; the sum is the date, the first part the same at every instant.
 
-        Good to 5 ns a year away from the epoch (rounding of the second part).
+        Good to 5 ns per year away from the epoch (rounding of the second part).
         """
         return self._tt[0], self._tt[1] + t_s / SECONDS_PER_DAY
 

@@ -36,7 +36,7 @@ def gyro_samples(
     step_s : float
         Length of a step.
     rng : Generator
-        Draws 9 + 6 N normal numbers.
+        Draws 9 + 6 N Gaussian deviates.
 
     Returns
     -------

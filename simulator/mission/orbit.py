@@ -90,7 +90,7 @@ class J2Orbit:
     v is the derivative of r but for Ω̇ sin i cos u · a across the orbit (1.4 m/s at 800 km), left out together with the
     short-period terms of J2, which are of its size, so that the plane of r and v is the mean plane. Left out as well:
     the mean radius' own J2 offset (+4.3 km at 800 km), the eccentricity of 1e-3 that J3 forces, J4, drag, Sun and Moon.
-    All told the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°."""
+    With these the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°."""
 
     elements: CircularElements
     """Mean elements at the epoch."""

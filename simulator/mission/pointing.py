@@ -155,7 +155,7 @@ def point_at_random(
 def point_spinning(parameters: PointingParameters, t_s: float, rng: np.random.Generator) -> Pointing:
     """`point` of a body that spins freely (`simulator.mission.spin`), `t_s` seconds after the epoch.
 
-    Its principal axes take the place of the local level: offset, random error and `rate_deg_s` act on top.
+    Its principal axes replace the local level: offset, random error and `rate_deg_s` act on top.
     """
     nominal = _offset(parameters) @ spin_attitude(parameters.spin, t_s)
     return _pointing(parameters, nominal, spin_rate_rad_s(parameters.spin, t_s), rng.uniform(-1.0, 1.0, 3))
@@ -196,13 +196,13 @@ def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:
     return turn @ pointing.camera
 
 
-def random_attitude(rng: np.random.Generator, source: str = "icrs", target: str = "camera") -> Attitude:
+def random_attitude(rng: np.random.Generator) -> Attitude:
     """Attitude uniform over all rotations (Shoemake 1992, "Uniform random rotations", *Graphics Gems III*)."""
     u, a, b = rng.random(3)
     a, b = 2.0 * math.pi * a, 2.0 * math.pi * b
     outer, inner = math.sqrt(1.0 - u), math.sqrt(u)
     quat = np.array([outer * math.sin(a), outer * math.cos(a), inner * math.sin(b), inner * math.cos(b)])
-    return Attitude(quat, source, target)
+    return Attitude(quat, "icrs", "camera")
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ def cone_rate_rad_s(spin: Spin) -> float:
 
 
 def spin_attitude(spin: Spin, t_s: float) -> Attitude:
-    """Attitude ICRS → principal axes, seconds after the epoch; these axes take the place of the local level.
+    """Attitude ICRS → principal axes, seconds after the epoch; these axes replace the local level.
 
     At rest they are east, north and the axis that stands still; the body is tilted from there onto its cone, by the
     smallest turn that does it, and turned about +Z.

@@ -327,8 +327,8 @@ def _convolved(first: FloatArray, second: FloatArray) -> FloatArray:
 def _stamp(psf: Psf, electrons: float, half_x: int, half_y: int, offset: tuple[float, float]) -> FloatArray:
     """Share of a star's light in each pixel of a stamp, drawn as far out as one of this many electrons."""
     shape = (2 * half_y + 1, 2 * half_x + 1)
-    place = np.array([[half_x + offset[0], half_y + offset[1]]])
-    return render_stars(shape, place, np.ones(1), np.array([electrons]), psf) / electrons
+    position = np.array([[half_x + offset[0], half_y + offset[1]]])
+    return render_stars(shape, position, np.ones(1), np.array([electrons]), psf) / electrons
 
 
 def _add(image: FloatArray, patch: FloatArray, left: int, top: int) -> None:

@@ -28,13 +28,6 @@ _PRODUCT_STEP_NM = 1.0
 class Curve:
     """A function of wavelength, straight lines between its points, zero outside them.
 
-    Parameters
-    ----------
-    wavelength_nm : (N,) array
-        Rising, N ≥ 2, nanometres.
-    value : (N,) array
-        Values there; a share between 0 and 1 where it comes from `load_curve`.
-
     Raises
     ------
     InputError
@@ -42,7 +35,9 @@ class Curve:
     """
 
     wavelength_nm: FloatArray
+    """(N,): Rising, N ≥ 2, nanometres."""
     value: FloatArray
+    """(N,): Values there; a share between 0 and 1 where it comes from `load_curve`."""
 
     def __post_init__(self) -> None:
         wavelength_nm, value = np.array(self.wavelength_nm, dtype=float), np.array(self.value, dtype=float)
@@ -144,7 +139,7 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
 
 
 def _parse(text: str, where: str) -> Curve:
-    """Points of a CSV text; the first fault is told with its line."""
+    """Points of a CSV text; the first fault is reported with its line."""
     points: list[tuple[float, float]] = []
     header = False
     for number, line in enumerate(text.splitlines(), start=1):

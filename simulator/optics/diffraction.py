@@ -1,4 +1,4 @@
-"""Wavefronts of a lens, by wavelength and place in the field, and their images integrated over pixels."""
+"""Wavefronts of a lens, by wavelength and position in the field, and their images integrated over pixels."""
 
 from __future__ import annotations
 

@@ -62,12 +62,14 @@ def ghost_sources(
     xy (G, 2), electrons (G,), radius_px (G,) of those that reach into the image, pair by pair
     """
     centre = np.array([camera.cx, camera.cy])
-    places, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
+    positions, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for ghost in ghosts:
-        place = centre + ghost.scale * (xy - centre)
+        position = centre + ghost.scale * (xy - centre)
         share = ghost.flux * electrons
-        seen = np.isfinite(place).all(axis=1) & (share >= LEAST_ELECTRONS) & camera.contains(place, ghost.radius_px)
-        places.append(place[seen])
+        seen = (
+            np.isfinite(position).all(axis=1) & (share >= LEAST_ELECTRONS) & camera.contains(position, ghost.radius_px)
+        )
+        positions.append(position[seen])
         light.append(share[seen])
         radii.append(np.full(int(seen.sum()), ghost.radius_px))
-    return np.concatenate(places), np.concatenate(light), np.concatenate(radii)
+    return np.concatenate(positions), np.concatenate(light), np.concatenate(radii)

@@ -61,24 +61,17 @@ _TABLE_STEPS = 8193
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Shape of a power spectrum on 0 … `max_hz`.
-
-    Parameters
-    ----------
-    name : str
-        ``white``, ``lorentz`` or ``table``.
-    corner_hz, max_hz : float
-        Corner of the first two; where the band ends.
-    frequency_hz, density, cumulative : (F,) arrays
-        Of a table: density per Hz normalised to 1, linear between its points, and its integral.
-    """
+    """Shape of a power spectrum on 0 … `max_hz`."""
 
     name: str
+    """``white``, ``lorentz`` or ``table``."""
     corner_hz: float
     max_hz: float
+    """Corner of the first two; where the band ends."""
     frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
     density: FloatArray = field(default_factory=lambda: np.empty(0))
     cumulative: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(F,): Of a table: density per Hz normalised to 1, linear between its points, and its integral."""
 
     def per_hz(self, frequency_hz: ArrayLike) -> FloatArray:
         """One-sided density s(f) of a process of variance 1, 1/Hz."""
@@ -141,26 +134,18 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class JitterPath:
-    """One realisation, as a function of time.
-
-    Parameters
-    ----------
-    frequency_hz, cosine_rad, sine_rad : (M, 3) arrays
-        Of the components about each axis.
-    max_hz : float
-        No component is faster.
-    matrix : (3, 3) array
-        From those axes into the camera's.
-    offset_rad : (3,) array
-        Taken off the sum, camera axes.
-    """
+    """One realisation, as a function of time."""
 
     frequency_hz: FloatArray
     cosine_rad: FloatArray
     sine_rad: FloatArray
+    """(M, 3): Of the components about each axis."""
     max_hz: float
+    """No component is faster."""
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))
+    """(3, 3): From those axes into the camera's."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,): Taken off the sum, camera axes."""
 
     def at(self, t_s: ArrayLike) -> FloatArray:
         """Rotation vectors (..., 3) in camera axes, radians, at seconds from mid-exposure: how the camera has turned

@@ -57,24 +57,16 @@ _INTERPOLATION = 2e-4
 
 @dataclass(frozen=True)
 class Lens:
-    """What of lens and detector makes the image of a star, besides the model of the PSF.
-
-    Parameters
-    ----------
-    f_number : float
-        Focal length over aperture.
-    pitch_um : (float, float)
-        Pixel pitch along columns and rows, µm.
-    obscuration : float
-        Diameter of the central obscuration over that of the aperture.
-    diffusion_um : float
-        Standard deviation of the spreading of charge, µm.
-    """
+    """What of lens and detector makes the image of a star, besides the model of the PSF."""
 
     f_number: float
+    """Focal length over aperture."""
     pitch_um: tuple[float, float]
+    """Pixel pitch along columns and rows, µm."""
     obscuration: float = 0.0
+    """Diameter of the central obscuration over that of the aperture."""
     diffusion_um: float = 0.0
+    """Standard deviation of the spreading of charge, µm."""
 
     @property
     def aspect(self) -> float:
@@ -89,48 +81,34 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Psf:
-    """Image of a point source, integrated over pixels; normalised to 1 over the whole plane.
-
-    Parameters
-    ----------
-    model : str
-        Its name.
-    sigma_px, sigma_y_px : float
-        Standard deviation along columns and rows of the Gaussian, or of the one that fits the core of another model.
-    feature_px : float
-        Finest structure that matters to how densely a smeared path must be sampled, pixels.
-    core : (P, P, M, M) array or None
-        None: an exact Gaussian. Otherwise share of the light in pixel (row j, column i) of the stamp, [b, a, j, i],
-        for a star a phases right of and b phases below the centre; see `phases`.
-    phases : int
-        Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
-        margins for the interpolation.
-    wing : (W,) array
-        Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart (pixels
-        along columns).
-    drawn : (W,) array
-        Share of the light that a star drawn with wings to a radius leaves, `wing_step_px` apart
-        (`simulator.optics.psf_table.join`).
-    wing_step_px : float
-        Step of these tables.
-    aspect : float
-        Pitch along columns over pitch along rows.
-    geometric_px : (float, float)
-        Position of the geometric centroid of an aberrated image relative to the star's, which is its measured centroid
-        (`simulator.optics.measured.measured_centroid`), pixels along columns and rows.
-    """
+    """Image of a point source, integrated over pixels; normalised to 1 over the whole plane."""
 
     model: str
+    """Its name."""
     sigma_px: float
     sigma_y_px: float
+    """Standard deviation along columns and rows of the Gaussian, or of the one that fits the core of another model."""
     feature_px: float
+    """Finest structure that matters to how densely a smeared path must be sampled, pixels."""
     core: NDArray[np.float64] | NDArray[np.float32] | None = None
+    """(P, P, M, M), or None: an exact Gaussian. Otherwise share of the light in pixel (row j, column i) of the stamp,
+    [b, a, j, i], for a star a phases right of and b phases below the centre; see `phases`."""
     phases: int = 1
+    """Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
+    margins for the interpolation."""
     wing: FloatArray | None = None
+    """(W,): Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart
+    (pixels along columns)."""
     drawn: FloatArray | None = None
+    """(W,): Share of the light that a star drawn with wings to a radius leaves, `wing_step_px` apart
+    (`simulator.optics.psf_table.join`)."""
     wing_step_px: float = _WING_STEP_PX
+    """Step of these tables."""
     aspect: float = 1.0
+    """Pitch along columns over pitch along rows."""
     geometric_px: tuple[float, float] = (0.0, 0.0)
+    """Position of the geometric centroid of an aberrated image relative to the star's, which is its measured centroid
+    (`simulator.optics.measured.measured_centroid`), pixels along columns and rows."""
 
     def __post_init__(self) -> None:
         for table in (self.core, self.wing, self.drawn):

@@ -98,9 +98,9 @@ class PsfSet:
         return functools.reduce(np.maximum, [psf.radius_px(electrons) for psf in self._widest])
 
     def psf(self, b_v: float = DEFAULT_B_V, xy: tuple[float, float] | None = None) -> Psf:
-        """The image of a star of a colour at a place (the centre of the image if left out)."""
-        place = np.array([[(self._size_px[0] - 1) / 2, (self._size_px[1] - 1) / 2] if xy is None else xy])
-        return self.groups(np.array([b_v]), place)[0][1]
+        """The image of a star of a colour at a position (the centre of the image if left out)."""
+        position = np.array([[(self._size_px[0] - 1) / 2, (self._size_px[1] - 1) / 2] if xy is None else xy])
+        return self.groups(np.array([b_v]), position)[0][1]
 
     def groups(self, b_v: ArrayLike, xy: ArrayLike) -> list[tuple[IntArray, Psf]]:
         """Stars that share an image.
@@ -165,7 +165,7 @@ class PsfSet:
         ]
 
     def zones(self, xy: FloatArray) -> IntArray:
-        """Zone of each place: 0 in the middle, then ring by ring, each from azimuth 0 on."""
+        """Zone of each position: 0 in the middle, then ring by ring, each from azimuth 0 on."""
         if not self._varies:
             return np.zeros(len(xy), dtype=np.int64)
         field = self._model.field

@@ -83,7 +83,7 @@ def intensity(
 
 
 def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray:
-    """Mean of ∂W/∂ρ over the pupil (waves), (Q, 2): half the place of the centroid in λN."""
+    """Mean of ∂W/∂ρ over the pupil (waves), (Q, 2): half the position of the centroid in λN."""
     low, high = _mean_slope(coefficients, obscuration), _mean_slope(coefficients, 1.0)
     if obscuration == 0.0:
         return high
@@ -91,7 +91,7 @@ def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray
 
 
 def geometric_radius(coefficients: FloatArray) -> float:
-    """Radius of the geometric image about its place by the polynomials, λN: the largest 2 |∂W/∂ρ|."""
+    """Radius of the geometric image about its position by the polynomials, λN: the largest 2 |∂W/∂ρ|."""
     y, x, _ = disk_nodes(24)
     slopes = _slopes(np.atleast_2d(coefficients), x.ravel(), np.repeat(y, 24))
     return float(2.0 * np.hypot(*slopes).max(initial=0.0))

@@ -9,7 +9,7 @@ the moments u = t − t_y(t) of its own row's window, −T/2 ≤ u ≤ T/2, so t
 A star that runs with the shutter is exposed for longer, T / |1 − ẏ · line_time|.
 
 Frame transfer without a mechanical shutter: every line of charge is moved through the image, one line a `line_time`,
-and gathers light in each row it stands in. With flux F(r) electrons a second
+and gathers light in each row it stands in. With flux F(r) electrons per second
 
     after the exposure    + line_time · Σ F(rows ahead of r, through which it leaves)
     before it (clearing)  + line_time · Σ F(rows behind r, through which it came)
@@ -91,7 +91,7 @@ def rolling_paths(
     reach_s = exposure_s / 2.0 + (middle + margin_px + 1.0) * line_time_s
     shaking = _spline(jitter, reach_s) if jitter is not None else None
 
-    def place(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def position(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, K, 2) and cosines (N, K) of the angle off the axis at moments (N, K)."""
         vectors = np.einsum("nkij,nj->nki", rotation_matrices(-rate * t[..., None]), directions)
         if shaking is not None:
@@ -100,7 +100,7 @@ def rolling_paths(
 
     def late(t: FloatArray, u: FloatArray) -> FloatArray:
         """By how much moments (N, K) come after those of the rows the stars stand in then."""
-        rows = np.clip(place(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
+        rows = np.clip(position(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
         return np.asarray(t - u - rows * line_time_s)
 
     def moments(u: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ def rolling_paths(
         length_px += wander_length_px(camera, jitter, exposure_s * longest, limit_rad)
         cycles = jitter.max_hz * exposure_s * longest
     nodes, weights = exposure_nodes(length_px, feature_px, cycles)
-    xy, cosine = place(moments(nodes * exposure_s / 2.0))
+    xy, cosine = position(moments(nodes * exposure_s / 2.0))
     xy[~(cosine >= np.cos(limit_rad)) | ~held[:, None]] = np.nan
     return xy, weights, exposed
 

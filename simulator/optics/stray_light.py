@@ -31,19 +31,13 @@ a clean lens. Inside the exclusion angle a tracker is not meant to work."""
 
 @dataclass(frozen=True, eq=False)
 class Baffle:
-    """Point-source transmittance over the angle from the boresight, and the exclusion angles.
-
-    Parameters
-    ----------
-    angle_rad, pst : (N,) array
-        Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last.
-    exclusion_rad : dict
-        Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work.
-    """
+    """Point-source transmittance over the angle from the boresight, and the exclusion angles."""
 
     angle_rad: FloatArray
     pst: FloatArray
+    """(N,): Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last."""
     exclusion_rad: dict[str, float]
+    """Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
         """Irradiance on the detector over that of the same source on the aperture at normal incidence."""
@@ -122,7 +116,7 @@ def stray_light_e_s_pixel(
 ) -> float:
     """Electrons a second in every pixel from sources outside the field.
 
-    Σ PST(θᵢ) · (Nᵢ/A) · a: Nᵢ the electrons a second that source i would leave on the detector if the lens looked at
+    Σ PST(θᵢ) · (Nᵢ/A) · a: Nᵢ the electrons per second that source i would leave on the detector if the lens looked at
     it, A the area of the aperture, so that Nᵢ/A is its irradiance there (in electrons, transmission and quantum
     efficiency included), a the area of a pixel. PST is the usual ratio of the mean irradiance on the detector to that
     on the aperture at normal incidence (Breault in the *Handbook of Optics*; ECSS-E-HB-60-10), here without the lens'
@@ -138,7 +132,7 @@ def stray_light_e_s_pixel(
     directions : array_like, shape (N, 3)
         Sources, unit vectors (`simulator.sky.earth.stray_sources`).
     rate_e_s : array_like, shape (N,)
-        Their electrons a second through the whole aperture (`Photometer.electrons_per_s`).
+        Their electrons per second through the whole aperture (`Photometer.electrons_per_s`).
     aperture_area_cm2, pixel_area_cm2 : float
         Areas of the entrance pupil and of a pixel.
     """
@@ -154,7 +148,7 @@ def _off_axis(boresight: ArrayLike, directions: ArrayLike) -> FloatArray:
 
 
 def _read(path: Path) -> list[tuple[float, float]]:
-    """Points of a CSV file; the first fault is told with its line."""
+    """Points of a CSV file; the first fault is reported with its line."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:

@@ -45,21 +45,14 @@ _STEP_PX = 0.5
 
 @dataclass(frozen=True, eq=False)
 class TetherPoints:
-    """A tether cut into short pieces; columns of equal length N.
-
-    Parameters
-    ----------
-    direction : array, shape (N, 3)
-        Unit vectors in camera axes.
-    share : array, shape (N,)
-        Irradiance at the lens over that of the source.
-    blur_rad : array, shape (N,)
-        Angular radius of the disk out of focus.
-    """
+    """A tether cut into short pieces; columns of equal length N."""
 
     direction: FloatArray
+    """(N, 3): Unit vectors in camera axes."""
     share: FloatArray
+    """(N,): Irradiance at the lens over that of the source."""
     blur_rad: FloatArray
+    """(N,): Angular radius of the disk out of focus."""
 
 
 def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: FloatArray) -> TetherPoints:

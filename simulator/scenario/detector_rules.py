@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from simulator.scenario.errors import Violation, impossible, unphysical
+
 _CCD_ONLY = {
     "antiblooming": (1.0, "the pixels of a CMOS detector have no common channel along which charge could spill"),
     "cti_parallel": (0.0, "a CMOS detector reads each pixel where it is and transfers no charge"),
@@ -18,8 +20,8 @@ _SHUTTER_OF = {"rolling": ("cmos",), "frame_transfer": ("ccd_frame_transfer", "c
 """Kinds that a shutter goes with, the usual one first; a full-frame CCD may be clocked out under light."""
 
 
-def contradictions(values: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]:
-    """Rules of the detector that do not hold: (key, message, whether ``allow_unphysical`` lets it pass).
+def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
+    """Rules of the detector that do not hold.
 
     Parameters
     ----------
@@ -32,18 +34,18 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]
             value = values[f"detector.{key}"]
             if value != off:
                 message = f"{value:g} with detector.kind: cmos, but {why}; use {off:g}, or kind: ccd_full_frame"
-                yield f"detector.{key}", message, False
+                yield impossible(f"detector.{key}", message)
 
     shutter, kind = values["detector.shutter"], values["detector.kind"]
     if shutter in _SHUTTER_OF and kind not in _SHUTTER_OF[shutter]:
         has = " and ".join(_SHUTTER_OF[shutter])
         message = f"{shutter} with detector.kind: {kind}, but only {has} can have such a shutter"
-        yield "detector.shutter", message + f"; use kind: {_SHUTTER_OF[shutter][0]}, or shutter: global", False
+        yield impossible("detector.shutter", message + f"; use kind: {_SHUTTER_OF[shutter][0]}, or shutter: global")
 
     for key in ("hot_columns", "dead_columns"):
         if values[f"detector.{key}"] > values["detector.width"]:
             message = f"{values[f'detector.{key}']} is more than the {values['detector.width']} columns of the detector"
-            yield f"detector.{key}", message + "; lower it", False
+            yield impossible(f"detector.{key}", message + "; lower it")
 
     second, third = values["detector.nonlinearity"]
     signal = np.linspace(0.0, 1.0, 1001)
@@ -52,4 +54,4 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]
             f"[{second:g}, {third:g}] makes the signal fall where the charge grows, below the full well; "
             "use smaller numbers: a percent is 0.01"
         )
-        yield "detector.nonlinearity", message, True
+        yield unphysical("detector.nonlinearity", message)

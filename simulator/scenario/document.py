@@ -1,6 +1,6 @@
 """A YAML 1.2 file as a tree that knows the line and column of every key.
 
-Built from the parser's events, so that duplicate keys, tags and merge keys can be told from what is plainly written.
+Built from the parser's events, in which duplicate keys, tags and merge keys still stand.
 Plain scalars follow YAML 1.2's core schema (``yes`` is text, ``012`` is twelve); dates stay text until a key asks for
 one. Anchors and aliases work within a file. Nothing in a file is ever executed.
 """
@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from simulator.scenario.errors import Place, Problem
+from simulator.scenario.errors import Location, Problem
 
-TOLD = object()
-"""Stands for a value that cannot be read and whose mistake is told already."""
+REPORTED = object()
+"""Stands for a value that cannot be read and whose mistake is reported already."""
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
@@ -33,7 +33,7 @@ _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufefe\uff00-\uf
 class Entry(NamedTuple):
     """A key of a table: where the key stands, and its value."""
 
-    place: Place
+    location: Location
     node: Table | Value
 
 
@@ -42,25 +42,25 @@ class Value:
     """A scalar or a list, as plain Python values."""
 
     data: Any
-    place: Place
+    location: Location
 
 
 @dataclass
 class Table:
-    """A mapping; `place` is where it begins."""
+    """A mapping; `location` is where it begins."""
 
-    place: Place
+    location: Location
     entries: dict[str, Entry] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
-        """The same without places."""
+        """The same without locations."""
         return {k: e.node.plain() if isinstance(e.node, Table) else e.node.data for k, e in self.entries.items()}
 
 
-def read_text(path: Path, name: str, place: Place | None = None, key: str = "") -> str | Problem:
-    """Text of a UTF-8 file, or why there is none (told at `place`, where given, else at the file)."""
-    at = place or Place(name)
-    named = f": {name}" if place else ""
+def read_text(path: Path, name: str, location: Location | None = None, key: str = "") -> str | Problem:
+    """Text of a UTF-8 file, or why there is none (reported at `location`, where given, else at the file)."""
+    at = location or Location(name)
+    named = f": {name}" if location else ""
     try:
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
@@ -73,31 +73,33 @@ def read_text(path: Path, name: str, place: Place | None = None, key: str = "") 
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         return Problem(at, key, f"cannot be read: {getattr(error, 'strerror', None) or error}{named}")
     if len(raw) > MAX_BYTES:
-        return Problem(Place(name), "", f"is larger than {MAX_BYTES // 1000} kB, which no scenario is")
+        return Problem(Location(name), "", f"is larger than {MAX_BYTES // 1000} kB, which no scenario is")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
         message = f"is not UTF-8 text: byte 0x{raw[error.start]:02x}; save the file as UTF-8"
-        return Problem(Place(name, line, column), "", message)
+        return Problem(Location(name, line, column), "", message)
 
 
 def parse_document(text: str, name: str, problems: list[Problem]) -> Table | None:
     """Tree of a scenario file; None when it cannot be read as one. Mistakes are appended to `problems`."""
-    node = _parse(text, Place(name, 1, 1), problems)
+    node = _parse(text, Location(name, 1, 1), problems)
     if isinstance(node, Table) or node is None:
         return node
     if node.data is None:
-        problems.append(Problem(Place(name), "", "is empty; a scenario needs name, epoch, optics and detector"))
-    elif node.data is not TOLD:
-        problems.append(Problem(node.place, "", f"must be keys and values (key: value), not {show_value(node.data)}"))
+        problems.append(Problem(Location(name), "", "is empty; a scenario needs name, epoch, optics and detector"))
+    elif node.data is not REPORTED:
+        problems.append(
+            Problem(node.location, "", f"must be keys and values (key: value), not {show_value(node.data)}")
+        )
     return None
 
 
-def parse_value(text: str, place: Place, problems: list[Problem]) -> Table | Value | None:
-    """Value of an option of the command line, read as YAML; every place in it is `place`."""
-    return _parse(text, place, problems)
+def parse_value(text: str, location: Location, problems: list[Problem]) -> Table | Value | None:
+    """Value of an option of the command line, read as YAML; every location in it is `location`."""
+    return _parse(text, location, problems)
 
 
 def show_value(value: Any) -> str:
@@ -117,22 +119,22 @@ def show_value(value: Any) -> str:
     return shown if len(shown) <= 80 else shown[:79] + "…"
 
 
-def _parse(text: str, start: Place, problems: list[Problem]) -> Table | Value | None:
+def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value | None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     fixed = start.line == 0  # an option of the command line
     if bad := _FORBIDDEN.search(text):
         line, column = text.count("\n", 0, bad.start()) + 1, bad.start() - text.rfind("\n", 0, bad.start())
-        place = start if fixed else Place(start.source, line, column)
-        problems.append(Problem(place, "", f"invalid YAML: character U+{ord(bad.group()):04X} is not allowed"))
+        location = start if fixed else Location(start.source, line, column)
+        problems.append(Problem(location, "", f"invalid YAML: character U+{ord(bad.group()):04X} is not allowed"))
         return None
     try:
         events = list(YAML(typ="safe", pure=True).parse(text))
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = Place(start.source, mark.line + 1, mark.column + 1) if mark and not fixed else start
-        problems.append(Problem(place, "", _syntax_message(str(error.problem or error.context))))
+        location = Location(start.source, mark.line + 1, mark.column + 1) if mark and not fixed else start
+        problems.append(Problem(location, "", _syntax_message(str(error.problem or error.context))))
         return None
     except (YAMLError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
         # the parser stumbles over some malformed directives and escapes with an error of its own making
@@ -155,7 +157,7 @@ def _syntax_message(problem: str) -> str:
 class _Builder:
     """Turns the parser's events into a tree."""
 
-    def __init__(self, events: Iterator[Any], start: Place, problems: list[Problem]) -> None:
+    def __init__(self, events: Iterator[Any], start: Location, problems: list[Problem]) -> None:
         self.events, self.start, self.problems = events, start, problems
         self.anchors: dict[str, tuple[Table | Value, int] | None] = {}  # None: still being built
         self.count = 0
@@ -177,19 +179,19 @@ class _Builder:
                     node = read
         return node
 
-    def place(self, event: Any) -> Place:
+    def location(self, event: Any) -> Location:
         if self.start.line == 0:
             return self.start
-        return Place(self.start.source, event.start_mark.line + 1, event.start_mark.column + 1)
+        return Location(self.start.source, event.start_mark.line + 1, event.start_mark.column + 1)
 
     def report(self, event: Any, message: str, key: str = "") -> None:
-        self.problems.append(Problem(self.place(event), key, message))
+        self.problems.append(Problem(self.location(event), key, message))
 
     def node(self, event: Any, depth: int) -> Table | Value:
-        kind, place = type(event).__name__, self.place(event)
+        kind, location = type(event).__name__, self.location(event)
         self.count += 1
         if kind == "AliasEvent":
-            return self.alias(event, place)
+            return self.alias(event, location)
         first = self.count
         anchor = getattr(event, "anchor", None)
         if anchor:
@@ -198,29 +200,29 @@ class _Builder:
             self.report(event, f"tags ('{event.tag}') are not used in scenarios; write the plain value")
         node: Table | Value
         if kind == "ScalarEvent":
-            node = Value(self.scalar(event), place)
+            node = Value(self.scalar(event), location)
         elif kind == "SequenceStartEvent":
-            node = self.sequence(event, place, depth)
+            node = self.sequence(event, location, depth)
         else:
-            node = self.table(event, place, depth)
+            node = self.table(event, location, depth)
         if anchor:
             self.anchors[anchor] = (node, self.count - first + 1)
         return node
 
-    def alias(self, event: Any, place: Place) -> Table | Value:
+    def alias(self, event: Any, location: Location) -> Table | Value:
         if event.anchor not in self.anchors:
             self.report(event, f"alias '*{event.anchor}' has no anchor '&{event.anchor}' above it")
-            return Value(TOLD, place)
+            return Value(REPORTED, location)
         target = self.anchors[event.anchor]
         if target is None:
             self.report(event, f"alias '*{event.anchor}' stands inside its own anchor")
-            return Value(TOLD, place)
+            return Value(REPORTED, location)
         self.count += target[1]
         if self.count > MAX_NODES:
             if not self.full:
                 self.report(event, f"the aliases expand to more than {MAX_NODES} values, which no scenario needs")
             self.full = True
-            return Value(TOLD, place)
+            return Value(REPORTED, location)
         return target[0]
 
     def too_deep(self, event: Any, depth: int) -> bool:
@@ -234,17 +236,17 @@ class _Builder:
             level += kind.endswith("StartEvent") - kind.endswith("EndEvent")
         return True
 
-    def sequence(self, event: Any, place: Place, depth: int) -> Value:
+    def sequence(self, event: Any, location: Location, depth: int) -> Value:
         if self.too_deep(event, depth):
-            return Value(TOLD, place)
+            return Value(REPORTED, location)
         items = []
         while type(item := next(self.events)).__name__ != "SequenceEndEvent":
             node = self.node(item, depth + 1)
             items.append(node.plain() if isinstance(node, Table) else node.data)
-        return Value(TOLD if TOLD in items else items, place)
+        return Value(REPORTED if REPORTED in items else items, location)
 
-    def table(self, event: Any, place: Place, depth: int) -> Table:
-        table = Table(place)
+    def table(self, event: Any, location: Location, depth: int) -> Table:
+        table = Table(location)
         if self.too_deep(event, depth):
             return table
         while type(key_event := next(self.events)).__name__ != "MappingEndEvent":
@@ -258,18 +260,18 @@ class _Builder:
             elif key == "<<" and not key_event.style:
                 self.report(key_event, "merge keys (<<) are not part of YAML 1.2; use base: or write the keys out")
             elif key in table.entries:
-                first = table.entries[key].place
+                first = table.entries[key].location
                 where = f"; first given in line {first.line}" if first.line else ""
                 self.report(key_event, f"duplicate key{where}; keep one of them", key)
             else:
-                table.entries[key] = Entry(self.place(key_event), value)
+                table.entries[key] = Entry(self.location(key_event), value)
         return table
 
     def scalar(self, event: Any) -> Any:
         text: str = event.value
         if _FORBIDDEN.search(text) or re.search("[\ud800-\udfff]", text):
             self.report(event, "text holds a control character or half a surrogate pair; take it out")
-            return TOLD
+            return REPORTED
         if event.style:  # quoted or block: text
             return text
         if text in _WORDS:
@@ -277,7 +279,7 @@ class _Builder:
         if _INT.fullmatch(text):
             if len(text) > 400:
                 self.report(event, "a number of more than 400 digits is none that can be used")
-                return TOLD
+                return REPORTED
             return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
         if _FLOAT.fullmatch(text):
             return float(text)

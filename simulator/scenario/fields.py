@@ -93,7 +93,7 @@ class Key:
 
     @property
     def unit_suffix(self) -> str:
-        """The ending of the name that tells the unit, underscore included."""
+        """The ending of the name that says the unit, underscore included."""
         ending = self.name.partition("_")[2]
         while ending and ending not in _UNITS:
             ending = ending.partition("_")[2]

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
 
-from simulator.scenario.document import TOLD, Table, parse_value, show_value
-from simulator.scenario.errors import Place, Problem, ScenarioError
+from simulator.scenario.document import REPORTED, Table, parse_value, show_value
+from simulator.scenario.errors import Location, Problem, ScenarioError
 from simulator.scenario.fields import Key, NameChecks, all_keys, check_value
 from simulator.scenario.output import yaml_value
 from startracker.errors import InputError
@@ -31,8 +31,8 @@ _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(?::({_NUMBER}))?(?:,(\w+))?")
 _EXPECTED = "must look like section.key=low:high:count, section.key=low:high:count,log or section.key=value,value,…"
 _NOT_SWEPT = {
     "study.trials": "is given by --trials, the same at every point",
-    "name": "tells nothing apart; sweep another key",
-    "description": "tells nothing apart; sweep another key",
+    "name": "distinguishes no points; sweep another key",
+    "description": "distinguishes no points; sweep another key",
 }
 
 
@@ -103,18 +103,18 @@ def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> t
     keys = {key.path: key for key in all_keys() if not key.section}
     for text in texts:
         path, equals, written = (part.strip() for part in text.partition("="))
-        place = Place(f"--over {path}", key=path)
+        location = Location(f"--over {path}", key=path)
         if not equals or not path or not written:
-            problems.append(Problem(Place(f"--over {text}"), "", _EXPECTED))
+            problems.append(Problem(Location(f"--over {text}"), "", _EXPECTED))
         elif path in swept:
-            problems.append(Problem(place, path, "given twice; write its values into one --over"))
+            problems.append(Problem(location, path, "given twice; write its values into one --over"))
         elif path in _NOT_SWEPT:
-            problems.append(Problem(place, path, _NOT_SWEPT[path]))
+            problems.append(Problem(location, path, _NOT_SWEPT[path]))
         elif path not in keys:
-            problems.append(Problem(place, path, _unknown(path, keys)))
+            problems.append(Problem(location, path, _unknown(path, keys)))
         else:
-            found = _parse(keys[path], written, place, problems)
-            if found and _check(found, place, names or {}, problems):
+            found = _parse(keys[path], written, location, problems)
+            if found and _check(found, location, names or {}, problems):
                 swept[path] = found
     if problems:
         raise ScenarioError(problems)
@@ -153,7 +153,7 @@ def latin_hypercube(swept: Sequence[SweptKey], count: int, rng: np.random.Genera
     count : int
         Number of points, at least 1.
     rng : numpy.random.Generator
-        Source of the places and pairings.
+        Source of the positions and pairings.
 
     Raises
     ------
@@ -190,28 +190,28 @@ def _unknown(path: str, keys: Mapping[str, Key]) -> str:
         Scenario.parse("{}", [f"{path}=0"])
     except ScenarioError as error:
         for problem in error.problems:
-            if problem.place.source == f"--set {path}":
+            if problem.location.source == f"--set {path}":
                 return problem.message
     return "unknown key"
 
 
-def _parse(key: Key, written: str, place: Place, problems: list[Problem]) -> SweptKey | None:
+def _parse(key: Key, written: str, location: Location, problems: list[Problem]) -> SweptKey | None:
     match = _RANGE.fullmatch(written.replace(" ", ""))
     if match:
-        return _range(key, match, place, problems)
+        return _range(key, match, location, problems)
     values = []
     for text in _split(written):
-        node = parse_value(text, place, problems)
+        node = parse_value(text, location, problems)
         if node is None or isinstance(node, Table):
-            problems.append(Problem(place, key.path, f"'{text}' is not a value; {_EXPECTED}"))
+            problems.append(Problem(location, key.path, f"'{text}' is not a value; {_EXPECTED}"))
             return None
-        if node.data is TOLD:
+        if node.data is REPORTED:
             return None
         values.append(node.data)
     return SweptKey(key, tuple(values), whole=_whole(key.annotation))
 
 
-def _range(key: Key, match: re.Match[str], place: Place, problems: list[Problem]) -> SweptKey | None:
+def _range(key: Key, match: re.Match[str], location: Location, problems: list[Problem]) -> SweptKey | None:
     low, high = float(match[1]), float(match[2])
     log, whole = match[4] == "log", _whole(key.annotation)
     count = int(match[3]) if match[3] and match[3].isdigit() else None
@@ -229,14 +229,14 @@ def _range(key: Key, match: re.Match[str], place: Place, problems: list[Problem]
     elif count is not None and count > MAX_POINTS:
         message = f"{count} values are more than the {MAX_POINTS} points that a sweep may have"
     if message:
-        problems.append(Problem(place, key.path, message))
+        problems.append(Problem(location, key.path, message))
         return None
     values = _spaced(low, high, count, log) if count else ()
     if whole:
         values = tuple(round(v) for v in values)
         if len(set(values)) < len(values):
             message = f"only {len(set(values))} of the {count} values differ as whole numbers; ask for fewer"
-            problems.append(Problem(place, key.path, message))
+            problems.append(Problem(location, key.path, message))
             return None
     return SweptKey(key, values, low, high, log, whole)
 
@@ -273,7 +273,7 @@ def _whole(annotation: Any) -> bool:
     return annotation is int
 
 
-def _check(axis: SweptKey, place: Place, names: NameChecks, problems: list[Problem]) -> bool:
+def _check(axis: SweptKey, location: Location, names: NameChecks, problems: list[Problem]) -> bool:
     """Whether the key can take each of the values by itself; what physics says of them together comes later."""
     ends: tuple[Any, ...] = () if axis.low is None else (axis.low, axis.high)
     candidates = axis.values or (tuple(map(round, ends)) if axis.whole else ends)
@@ -285,5 +285,5 @@ def _check(axis: SweptKey, place: Place, names: NameChecks, problems: list[Probl
         if not message and value in candidates[:n]:
             message = f"{show_value(value)} is given twice"
         if message:
-            problems.append(Problem(place, axis.path, message))
+            problems.append(Problem(location, axis.path, message))
     return len(problems) == before

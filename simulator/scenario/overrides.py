@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from simulator.scenario.document import Entry, Table, Value, parse_value
-from simulator.scenario.errors import Place, Problem
+from simulator.scenario.errors import Location, Problem
 
 
 def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Problem]) -> Table:
@@ -13,42 +13,42 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
     for text in overrides:
         path, equals, written = text.partition("=")
         path = path.strip()
-        place = Place(f"--set {path}", key=path)
+        location = Location(f"--set {path}", key=path)
         if not equals or not path or not all(path.split(".")):
-            problems.append(Problem(Place(f"--set {text}"), "", "must look like section.key=value"))
+            problems.append(Problem(Location(f"--set {text}"), "", "must look like section.key=value"))
         elif path == "base":
-            problems.append(Problem(place, "base", "can only be written in a file; load another scenario instead"))
+            problems.append(Problem(location, "base", "can only be written in a file; load another scenario instead"))
         else:
-            value = parse_value(written.strip(), place, problems)
+            value = parse_value(written.strip(), location, problems)
             if value is not None:
-                tree = merge(tree, _nest(path, value, place))
+                tree = merge(tree, _nest(path, value, location))
     return tree
 
 
 def set_option(tree: Table, option: str, path: str, value: object) -> Table:
     """The tree with the key of an option such as ``--seed`` put in."""
-    place = Place(option, key=path)
-    return merge(tree, _nest(path, Value(value, place), place))
+    location = Location(option, key=path)
+    return merge(tree, _nest(path, Value(value, location), location))
 
 
 def merge(below: Table, above: Table) -> Table:
     """A new table: sections merge key by key, anything else above replaces what is below."""
-    merged = Table(below.place, dict(below.entries))
+    merged = Table(below.location, dict(below.entries))
     for key, entry in above.entries.items():
         old = merged.entries.get(key)
         if old and isinstance(old.node, Table) and isinstance(entry.node, Table):
-            place = (
-                old.place if entry.place.key else entry.place
+            location = (
+                old.location if entry.location.key else entry.location
             )  # an option sets one key, the section stays the file's
-            merged.entries[key] = Entry(place, merge(old.node, entry.node))
+            merged.entries[key] = Entry(location, merge(old.node, entry.node))
         else:
             merged.entries[key] = entry
     return merged
 
 
-def _nest(path: str, value: Table | Value, place: Place) -> Table:
+def _nest(path: str, value: Table | Value, location: Location) -> Table:
     node: Table | Value = value
     for part in reversed(path.split(".")):
-        node = Table(place, {part: Entry(place, node)})
+        node = Table(location, {part: Entry(location, node)})
     assert isinstance(node, Table)
     return node

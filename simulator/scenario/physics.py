@@ -2,19 +2,20 @@
 ``allow_unphysical: true`` lets pass and the report then repeats.
 
 Each rule reads the values it needs and names the key at fault. A rule whose values are themselves wrong is skipped, so
-that physics is checked, and told, together with every other mistake.
+that physics is checked, and reported, together with every other mistake.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime, timedelta
-from typing import Any, NamedTuple
+from datetime import timedelta
+from typing import Any
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.scenario.detector_rules import contradictions
-from simulator.scenario.sequence_rules import sequence_contradictions
+from simulator.scenario import detector_rules, sequence_rules
+from simulator.scenario.errors import Violation, impossible, unphysical
+from simulator.scenario.sequence_rules import EPHEMERIS
 
 ALLOW = "; or set allow_unphysical: true"
 
@@ -27,9 +28,6 @@ MIN_ORBIT_KM = 150.0
 SUN_RATE_RAD_S = 2.0 * math.pi / (365.2422 * 86400.0)
 """Mean motion of the Sun in right ascension: a turn a tropical year."""
 
-EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
-"""Span of DE421 as it ships (Folkner et al. 2009), a day inside its ends."""
-
 SILICON_C = (-230.0, 150.0)
 """Below, the dopants freeze out; above, silicon conducts by itself (Janesick 2001; Sze & Ng 2007, chapter 1)."""
 
@@ -41,14 +39,6 @@ GAUSSIAN_SIGMA = 0.42
 
 MAX_FIELD_DEG = 170.0
 """Across the diagonal: r = f tan θ has no room for more."""
-
-
-class Violation(NamedTuple):
-    """A rule that does not hold: the key at fault, why, and whether ``allow_unphysical`` lets it pass."""
-
-    key: str
-    message: str
-    overridable: bool
 
 
 Values = Mapping[str, Any]
@@ -67,23 +57,15 @@ def violations(values: Values) -> list[Violation]:
     for rule in RULES:
         try:
             found.extend(rule(values))
-        except KeyError:  # a value that is wrong in itself, which is told elsewhere
+        except KeyError:  # a value that is wrong in itself, which is reported elsewhere
             continue
     return found
-
-
-def _impossible(key: str, message: str) -> Violation:
-    return Violation(key, message, overridable=False)
-
-
-def _unphysical(key: str, message: str) -> Violation:
-    return Violation(key, message, overridable=True)
 
 
 def _node(v: Values) -> Iterator[Violation]:
     if v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
         message = "the node is already given by orbit.ltan_h; give one of them, and set the other to null"
-        yield _impossible("orbit.raan_deg", message)
+        yield impossible("orbit.raan_deg", message)
 
 
 def sun_synchronous_limit_km() -> float:
@@ -98,16 +80,16 @@ def sun_synchronous_limit_km() -> float:
 def _altitude(v: Values) -> Iterator[Violation]:
     altitude_km = v["orbit.altitude_km"]
     if altitude_km <= -EARTH_RADIUS_KM:
-        yield _impossible("orbit.altitude_km", f"{altitude_km:g} km lies beyond the Earth's centre; use 150 km or more")
+        yield impossible("orbit.altitude_km", f"{altitude_km:g} km lies beyond the Earth's centre; use 150 km or more")
     elif altitude_km < 0:
         message = f"{altitude_km:g} km is inside the Earth; use {MIN_ORBIT_KM:g} km or more"
         if v["orbit.propagator"] == "sgp4":
-            yield _impossible("orbit.altitude_km", message + " (sgp4 knows no such orbit)")
+            yield impossible("orbit.altitude_km", message + " (sgp4 knows no such orbit)")
         else:
-            yield _unphysical("orbit.altitude_km", message)
+            yield unphysical("orbit.altitude_km", message)
     elif altitude_km < MIN_ORBIT_KM:
         message = f"{altitude_km:g} km is within the atmosphere, where no orbit lasts; use {MIN_ORBIT_KM:g} km or more"
-        yield _unphysical("orbit.altitude_km", message)
+        yield unphysical("orbit.altitude_km", message)
 
 
 def _sun_synchronous(v: Values) -> Iterator[Violation]:
@@ -117,7 +99,7 @@ def _sun_synchronous(v: Values) -> Iterator[Violation]:
             f"no orbit at {v['orbit.altitude_km']:g} km is sun-synchronous, only up to {limit_km:.0f} km; "
             "give the inclination in degrees"
         )
-        yield _impossible("orbit.inclination_deg", message)
+        yield impossible("orbit.inclination_deg", message)
 
 
 def _epoch(v: Values) -> Iterator[Violation]:
@@ -125,18 +107,18 @@ def _epoch(v: Values) -> Iterator[Violation]:
     span = timedelta(days=366) if v["study.sampling"] == "mission_year" else timedelta(days=2)
     if not first <= epoch <= last - span:
         message = f"{epoch:%Y-%m-%d} is outside the ephemeris DE421; use {first:%Y-%m-%d} to {last - span:%Y-%m-%d}"
-        yield _impossible("epoch", message)
+        yield impossible("epoch", message)
 
 
 def _mounting(v: Values) -> Iterator[Violation]:
     mounting = v["pointing.mounting"]
     if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
-        yield _impossible("pointing.mounting", "a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all")
+        yield impossible("pointing.mounting", "a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all")
 
 
 def _spin(v: Values) -> Iterator[Violation]:
     if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
-        yield _impossible("pointing.spin.rate_deg_s", "a body that spins freely holds no pointing.target; remove one")
+        yield impossible("pointing.spin.rate_deg_s", "a body that spins freely holds no pointing.target; remove one")
 
 
 def _tether(v: Values) -> Iterator[Violation]:
@@ -145,11 +127,11 @@ def _tether(v: Values) -> Iterator[Violation]:
     near, far = v["tether.near_m"], v["tether.far_m"]
     for key, end in (("near_m", near), ("far_m", far)):
         if end[2] <= 0.0:
-            yield _impossible(f"tether.{key}", f"{end[2]:g} m ahead of the lens; both ends must be before it")
+            yield impossible(f"tether.{key}", f"{end[2]:g} m ahead of the lens; both ends must be before it")
             return
     turn = math.hypot(*(near[i] / near[2] - far[i] / far[2] for i in range(2)))
     if turn < 1e-6:
-        yield _impossible("tether.far_m", "seen from the lens the tether is a point; move an end off the line of sight")
+        yield impossible("tether.far_m", "seen from the lens the tether is a point; move an end off the line of sight")
 
 
 def _f_number(v: Values) -> Iterator[Violation]:
@@ -159,7 +141,7 @@ def _f_number(v: Values) -> Iterator[Violation]:
             f"{aperture_mm:g} mm at a focal length of {focal_mm:g} mm is f/{focal_mm / aperture_mm:.3g}, "
             f"but no lens in air is faster than f/{MIN_F_NUMBER:g}; use at most {focal_mm / MIN_F_NUMBER:g} mm"
         )
-        yield _unphysical("optics.aperture_mm", message)
+        yield unphysical("optics.aperture_mm", message)
 
 
 def _field(v: Values) -> Iterator[Violation]:
@@ -172,7 +154,7 @@ def _field(v: Values) -> Iterator[Violation]:
             f"{focal_mm:g} mm before a detector of {diagonal_mm:.3g} mm diagonal sees {field_deg:.4g}°, "
             f"more than the {MAX_FIELD_DEG:g}° a flat image holds; use a longer one"
         )
-        yield _unphysical("optics.focal_length_mm", message)
+        yield unphysical("optics.focal_length_mm", message)
 
 
 def _lens_coefficients(v: Values) -> Iterator[Violation]:
@@ -183,7 +165,7 @@ def _lens_coefficients(v: Values) -> Iterator[Violation]:
     for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"):
         if v[f"optics.distortion.{name}"] and name not in known:
             hint = "use k1 to k4" if known else "use projection: fisheye"
-            yield _impossible(
+            yield impossible(
                 f"optics.distortion.{name}", f"the projection {projection} has no such coefficient; {hint}"
             )
 
@@ -192,14 +174,14 @@ def _vignetting(v: Values) -> Iterator[Violation]:
     start, end = v["optics.vignetting.mechanical_start_deg"], v["optics.vignetting.mechanical_end_deg"]
     if end is not None and end <= start:
         message = f"{end:g}° is not beyond mechanical_start_deg ({start:g}°)"
-        yield _impossible("optics.vignetting.mechanical_end_deg", message)
+        yield impossible("optics.vignetting.mechanical_end_deg", message)
     elif end is not None and end >= 90 and v["optics.projection"] == "pinhole":
-        yield _impossible("optics.vignetting.mechanical_end_deg", f"a pinhole sees less than 90°, not {end:g}°")
+        yield impossible("optics.vignetting.mechanical_end_deg", f"a pinhole sees less than 90°, not {end:g}°")
 
 
 def _jitter(v: Values) -> Iterator[Violation]:
     if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
-        yield _impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
+        yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
 
 
 def _pitch_um(v: Values) -> tuple[float, float]:
@@ -211,17 +193,17 @@ def _pixel(v: Values) -> Iterator[Violation]:
     smallest = min(_pitch_um(v))
     if smallest < MIN_PIXEL_UM:
         message = f"{smallest:g} µm is smaller than a wavelength of light; use {MIN_PIXEL_UM:g} µm or more"
-        yield _unphysical("detector.pixel_pitch_um", message)
+        yield unphysical("detector.pixel_pitch_um", message)
 
 
 def _psf_keys(v: Values) -> Iterator[Violation]:
     sigma, ring = v["optics.psf.sigma_px"], v["optics.psf.first_dark_ring_px"]
     if sigma is not None and v["optics.psf.model"] == "airy":
         message = "an airy image has no sigma_px; use first_dark_ring_px, or model: gaussian"
-        yield _impossible("optics.psf.sigma_px", message)
+        yield impossible("optics.psf.sigma_px", message)
     elif sigma is not None and ring is not None:
         message = "the width is already given by first_dark_ring_px; give one of them, and set the other to null"
-        yield _impossible("optics.psf.sigma_px", message)
+        yield impossible("optics.psf.sigma_px", message)
 
 
 def _diffraction(v: Values) -> Iterator[Violation]:
@@ -234,20 +216,20 @@ def _diffraction(v: Values) -> Iterator[Violation]:
                 f"{given:g} px is sharper than diffraction at f/{number:.3g} and "
                 f"{v['optics.psf.wavelength_nm']:g} nm allows; use {least:.3g} px or more"
             )
-            yield _unphysical(f"optics.psf.{name}", message)
+            yield unphysical(f"optics.psf.{name}", message)
 
 
 def _full_well(v: Values) -> Iterator[Violation]:
     if v["detector.full_well_e"] < v["detector.read_noise_e"]:
         message = f"{v['detector.full_well_e']:g} e⁻ is less than the read noise of {v['detector.read_noise_e']:g} e⁻"
-        yield _unphysical("detector.full_well_e", message + "; no signal could be told from it")
+        yield unphysical("detector.full_well_e", message + "; no signal could be distinguished from it")
 
 
 def _temperature(v: Values) -> Iterator[Violation]:
     low, high = SILICON_C
     if not low <= v["detector.temperature_c"] <= high:
         message = f"no silicon detector works at {v['detector.temperature_c']:g} °C; use {low:g} to {high:g} °C"
-        yield _unphysical("detector.temperature_c", message)
+        yield unphysical("detector.temperature_c", message)
 
 
 def _dark_signal(v: Values) -> Iterator[Violation]:
@@ -258,7 +240,7 @@ def _dark_signal(v: Values) -> Iterator[Violation]:
             f"within {v['detector.exposure_s']:g} s at {v['detector.temperature_c']:g} °C the dark current alone gives "
             f"{dark_e:.3g} e⁻ and fills the well of {v['detector.full_well_e']:g} e⁻; shorten it, or cool the detector"
         )
-        yield _unphysical("detector.exposure_s", message)
+        yield unphysical("detector.exposure_s", message)
 
 
 def _exposure(v: Values) -> Iterator[Violation]:
@@ -267,7 +249,7 @@ def _exposure(v: Values) -> Iterator[Violation]:
         period_s = 2.0 * math.pi * math.sqrt(a_km**3 / EARTH_GM_KM3_S2)
         if v["detector.exposure_s"] > period_s:
             message = f"{v['detector.exposure_s']:g} s is longer than the orbit of {period_s:.0f} s; shorten it"
-            yield _unphysical("detector.exposure_s", message)
+            yield unphysical("detector.exposure_s", message)
 
 
 def _converter(v: Values) -> Iterator[Violation]:
@@ -275,7 +257,7 @@ def _converter(v: Values) -> Iterator[Violation]:
     top_dn = math.inf if bits is None else 2**bits - 1
     if v["detector.offset_dn"] >= top_dn:
         message = f"{v['detector.offset_dn']:g} DN leaves nothing of the converter's {top_dn} DN ({bits} bits)"
-        yield _impossible("detector.offset_dn", message + "; lower it, or raise adc_bits")
+        yield impossible("detector.offset_dn", message + "; lower it, or raise adc_bits")
     elif gain != "auto":
         span_e = gain * (top_dn - v["detector.offset_dn"])
         if span_e < v["detector.read_noise_e"]:
@@ -283,22 +265,22 @@ def _converter(v: Values) -> Iterator[Violation]:
                 f"{gain:g} e⁻/DN puts the converter's top at {span_e:.3g} e⁻, "
                 f"below the read noise of {v['detector.read_noise_e']:g} e⁻; raise it, or adc_bits"
             )
-            yield _unphysical("detector.gain_e_per_dn", message)
+            yield unphysical("detector.gain_e_per_dn", message)
         if bits is not None and gain > v["detector.full_well_e"]:
             message = f"{gain:g} e⁻/DN makes less than one DN of a full well of {v['detector.full_well_e']:g} e⁻"
-            yield _unphysical("detector.gain_e_per_dn", message + "; lower it")
+            yield unphysical("detector.gain_e_per_dn", message + "; lower it")
 
 
 def _guide_stars(v: Values) -> Iterator[Violation]:
     if v["tracker.magnitude_limit"] < -1.5:
         message = f"no star is brighter than V = {v['tracker.magnitude_limit']:g} (Sirius: −1.46); 6.5 is usual"
-        yield _impossible("tracker.magnitude_limit", message)
+        yield impossible("tracker.magnitude_limit", message)
 
 
 def _least_and_most(low: str, high: str) -> Rule:
     def rule(v: Values) -> Iterator[Violation]:
         if v[high] is not None and v[high] < v[low]:
-            yield _impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")
+            yield impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")
 
     return rule
 
@@ -307,17 +289,7 @@ def _window(v: Values) -> Iterator[Violation]:
     size = v["tracker.centroid.window_px"]
     if size % 2 == 0:
         message = f"must be odd, so that it has a middle pixel, not {size}; use {size - 1} or {size + 1}"
-        yield _impossible("tracker.centroid.window_px", message)
-
-
-def _detector(v: Values) -> Iterator[Violation]:
-    for found in contradictions(v):
-        yield Violation(*found)
-
-
-def _sequence(v: Values) -> Iterator[Violation]:
-    for found in sequence_contradictions(v, EPHEMERIS):
-        yield Violation(*found)
+        yield impossible("tracker.centroid.window_px", message)
 
 
 RULES: tuple[Rule, ...] = (
@@ -341,8 +313,8 @@ RULES: tuple[Rule, ...] = (
     _dark_signal,
     _exposure,
     _converter,
-    _detector,
-    _sequence,
+    detector_rules.contradictions,
+    sequence_rules.contradictions,
     _guide_stars,
     _window,
     _least_and_most("tracker.detection.min_pixels", "tracker.detection.max_pixels"),

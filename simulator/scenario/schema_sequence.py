@@ -44,4 +44,4 @@ class SequenceSection(Section):
     rate_sigma_deg_s: Positive = 2.0
     """What it takes for the standard deviation of the rate, each axis, before it has seen two frames."""
     operation: OperationSettings = OperationSettings()
-    """The rules by which the sensor sets its exposure, stands by under the Sun, clears the Moon and maps blemishes."""
+    """Rules by which the sensor sets its exposure, stands by under the Sun, clears the Moon, maps defective pixels."""

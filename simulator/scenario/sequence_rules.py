@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
+from simulator.scenario.errors import Violation, impossible
+
 MOST_FRAMES = 1_000_000
 LARGEST_STEP_DEG = 170.0
-"""Turn from one frame to the next; beyond half a turn its direction is not told by the two attitudes."""
+"""Turn from one frame to the next; beyond half a turn the two attitudes do not determine its direction."""
 
 
-def sequence_contradictions(
-    v: Mapping[str, Any], ephemeris: tuple[datetime, datetime]
-) -> Iterator[tuple[str, str, bool]]:
-    """What does not go together: key at fault, why, and whether ``allow_unphysical`` lets it pass (never, here)."""
+EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
+"""Span of DE421 as it ships (Folkner et al. 2009), a day inside its ends."""
+
+
+def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Rules of the ``sequence`` section that do not hold."""
     points = v["sequence.rates"]
     for before, after in pairwise(points):
         if after.at_s <= before.at_s:
             message = f"points must come in order of time; {after.at_s:g} s comes after {before.at_s:g} s"
-            yield "sequence.rates", message, False
+            yield impossible("sequence.rates", message)
             break
     step_s = v["sequence.step_s"]
     fastest = math.hypot(*v["pointing.rate_deg_s"])
@@ -30,33 +34,33 @@ def sequence_contradictions(
         fastest += v["sequence.slew.max_rate_deg_s"]
     # plain Monte Carlo scenarios may turn as fast as they like: only what the section itself asks for is refused
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
-        message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° a step; use a shorter step"
-        yield "sequence.step_s", message, False
+        message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° per step; use a shorter step"
+        yield impossible("sequence.step_s", message)
     yield from _operation_contradictions(v)
     frames, start_s = v["sequence.frames"], v["sequence.start_s"]
     if frames > MOST_FRAMES:
-        yield "sequence.frames", f"{frames} is more than {MOST_FRAMES}, which is what fits in memory", False
+        yield impossible("sequence.frames", f"{frames} is more than {MOST_FRAMES}, which is what fits in memory")
         return
-    first, last = ephemeris
+    first, last = EPHEMERIS
     epoch = v["epoch"]
     span_s = (last - first).total_seconds()
     for key, at_s in (("sequence.start_s", start_s), ("sequence.frames", start_s + frames * step_s)):
         if not abs(at_s) < span_s or not first <= epoch + timedelta(seconds=at_s) <= last - timedelta(days=2):
-            yield key, "the sequence leaves the ephemeris DE421 (1899 to 2053)", False
+            yield impossible(key, "the sequence leaves the ephemeris DE421 (1899 to 2053)")
             return
 
 
-def _operation_contradictions(v: Mapping[str, Any]) -> Iterator[tuple[str, str, bool]]:
+def _operation_contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     """Rules of operation that would never come to rest, or never to act."""
     if not v["sequence.operation.use"]:
         return
     lengthen, shorten = v["sequence.operation.lengthen_below"], v["sequence.operation.shorten"]
     if lengthen > shorten:
         message = f"{lengthen:g} is above shorten = {shorten:g}: a lengthened exposure could saturate and be shortened"
-        yield "sequence.operation.lengthen_below", message + f" again without end; use {shorten:g} or less", False
+        yield impossible("sequence.operation.lengthen_below", message + f" again without end; use {shorten:g} or less")
     exposure_s = v["detector.exposure_s"]
     for key in ("shortest_exposure_s", "exposure_step_s"):
         value = v[f"sequence.operation.{key}"]
         if value > exposure_s:
             message = f"{value:g} s is longer than detector.exposure_s = {exposure_s:g} s, the longest; use less"
-            yield f"sequence.operation.{key}", message, False
+            yield impossible(f"sequence.operation.{key}", message)

@@ -41,42 +41,29 @@ class Instant:
 @dataclass(frozen=True, eq=False)
 class Instants:
     """What a mission's ephemerides say at T instants, asked for together: Skyfield and ERFA cost some 50 µs an instant
-    in a block, and milliseconds alone.
-
-    Parameters
-    ----------
-    t_s : array, shape (T,)
-        Seconds after the epoch.
-    epoch_jyear : array, shape (T,)
-        Julian epochs, TT.
-    r_km, v_km_s : array, shape (T, 3)
-        Geocentric state, GCRS.
-    position_au, velocity_km_s : array, shape (T, 3)
-        Barycentric state, ICRS.
-    sun_au : array, shape (T, 3)
-        Barycentric position of the Sun.
-    bodies : Bodies
-        Of T instants.
-    orbit_argument_deg : array, shape (T,)
-        Argument of latitude.
-    latitude_deg, longitude_deg : array, shape (T,)
-        Ground track: geodetic latitude, east longitude in [−180, 180].
-    sunlit : bool array, shape (T,)
-        Whether the spacecraft is outside the Earth's shadow.
-    """
+    in a block, and milliseconds alone."""
 
     t_s: FloatArray
+    """(T,): Seconds after the epoch."""
     epoch_jyear: FloatArray
+    """(T,): Julian epochs, TT."""
     r_km: FloatArray
     v_km_s: FloatArray
+    """(T, 3): Geocentric state, GCRS."""
     position_au: FloatArray
     velocity_km_s: FloatArray
+    """(T, 3): Barycentric state, ICRS."""
     sun_au: FloatArray
+    """(T, 3): Barycentric position of the Sun."""
     bodies: Bodies
+    """Of T instants."""
     orbit_argument_deg: FloatArray
+    """(T,): Argument of latitude."""
     latitude_deg: FloatArray
     longitude_deg: FloatArray
+    """(T,): Ground track: geodetic latitude, east longitude in [−180, 180]."""
     sunlit: NDArray[np.bool_]
+    """(T,): Whether the spacecraft is outside the Earth's shadow."""
 
     @classmethod
     def of(cls, orbit: Orbit, t_s: FloatArray, sky: Sky) -> Instants:

@@ -17,21 +17,14 @@ class MonotoneCubic:
     The slope at a point is the weighted harmonic mean of those of its two sides, 0 at an extremum; at the ends it is
     that of the parabola through three points, held back where it would overshoot (Fritsch & Butland 1984, SIAM J.
     Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). The same as SciPy's
-    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to load.
-
-    Parameters
-    ----------
-    x : (N,) array
-        Rising, at least three.
-    y : (N,) or (N, M) array
-        Values, each column a curve of its own.
-    slope : array like y
-        From `through`.
-    """
+    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to load."""
 
     x: FloatArray
+    """(N,): Rising, at least three."""
     y: FloatArray
+    """(N,): Values, each column a curve of its own."""
     slope: FloatArray
+    """From `through`."""
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray) -> MonotoneCubic:

@@ -1,4 +1,4 @@
-"""Photometry: electrons a second from a star's magnitude and colour, and from the diffuse sky."""
+"""Photometry: electrons per second from a star's magnitude and colour, and from the diffuse sky."""
 
 from __future__ import annotations
 
@@ -51,24 +51,15 @@ def integrate(photons: Curve, response: Curve) -> float:
 class Photometer:
     """What an aperture and a response make of starlight.
 
-    N = A ∫ n_λ(star) η_λ dλ × 10^(−0.4 V) electrons a second, with n_λ the photon flux density of a V = 0 star of that
-    colour and class (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture. The
-    integrals are done once for colours 0.0025 apart; between them the tables are interpolated (relative error below
+    N = A ∫ n_λ(star) η_λ dλ × 10^(−0.4 V) electrons per second, with n_λ the photon flux density of a V = 0 star of
+    that colour and class (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture.
+    The integrals are done once for colours 0.0025 apart; between them the tables are interpolated (relative error below
     1 × 10⁻⁴).
 
     Wherever a method takes `giant`, it is 0 for a dwarf, 1 for a giant, a share between, or 10 + the subtype (0 to 6)
     of an M giant; left out or NaN (not known), the share of giants among bright stars of that B−V counts
     (`simulator.sky.colours`, whose `spectral_coordinates` makes B−V and `giant` from a catalogue's columns). B−V that
     is NaN counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
-
-    Parameters
-    ----------
-    response : Curve
-        Transmission × quantum efficiency.
-    aperture_area_cm2 : float
-        Area of the entrance pupil, cm².
-    spectrum : str
-        Name of a family of spectra; also those of the entry-point group ``boresight.spectra``.
 
     Raises
     ------
@@ -77,8 +68,11 @@ class Photometer:
     """
 
     response: Curve
+    """Transmission × quantum efficiency."""
     aperture_area_cm2: float
+    """Area of the entrance pupil, cm²."""
     spectrum: str = "colour_sequence"
+    """Name of a family of spectra; also those of the entry-point group ``boresight.spectra``."""
     _wavelength_nm: FloatArray = field(init=False, repr=False)
     _efficiency: FloatArray = field(init=False, repr=False)
     _rate: _Tables = field(init=False, repr=False)
@@ -104,7 +98,7 @@ class Photometer:
             object.__setattr__(self, name, value)
 
     def electrons_per_s(self, v_mag: ArrayLike, b_v: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
-        """Photo-electrons a second of stars, over all their pixels.
+        """Photo-electrons per second of stars, over all their pixels.
 
         Parameters
         ----------
@@ -119,7 +113,7 @@ class Photometer:
         return np.asarray(_looked_up(self._rate, b_v, giant) * scale)
 
     def body_electrons_per_s(self, names: NDArray[np.str_], v_mag: ArrayLike) -> FloatArray:
-        """Photo-electrons a second of bodies of the solar system: sunlight times albedo (`simulator.sky.albedo`).
+        """Photo-electrons per second of bodies of the solar system: sunlight times albedo (`simulator.sky.albedo`).
 
         Parameters
         ----------

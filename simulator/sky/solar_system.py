@@ -63,33 +63,22 @@ class Bodies:
     """Sun, Moon and planets as columns.
 
     At one instant the columns have N rows; for a block of T instants those that change with time have a leading axis
-    of T, and `at` gives the bodies of one of them.
-
-    Parameters
-    ----------
-    name : str array, shape (N,)
-        English name.
-    direction : float array, shape (N, 3) or (T, N, 3)
-        Apparent unit vector of the centre, GCRS axes.
-    distance_au : float array, shape (N,) or (T, N)
-        Distance when the light left.
-    v_mag : float array, shape (N,) or (T, N)
-        Apparent V of the whole disc.
-    angular_radius_rad : float array, shape (N,) or (T, N)
-        Apparent equatorial radius.
-    illuminated_fraction : float array, shape (N,) or (T, N)
-        Lit share of the disc, 0 to 1.
-    b_v : float array, shape (N,)
-        B − V.
-    """
+    of T, and `at` gives the bodies of one of them."""
 
     name: NDArray[np.str_]
+    """(N,): English name."""
     direction: FloatArray
+    """(N, 3): Apparent unit vector of the centre, GCRS axes."""
     distance_au: FloatArray
+    """(N,): Distance when the light left."""
     v_mag: FloatArray
+    """(N,): Apparent V of the whole disc."""
     angular_radius_rad: FloatArray
+    """(N,): Apparent equatorial radius."""
     illuminated_fraction: FloatArray
+    """(N,): Lit share of the disc, 0 to 1."""
     b_v: FloatArray
+    """(N,): B − V."""
 
     def __len__(self) -> int:
         return len(self.name)

@@ -1,4 +1,4 @@
-"""How sure a statistic is: bootstrap intervals of moments, exact ones of percentiles, and those of rates and ratios."""
+"""Intervals of 95 % confidence: of moments by bootstrap, of percentiles exactly, and of rates and ratios."""
 
 from __future__ import annotations
 
@@ -27,6 +27,9 @@ differ by less than the resampling's own scatter."""
 FEWEST = 5
 """Fewer trials than this say nothing of their own spread: no interval."""
 
+_TAILS = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
+"""Shares of the distribution below the two ends of a 95 % interval."""
+
 Moment = Callable[[FloatArray, FloatArray, int], FloatArray]
 
 
@@ -46,14 +49,14 @@ MOMENTS: dict[str, Moment] = {"mean": _mean, "std": _std, "rms": _rms}
 """Statistics by name as functions of Σx, Σx² and n."""
 
 
-def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval:
+def wilson_interval(successes: int, trials: int) -> Interval:
     """Wilson's score interval of a proportion (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) for no trials.
 
     Right near 0 and 1, where the normal approximation gives intervals of no width.
     """
     if trials == 0:
         return 0.0, 1.0
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
+    z = NormalDist().inv_cdf(_TAILS[1])
     p = successes / trials
     middle = (p + z * z / (2 * trials)) / (1 + z * z / trials)
     half = z / (1 + z * z / trials) * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
@@ -61,7 +64,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
     return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
-def moment_intervals(values: ArrayLike, seed: int = 0, confidence: float = 0.95) -> dict[str, FloatArray | None]:
+def moment_intervals(values: ArrayLike, seed: int = 0) -> dict[str, FloatArray | None]:
     """Intervals of mean, standard deviation (n − 1) and rms of every column.
 
     Bootstrap, bias-corrected and accelerated (BCa; Efron 1987, J. Am. Stat. Assoc. 82, 171): rows are drawn with
@@ -74,8 +77,6 @@ def moment_intervals(values: ArrayLike, seed: int = 0, confidence: float = 0.95)
         Finite; rows are independent trials.
     seed : int
         Of the resampling (stream ``bootstrap``): the same values and seed give the same intervals.
-    confidence : float
-        Share of such intervals that hold the true value.
 
     Returns
     -------
@@ -87,7 +88,7 @@ def moment_intervals(values: ArrayLike, seed: int = 0, confidence: float = 0.95)
     if n < FEWEST:
         return dict.fromkeys(MOMENTS)
     if n > LARGE:
-        return _from_moments(x, confidence)
+        return _from_moments(x)
     scale = np.sqrt(np.mean(x * x, axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)  # arcseconds in degrees: keep their squares away from rounding
     x = x / scale
@@ -100,7 +101,7 @@ def moment_intervals(values: ArrayLike, seed: int = 0, confidence: float = 0.95)
     for name, moment in MOMENTS.items():
         samples = moment(drawn[:, :columns], drawn[:, columns:], n)
         left_out = moment(first - x, second - squares, n - 1)
-        found[name] = _bca(samples, moment(first, second, n), left_out, confidence) * scale[:, None]
+        found[name] = _bca(samples, moment(first, second, n), left_out) * scale[:, None]
     return found
 
 
@@ -119,7 +120,7 @@ def _resampled(x: FloatArray, seed: int) -> FloatArray:
     return drawn
 
 
-def _bca(samples: FloatArray, value: FloatArray, left_out: FloatArray, confidence: float) -> FloatArray:
+def _bca(samples: FloatArray, value: FloatArray, left_out: FloatArray) -> FloatArray:
     """BCa intervals (columns, 2) from bootstrap samples (B, columns) and jackknife values (n, columns)."""
     below = np.mean(samples < value, axis=0) + 0.5 * np.mean(samples == value, axis=0)
     half = 0.5 / len(samples)
@@ -127,28 +128,28 @@ def _bca(samples: FloatArray, value: FloatArray, left_out: FloatArray, confidenc
     off = left_out.mean(axis=0) - left_out
     spread = np.sum(off * off, axis=0)
     acceleration = np.sum(off**3, axis=0) / (6.0 * np.where(spread > 0.0, spread, 1.0) ** 1.5)
-    z = ndtri(np.array([0.5 - confidence / 2, 0.5 + confidence / 2]))[:, None]
+    z = ndtri(np.array(_TAILS))[:, None]
     levels = ndtr(bias + (bias + z) / (1.0 - acceleration * (bias + z)))
     return np.array([np.quantile(samples[:, k], levels[:, k]) for k in range(samples.shape[1])])
 
 
-def _from_moments(x: FloatArray, confidence: float) -> dict[str, FloatArray | None]:
+def _from_moments(x: FloatArray) -> dict[str, FloatArray | None]:
     n = len(x)
     mean, std = x.mean(axis=0), x.std(axis=0, ddof=1)
-    half = float(ndtri(0.5 + confidence / 2)) * std / math.sqrt(n)
+    half = float(ndtri(_TAILS[1])) * std / math.sqrt(n)
     return {
         "mean": np.stack([mean - half, mean + half], axis=1),
-        "std": np.array([spread_interval(column - m, confidence) for column, m in zip(x.T, mean, strict=True)]),
-        "rms": np.array([spread_interval(column, confidence) for column in x.T]),
+        "std": np.array([spread_interval(column - m) for column, m in zip(x.T, mean, strict=True)]),
+        "rms": np.array([spread_interval(column) for column in x.T]),
     }
 
 
-def spread_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+def spread_interval(values: ArrayLike) -> Interval:
     """Interval of the rms about zero from the second and fourth moments.
 
     n m₂ / σ² has a χ² distribution of ν degrees of freedom scaled by n / ν, with ν = 2 n m₂² / (m₄ − m₂²) chosen to
     match the variance of m₂ (Box 1953, Biometrika 40, 318): n for a normal distribution, fewer for longer tails. ν is
-    not let rise above n, so that few values never look surer than normal ones are.
+    not let rise above n, so that few values never look more certain than normal ones are.
 
     Returns
     -------
@@ -165,7 +166,7 @@ def spread_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
         return 0.0, 0.0
     excess = float(np.mean((squares / m2 - 1.0) ** 2))
     freedom = n if excess <= 2.0 else 2.0 * n / excess
-    low, high = _central_chi_square(freedom, confidence)
+    low, high = _central_chi_square(freedom)
     return math.sqrt(m2 * freedom / high), math.sqrt(m2 * freedom / low)
 
 
@@ -176,7 +177,7 @@ def percentile_interval(
 
     P(x₍ₖ₎ ≤ q) = P(Bin(n, p) ≥ k): the bootstrap of a percentile needs no resampling, as the number of values below it
     is binomial (Conover 1999, *Practical Nonparametric Statistics*, section 3.2). The share held is at least
-    `confidence`. An end is None where no value of the sample reaches that far: the 99.7th percentile has an upper bound
+    95 %. An end is None where no value of the sample reaches that far: the 99.7th percentile has an upper bound
     of 97.5 % only from 1,228 values on.
 
     Parameters
@@ -186,7 +187,7 @@ def percentile_interval(
     percent : float
         Of the percentile, 0 to 100.
     """
-    n, p, tail = len(ordered), percent / 100.0, 0.5 - confidence / 2
+    n, p, tail = len(ordered), percent / 100.0, _TAILS[0]
     if n == 0:
         return None, None
     low = _binomial_quantile(tail, n, p)  # P(Bin < low) ≤ tail
@@ -212,10 +213,10 @@ def ratios_of_rms(errors: ArrayLike, bounds: ArrayLike, seed: int = 0) -> tuple[
     drawn = _resampled(np.concatenate([share_e, share_b], axis=1), seed)
     samples = np.sqrt(drawn[:, :columns] / drawn[:, columns:])
     left_out = np.sqrt((1.0 - share_e) / (1.0 - share_b))
-    return ratio, _bca(samples, np.ones(columns), left_out, 0.95) * ratio[:, None]
+    return ratio, _bca(samples, np.ones(columns), left_out) * ratio[:, None]
 
 
-def mean_chi_square_bounds(trials: int, freedom: int, confidence: float = 0.95) -> Interval | None:
+def mean_chi_square_bounds(trials: int, freedom: int) -> Interval | None:
     """Bounds of the mean of `trials` χ² numbers of `freedom` degrees: χ²(freedom × trials) / trials.
 
     The mean normalised error squared of a consistent filter lies within (Bar-Shalom, Li & Kirubarajan 2001,
@@ -223,13 +224,13 @@ def mean_chi_square_bounds(trials: int, freedom: int, confidence: float = 0.95) 
     """
     if trials == 0:
         return None
-    low, high = _central_chi_square(freedom * trials, confidence)
+    low, high = _central_chi_square(freedom * trials)
     return low / trials, high / trials
 
 
-def _central_chi_square(freedom: float, confidence: float) -> Interval:
+def _central_chi_square(freedom: float) -> Interval:
     """Quantiles that leave as much of χ² below as above."""
-    low, high = 2.0 * gammaincinv(freedom / 2.0, [0.5 - confidence / 2, 0.5 + confidence / 2])
+    low, high = 2.0 * gammaincinv(freedom / 2.0, _TAILS)
     return float(low), float(high)
 
 

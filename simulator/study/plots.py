@@ -1,6 +1,6 @@
 """Plots of a study: each function draws one figure from the columns of the trials.
 
-Colours are those of Okabe & Ito (2008), told apart by the colour-blind and in grey print; markers differ as well.
+Colours are those of Okabe & Ito (2008), distinguished by the colour-blind and in grey print; markers differ as well.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.style import PICTURE_STYLE, new_figure
 from startracker.picture import figure_bytes
 
@@ -31,53 +30,11 @@ TITLES = {
     "cross_y": "cross-boresight y",
     "about_boresight": "about the boresight",
 }
-Columns = dict[str, NDArray[Any]]
 
 
 def picture(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> tuple[Figure, NDArray[Any]]:
     """Empty picture of `size` inches, and its axes (rows, columns); `axes` go to matplotlib's ``subplots``."""
     return new_figure(PICTURE_STYLE, rows, columns, size, squeeze=False, **axes)
-
-
-def _arcsec(values_deg: NDArray[Any]) -> NDArray[np.float64]:
-    return np.asarray(values_deg, dtype=float) * 3600.0
-
-
-def error_histograms(columns: Columns, specification_deg: dict[str, float]) -> Figure:
-    """Histograms of the errors about the body and the camera axes, with mean ± 3σ and the specification."""
-    solved = columns["status"] == "solved"
-    figure, grid = picture(2, 3, (10, 5.4))
-    for ax, axis in zip(grid.ravel(), AXES, strict=True):
-        errors = _arcsec(columns[f"error_{axis}_deg"][solved])
-        ax.set_title(TITLES[axis], fontsize=9)
-        ax.set_xlabel("error [arcsec]")
-        ax.set_ylabel("trials")
-        if not len(errors):
-            _note(ax, "nothing solved")
-            continue
-        reach = max(float(np.percentile(np.abs(errors), 99.7)) * 1.25, 1e-6)
-        outside = int(np.sum(np.abs(errors) > reach))
-        ax.hist(errors, bins=np.linspace(-reach, reach, 41), color=BLUE, edgecolor="white", linewidth=0.3)
-        three_sigma = 3 * float(np.sqrt(np.mean(errors**2)))
-        for sign in (-1, 1):
-            ax.axvline(
-                sign * three_sigma,
-                color=ORANGE,
-                linestyle="--",
-                label=f"±3σ = {three_sigma:.3g}″" if sign > 0 else None,
-            )
-        if axis in BODY_AXES:
-            limit = specification_deg[axis] * 3600.0
-            if limit < 3 * max(reach, three_sigma):
-                for sign in (-1, 1):
-                    ax.axvline(sign * limit, color=VERMILION, label=f"specified ±{limit:.4g}″" if sign > 0 else None)
-            else:
-                ax.plot([], [], color=VERMILION, label=f"specified ±{limit:.4g}″ (outside)")
-        if outside:
-            ax.plot([], [], " ", label=f"{outside} beyond the plot")
-        ax.legend(fontsize=7, loc="upper right", framealpha=0.9)
-        ax.set_ylim(0, ax.get_ylim()[1] * 1.35)
-    return figure
 
 
 def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
@@ -88,7 +45,7 @@ def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
     return figure
 
 
-def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
+def frame_preview(frame: Frame, truth: FrameTruth) -> Figure:
     """A frame with its brightest true sources by name."""
     height, width = frame.image.shape
     figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
@@ -96,7 +53,7 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
     _show_sky(ax, shades_of(np.asarray(frame.image, dtype=float)))
     sources = truth.sources
     inside = np.flatnonzero(frame.camera.contains(sources.xy))
-    for i in inside[np.argsort(-sources.electrons[inside])][:names]:
+    for i in inside[np.argsort(-sources.electrons[inside])][:MOST_NAMES]:
         _label(ax, sources.xy[i], (height, width), sources.name[i], sources.id[i], sources.v_mag[i])
     ax.set_title(
         f"{frame.scenario} {frame.index}  {frame.utc} UTC  RA {truth.attitude.ra_deg:.4f}°  "
@@ -107,6 +64,8 @@ def frame_preview(frame: Frame, truth: FrameTruth, names: int = 12) -> Figure:
 
 
 _FEW_GREYS = 24
+MOST_NAMES = 12
+"""Sources of a preview that are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +177,6 @@ def _label(ax: Axes, xy: NDArray[Any], shape: tuple[int, ...], name: Any, number
         annotation_clip=True,
         path_effects=[withStroke(linewidth=1.5, foreground="white")],
     )
-
-
-def _note(ax: Axes, text: str) -> None:
-    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color=GREY)
 
 
 def save_bytes(figure: Figure, form: str = "png", dpi: int = 130) -> bytes:

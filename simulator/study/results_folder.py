@@ -200,8 +200,8 @@ def refuse_other(folder: Path, old: Identity, new: Identity, what: str) -> None:
     if old.kind != new.kind:
         raise InputError(f"{folder}: holds {what} of a {old.kind} ({old}); {either}")
     if old.sha256 != new.sha256:
-        told = [(old.scenario, new.scenario), (old.seed, new.seed), (old.version, new.version)]
-        if any(a != b for a, b in told):
+        pairs = [(old.scenario, new.scenario), (old.seed, new.seed), (old.version, new.version)]
+        if any(a != b for a, b in pairs):
             raise InputError(f"{folder}: holds {what} of another {new.kind} ({old}); {either}")
         raise InputError(
             f"{folder}: holds {what} of a {new.kind} with other values, options or input files ({old}); {either}"

@@ -110,10 +110,10 @@ def run(
     the results of that one: the study's `folder` is then None, and its trials are kept for the next run.
     """
     scenario = scenario.with_values(trials=trials, seed=seed)
-    place: contextlib.AbstractContextManager[Path | None] = contextlib.nullcontext()
+    holder: contextlib.AbstractContextManager[Path | None] = contextlib.nullcontext()
     if out is not None:
-        place = results_folder(Path(out), run_identity(scenario, scenario.study.trials), resume=resume, force=force)
-    with place as folder:
+        holder = results_folder(Path(out), run_identity(scenario, scenario.study.trials), resume=resume, force=force)
+    with holder as folder:
         started = clock()
         done = run_trials(
             scenario,

@@ -86,8 +86,8 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     """Whether an accepted attitude is wrong.
 
     It is when a star is misidentified, or when the error contradicts the stated covariance (`WRONG_NEES`) and is larger
-    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy but honest attitude wrong, the
-    first one alone an accurate attitude whose covariance is a little too small.
+    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy attitude with a correct
+    covariance wrong, the first one alone an accurate attitude whose covariance is a little too small.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def beyond_specification(error_deg: Mapping[str, float], specification_deg: Mapp
 
 def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[str, dict[str, list[float | None]]]:
     """95 % intervals of what `axis_statistics` gives, degrees: by axis, then ``<statistic>_interval95`` with low and
-    high; an end that the trials cannot tell is None.
+    high; an end that the trials do not determine is None.
 
     Mean, std, rms and three_sigma by the bootstrap (`simulator.study.intervals.moment_intervals`), percentiles by
     order statistics (`percentile_interval`).
@@ -192,10 +192,10 @@ def error_against(
     else:
         edges = np.asarray(bins, dtype=float)
     count = len(edges) - 1
-    place = np.searchsorted(edges, value, side="right") - 1
-    place = np.where(value == edges[-1], count - 1, place)
-    place[~finite | (value < edges[0]) | (value > edges[-1])] = -1
-    members = [np.flatnonzero((place == k) & right) for k in range(count)]
+    bin_of = np.searchsorted(edges, value, side="right") - 1
+    bin_of = np.where(value == edges[-1], count - 1, bin_of)
+    bin_of[~finite | (value < edges[0]) | (value > edges[-1])] = -1
+    members = [np.flatnonzero((bin_of == k) & right) for k in range(count)]
     ends = np.array([spread_interval(error[m]) for m in members])
     middle = (edges[1:] + edges[:-1]) / 2.0
     return Binned(
@@ -204,7 +204,7 @@ def error_against(
         edges,
         centre=np.array([float(value[m].mean()) if len(m) else middle[k] for k, m in enumerate(members)]),
         count=np.array([len(m) for m in members], dtype=np.int64),
-        trials=np.bincount(place[place >= 0], minlength=count).astype(np.int64),
+        trials=np.bincount(bin_of[bin_of >= 0], minlength=count).astype(np.int64),
         rms_deg=np.array([math.sqrt(float(np.mean(error[m] ** 2))) if len(m) else math.nan for m in members]),
         low_deg=ends[:, 0],
         high_deg=ends[:, 1],
@@ -239,7 +239,7 @@ def against_bound(columns: Columns, seed: int = 0) -> dict[str, Any] | None:
 
 
 def consistency(columns: Columns) -> dict[str, Any] | None:
-    """Whether the tracker's covariance tells the truth: mean normalised error squared and its 95 % bounds.
+    """Whether the tracker's covariance agrees with its errors: mean normalised error squared and its 95 % bounds.
 
     ``inside`` is True where the mean lies within the bounds. A mean below them says that the tracker is better than it
     believes, one above that it is worse. Over all solved trials, also wrong ones: what contradicts the covariance must

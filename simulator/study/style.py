@@ -2,7 +2,7 @@
 
 A panel is drawn once, in the light colours below. In the page it stands as inline SVG in which every one of these
 colours is replaced by a variable of the page's style sheet, so that the reader's own choice of light or dark recolours
-lines and text alike; in the PDF it stands as drawn. Hues are those of Okabe & Ito (2008), told apart by the
+lines and text alike; in the PDF it stands as drawn. Hues are those of Okabe & Ito (2008), distinguished by the
 colour-blind; every curve differs in marker or line style as well.
 """
 

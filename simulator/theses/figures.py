@@ -11,41 +11,45 @@ figure of one panel has the panel's own keys instead:
     Keywords of ``axes.set`` and ``axes.legend``.
 ``projection``
     Of the panel, such as ``3d``.
+``with``
+    Of the figure: a value whose own entries join the values.
 
 A text with ``$`` in front is a value by name, braces in a text are filled in, and BLUE or INK is a colour of
 `simulator.study.style`. A call or a panel with ``each: NAME`` stands once for every mapping of that list, whose entries
-join the values, and takes the keywords of ``styles`` in turn; one with ``when: NAME`` is left out where that value is
-empty. Beside the axes' own methods there are ``circle`` and ``rectangle``; ``colorbar`` and ``bar_label`` in a call are
-the keywords of what belongs to what it has drawn, and ``figure_legend`` those of one legend for all panels.
+join the values, and takes the keywords of ``styles`` in turn. Beside the axes' own methods there are ``circle`` and
+``rectangle``; ``then`` in a call has the keywords of a ``colorbar`` or a ``bar_label`` for what it has drawn, and
+``figure_legend`` of a figure those of one legend for all panels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, cast
 
 from simulator.study import style
-from simulator.theses.printed import new_figure
-from simulator.theses.tables import Values, read_yaml, value_of
+from simulator.theses.printed import Section, new_figure
+from simulator.theses.tables import read_yaml, table_rows, value_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "figures"]
+__all__ = ["draw", "figures", "section_of"]
 
 _COLOURS = {name: getattr(style, name) for name in ("INK", "SOFT", "BLUE", "ORANGE", "GREEN", "VERMILION")}
 
 
-def figures(file: str, values: Mapping[str, Callable[[], Values]]) -> dict[str, Callable[[], Figure]]:
-    """Figures of a file, such as ``"greyling1995/path"``, by name: each with the function that gives its values."""
-    return {name: partial(_of_function, file, name, function) for name, function in values.items()}
+def section_of(name: str, title: str, values: Mapping[str, Any], tables: Sequence[str] = ()) -> Section:
+    """A section from its values: the rows of its tables and the figures of its file, both of its name by default."""
+    rows = [row for table in tables or (name,) for row in table_rows(table, values)]
+    return Section(title, rows, figures(name, values))
 
 
-def _of_function(file: str, name: str, function: Callable[[], Values]) -> Figure:
-    return draw(f"{file}/{name}", function())
+def figures(name: str, values: Mapping[str, Any]) -> dict[str, Callable[[], Figure]]:
+    """The figures of a file, such as ``"greyling1995/path"``, in its order."""
+    return {key: partial(draw, f"{name}/{key}", values) for key in _plans(name)}
 
 
 def draw(name: str, values: Mapping[str, Any]) -> Figure:
@@ -57,11 +61,13 @@ def draw(name: str, values: Mapping[str, Any]) -> Figure:
         When it names a value that is not among them, or there is no such figure.
     """
     folder, file, key = name.split("/")
-    plan = _plans(f"{folder}/figures/{file}")[key]
+    plan = _plans(f"{folder}/{file}")[key]
+    if "with" in plan:
+        values = {**values, **value_of(plan["with"], values)}
     rows, columns = plan.get("grid", (1, 1))
     figure, made = new_figure(rows, columns, tuple(plan["size"]), squeeze=False, **plan.get("axes", {}))
-    panels = (panel for entry in plan.get("panels", [plan]) for panel in _each(entry, values))
-    for at, (panel, _style, known) in zip(made.ravel(), panels, strict=True):
+    panels = [(panel, known) for panel in plan.get("panels", [plan]) for _turn, known in _each(panel, values)]
+    for at, (panel, known) in zip(made.ravel(), panels, strict=True):
         axes = _projected(at, panel["projection"]) if "projection" in panel else at
         _draw_panel(axes, panel, known)
         _draw_panel(axes, plan.get("every", {}), known)
@@ -74,7 +80,8 @@ def draw(name: str, values: Mapping[str, Any]) -> Figure:
 
 @lru_cache(maxsize=32)
 def _plans(name: str) -> dict[str, dict[str, Any]]:
-    return dict(read_yaml(name))
+    folder, file = name.split("/")
+    return dict(read_yaml(f"{folder}/figures/{file}"))
 
 
 def _projected(axes: Axes, projection: str) -> Axes:
@@ -86,21 +93,18 @@ def _projected(axes: Axes, projection: str) -> Axes:
 
 
 def _draw_panel(axes: Axes, panel: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    for entry in panel.get("draw", []):
-        for call, style_of_turn, known in _each(entry, values):
-            method, positional = next(iter(call.items()))
-            keywords = _filled({key: value for key, value in call.items() if key not in (method, *_CONTROL)}, known)
-            _call(axes, method, _filled(positional, known), keywords | style_of_turn, _filled(call.get("then"), known))
+    for call in panel.get("draw", []):
+        method, positional = next(iter(call.items()))
+        keywords = {key: value for key, value in call.items() if key not in (method, "each", "styles", "then")}
+        for turn, known in _each(call, values):
+            _call(axes, method, _filled(positional, known), _filled(keywords | turn, known), call.get("then", {}))
     if "set" in panel:
         axes.set(**_filled(panel["set"], values))
     if "legend" in panel:
         axes.legend(**_filled(panel["legend"], values))
 
 
-_CONTROL = ("each", "styles", "when", "then")
-
-
-def _call(axes: Axes, method: str, positional: Any, keywords: dict[str, Any], then: dict[str, Any] | None) -> None:
+def _call(axes: Axes, method: str, positional: Any, keywords: dict[str, Any], then: dict[str, Any]) -> None:
     from matplotlib import patches
 
     patch = {"circle": patches.Circle, "rectangle": patches.Rectangle}.get(method)
@@ -108,22 +112,18 @@ def _call(axes: Axes, method: str, positional: Any, keywords: dict[str, Any], th
         axes.add_patch(patch(*positional, **keywords))
         return
     made = getattr(axes, method)(*positional, **keywords)
-    for name, options in (then or {}).items():
+    for name, options in then.items():
         if name == "colorbar":
             axes.figure.colorbar(made, ax=axes, **options)
         else:
             getattr(axes, name)(made, **options)
 
 
-def _each(
-    entry: Mapping[str, Any], values: Mapping[str, Any]
-) -> Iterator[tuple[Mapping[str, Any], dict[str, Any], Mapping[str, Any]]]:
-    """An entry as often as it stands: with the keywords of its turn and the values that it knows."""
+def _each(entry: Mapping[str, Any], values: Mapping[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """For every time that a call or a panel stands: the keywords of its turn, and the values that it knows."""
     items = value_of(entry["each"], values) if "each" in entry else [{}]
     for item, turn in zip(items, cycle(entry.get("styles", [{}]))):
-        known = {**values, **item}
-        if "when" not in entry or len(value_of(entry["when"], known)):
-            yield entry, _filled(turn, known), known
+        yield turn, {**values, **item}
 
 
 def _filled(cell: Any, values: Mapping[str, Any]) -> Any:

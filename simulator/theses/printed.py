@@ -54,8 +54,15 @@ MARKS: dict[Verdict, str] = {
 NOTHING = "–"
 """In the column `printed` where the work prints nothing to compare with."""
 
-COLUMNS = ("where", "quantity", "printed", "computed", "verdict", "why")
-"""Columns of the table: the fields of a `Row`."""
+COLUMNS: dict[str, dict[str, Any]] = {
+    "where": {"min_width": 7},
+    "quantity": {"ratio": 3},
+    "printed": {"ratio": 2},
+    "computed": {"ratio": 2},
+    "verdict": {"no_wrap": True},
+    "why": {"ratio": 5},
+}
+"""Columns of the table, the fields of a `Row`, and their widths in the terminal."""
 
 
 @dataclass(frozen=True)
@@ -98,17 +105,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """Rows and figures of one part of a work.
-
-    Parameters
-    ----------
-    title : str
-        Heading.
-    rows : sequence of Row
-        The comparisons, in the order of the work.
-    figures : dict of str to callable
-        File name without ending, such as ``"fig_3_3_path"``, to a function of no arguments that draws it.
-    """
+    """Rows and figures of one part of a work, in its order; a figure by its file name without ending, such as
+    ``"fig_3_3_path"``, is a function of no arguments that draws it."""
 
     title: str
     rows: Sequence[Row]
@@ -134,23 +132,10 @@ class Section:
 
 
 def verdict_of(printed: str, computed: float, close: float = 0.05) -> Verdict:
-    """Verdict of a computed number against the text of a printed one.
+    """Verdict of a computed number against the text of a printed one, in the same unit.
 
-    Parameters
-    ----------
-    printed : str
-        A number as printed: its digits say its precision ("5.50" is ± 0.005, "1,266" is ± 0.5, "2.1e-14" is
-        ± 0.05e-14).
-    computed : float
-        In the same unit.
-    close : float
-        Greatest relative difference that still counts as close.
-
-    Returns
-    -------
-    str
-        ``"exact"`` when the computed value rounds to every printed digit, ``"close"`` within `close`, else
-        ``"differs"``.
+    The printed digits say its precision ("5.50" is ± 0.005, "1,266" is ± 0.5, "2.1e-14" is ± 0.05e-14): ``"exact"``
+    when the computed value rounds to every one, ``"close"`` within the relative difference `close`, else ``"differs"``.
 
     Raises
     ------
@@ -189,22 +174,9 @@ def compare(
     form: str | None = None,
     why: str = "",
 ) -> Row:
-    """Row of two numbers whose verdict follows from the printed digits (`verdict_of`).
+    """Row of two numbers of one unit whose verdict follows from the printed digits (`verdict_of`).
 
-    Parameters
-    ----------
-    where, quantity, why : str
-        As in `Row`.
-    printed : str
-        The number as printed, without its unit.
-    computed : float
-        The same computed.
-    unit : str
-        Of both.
-    close : float
-        Greatest relative difference that still counts as close.
-    form : str, optional
-        Format specification of the computed value; without one it is given to two digits more than the printed one.
+    Without a format specification the computed value is given to two digits more than the printed one.
     """
     _sign, digits, exponent = _number(printed).as_tuple()
     if form is None:
@@ -220,17 +192,8 @@ def compare(
 
 @dataclass(frozen=True)
 class PrintedStudy:
-    """The sections of one work, computed.
-
-    Parameters
-    ----------
-    name : str
-        The study's name on the command line, and of its JSON file.
-    title : str
-        Author, year and title of the work.
-    sections : dict of str to Section
-        By name, in the order of the work.
-    """
+    """The sections of one work, computed: its name on the command line and of its JSON file; author, year and title of
+    the work; sections by name in its order."""
 
     name: str
     title: str
@@ -268,20 +231,11 @@ class PrintedStudy:
             if not section.rows:
                 continue
             table = Table(title=Text(section.title), title_justify="left", show_lines=True, expand=True)
-            table.add_column("where", min_width=7)
-            table.add_column("quantity", ratio=3)
-            table.add_column("printed", ratio=2)
-            table.add_column("computed", ratio=2)
-            table.add_column("verdict", no_wrap=True)
-            table.add_column("why", ratio=5)
+            for name, width in COLUMNS.items():
+                table.add_column(name, **width)
             for row in section.rows:
                 table.add_row(
-                    Text(row.where),
-                    Text(row.quantity),
-                    Text(row.printed),
-                    Text(row.computed),
-                    Text(row.verdict, style=MARKS[row.verdict]),
-                    Text(row.why),
+                    *(Text(getattr(row, name), MARKS[row.verdict] if name == "verdict" else "") for name in COLUMNS)
                 )
             console.print(table)
         console.print(", ".join(f"{count} {verdict}" for verdict, count in self.counts().items()))
@@ -318,18 +272,7 @@ def run_sections(
     only: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> PrintedStudy:
-    """Compute the sections of a work, or one of them.
-
-    Parameters
-    ----------
-    name, title : str
-        As in `PrintedStudy`.
-    registry : dict of str to callable
-        Section name to the function that computes it.
-    only : str, optional
-        Name of the one section wanted.
-    progress : callable, optional
-        Called with the name of each section before it is computed.
+    """Compute the sections of a work, or the one of a name; `progress` is called with each name before it is computed.
 
     Raises
     ------
@@ -350,9 +293,5 @@ def run_sections(
 def new_figure(
     rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.2), **axes: Any
 ) -> tuple[Figure, Any]:
-    """A figure of `size` inches in the study's style, and its axes: one, or an array of them, as ``subplots`` gives.
-
-    Use the colours of `simulator.study.style` (BLUE, ORANGE, GREEN, VERMILION, INK, SOFT), and a marker or line
-    style of its own for every curve.
-    """
+    """A figure of `size` inches in the study's style, and its axes: one, or an array of them, as ``subplots`` gives."""
     return report_style.new_figure(STUDY_STYLE, rows, columns, size, **axes)

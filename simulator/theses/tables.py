@@ -95,8 +95,9 @@ def _row(cells: Mapping[str, Any], values: Mapping[str, Any]) -> Row:
 
 
 def value_of(name: str, values: Mapping[str, Any]) -> Any:
-    """A value by name, or a part of one, such as ``curve.at_deg`` or ``found[0]``."""
-    return Formatter().get_field(name, (), values)[0]
+    """A value by name, or a part of one, such as ``curve.at_deg`` or ``found[0]``; a function is called for it."""
+    found = Formatter().get_field(name, (), values)[0]
+    return found() if callable(found) else found
 
 
 def _verdict(text: str, values: Mapping[str, Any]) -> Any:

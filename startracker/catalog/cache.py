@@ -1,4 +1,7 @@
-"""Cache of parsed catalogues in the user's cache folder. It only saves time: any error is treated as a cache miss."""
+"""Cache of parsed catalogues, and of tables made from them, in the user's cache folder.
+
+It only saves time: any error is treated as a cache miss.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,16 @@ import contextlib
 import os
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog, read_only
 
-__all__ = ["folder", "load", "store"]
+__all__ = ["folder", "load", "load_arrays", "store", "store_arrays"]
 
 _UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
@@ -30,31 +35,41 @@ def folder() -> Path:
 
 def load(key: str) -> StarCatalog | None:
     """The catalogue stored under `key`; None if there is none or it cannot be read."""
+    stored = load_arrays(key)
     try:
-        # opened here because NumPy leaves a damaged file open
-        with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            columns: dict[str, Any] = {column: read_only(stored[column]) for column in StarCatalog.columns()}
-            columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
-            return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
-    except _UNUSABLE:
+        if stored is None:
+            return None
+        columns: dict[str, Any] = {column: read_only(stored[column]) for column in StarCatalog.columns()}
+        columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
+        return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
+    except (ValueError, KeyError):
         return None
 
 
 def store(key: str, catalog: StarCatalog) -> None:
-    """Store a catalogue under `key`, atomically: a temporary file is renamed."""
-    columns = {column: getattr(catalog, column) for column in StarCatalog.columns()}
+    """Store a catalogue under `key`."""
+    names = (*StarCatalog.columns(), "name", "epoch_jyear", "position_sigma_rad")
+    store_arrays(key, {name: np.asarray(getattr(catalog, name)) for name in names})
+
+
+def load_arrays(key: str) -> dict[str, NDArray[Any]] | None:
+    """The arrays stored under `key`; None if there are none or they cannot be read."""
+    try:
+        # opened here because NumPy leaves a damaged file open
+        with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return dict(stored)
+    except _UNUSABLE:
+        return None
+
+
+def store_arrays(key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Store arrays under `key`, atomically: a temporary file is renamed. Where that fails nothing is kept."""
     temporary = ""
     try:
         folder().mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder(), prefix=f"{key}.", suffix=".tmp", delete=False) as file:
             temporary = file.name
-            np.savez(
-                file,
-                name=np.array(catalog.name),
-                epoch_jyear=np.array(catalog.epoch_jyear),
-                position_sigma_rad=np.array(catalog.position_sigma_rad),
-                **columns,
-            )
+            np.savez(file, **arrays)  # type: ignore[arg-type]  # none is called allow_pickle
         os.replace(temporary, folder() / f"{key}.npz")
     except OSError:
         with contextlib.suppress(OSError):

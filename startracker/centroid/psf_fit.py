@@ -25,6 +25,7 @@ from startracker.settings import CentroidSettings
 __all__ = ["MISFIT_SIGMA", "SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _LARGEST_HALF_PX = 8
 _WIDTHS = 2.5
@@ -148,19 +149,34 @@ def _fit(
     psf, starts = _start(frame, spots, moments, sigmas)
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
-    table, excess = fits[:, :MEASURED].copy(), (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
-    misfit = misfit_of_brightest(table[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
-    if misfit is None or misfit < MISFIT_SIGMA:
-        table[:, 3:] *= np.where(excess > MISFIT_SIGMA, fits[:, 6] / fits[:, 7], 1.0)[:, None]
-    failed = np.flatnonzero(~np.isfinite(table.sum(axis=1)))
-    # a star measured by its moment counts as apart from its group
-    table[failed], group[failed] = moments[failed], len(table) + failed
+    excess = (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
+    misfit = misfit_of_brightest(fits[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
+    table = _accepted(fits, moments, group, misfit is None or misfit < MISFIT_SIGMA)
     common = None
     if frame.settings.psf is None:
         half = int(starts.half.min())
         common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
     return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
+
+
+@kernel
+def _accepted(fits: FloatArray, moments: FloatArray, group: IntArray, blends: bool) -> FloatArray:
+    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large, as of `blends`; by moments where a
+    fit failed, and such a star counts as apart from its group."""
+    out = np.empty((len(fits), MEASURED))
+    for n in range(len(fits)):
+        misfit, factor, finite = fits[n, 6] / fits[n, 7], 1.0, True
+        if blends and misfit > 1.0 + MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7]):
+            factor = misfit
+        for k in range(MEASURED):
+            out[n, k] = fits[n, k] * (factor if k > 2 else 1.0)
+            finite = finite and math.isfinite(out[n, k])
+        if not finite:
+            group[n] = len(fits) + n
+            for k in range(MEASURED):
+                out[n, k] = moments[n, k]
+    return out
 
 
 def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]) -> tuple[PsfModel, Starts]:

@@ -18,6 +18,7 @@ __all__ = ["FITTED", "MOST_TOGETHER", "Starts", "fit_stars", "group_stars", "wei
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Box: TypeAlias = tuple[int, int, int, int]
 Two: TypeAlias = tuple[float, float]
 Three: TypeAlias = tuple[float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
@@ -95,20 +96,40 @@ def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, rew
     for n in range(count - 1, -1, -1):
         following[n] = first[group[n]]
         first[group[n]] = n
-    members = np.empty(count, np.int64)
+    members, space = np.empty(count, np.int64), _space(0, 0)
     for lowest in first:
         together, n = 0, lowest
         while n >= 0:
             members[together] = n
             together, n = together + 1, following[n]
-        if together:
-            _fit_group(pixels, psf, starts, members[:together], reweigh, out)
+        if not together:
+            continue
+        box = _bounds(starts, members[:together], pixels.image.shape)
+        if len(space.normal) < 3 * together or space.pixels.shape[1] < max(box[2] * box[3], 8):
+            space = _space(together, max(box[2] * box[3], 8))
+        _fit_group(pixels, psf, starts, members[:together], box, reweigh, space, out)
     return out
 
 
+class _Space(NamedTuple):
+    """Working space of a fit of M stars in N pixels: (11 + 3 M, N), (3 M, 3 M), (2, 3 M) and (3, M)."""
+
+    pixels: FloatArray
+    normal: FloatArray
+    sides: FloatArray
+    at: FloatArray
+
+
 @kernel
-def _bounds(starts: Starts, members: IntArray, height: int, width: int) -> tuple[int, int, int, int]:
+def _space(stars: int, pixels: int) -> _Space:
+    size = 3 * stars
+    return _Space(np.empty((11 + size, pixels)), np.empty((size, size)), np.empty((2, size)), np.empty((3, stars)))
+
+
+@kernel
+def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
     """First column and row, and numbers of columns and rows, of a rectangle that holds all windows."""
+    height, width = shape
     left, top, right, bottom = width, height, 0, 0
     for k in members:
         x, y, half = round(starts.x[k]), round(starts.y[k]), starts.half[k]
@@ -146,7 +167,16 @@ def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float
 
 
 @kernel
-def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, reweigh: bool, out: FloatArray) -> None:
+def _fit_group(
+    pixels: Pixels,
+    psf: Samples,
+    starts: Starts,
+    members: IntArray,
+    box: Box,
+    reweigh: bool,
+    space: _Space,
+    out: FloatArray,
+) -> None:
     """Fit of stars together, written to their rows of `out`; these stay NaN where it fails.
 
     Parameters of a star: ln(flux), x and y, so that the normal matrix is well scaled.
@@ -154,17 +184,18 @@ def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, 
     m, size, ceiling = len(members), 3 * len(members), np.inf
     for k in members:
         ceiling = min(ceiling, starts.ceiling[k])
-    height, width = pixels.image.shape
-    left, top, wide, high = _bounds(starts, members, height, width)
-    work, slopes, lines = np.empty((7, wide * high)), np.empty((size, wide * high)), np.empty((4, max(wide, high)))
-    signal, dark, rows, noise = work[0], work[1], work[2:6], (pixels.inverse_gain, pixels.flat_error)
+    (left, top, wide, high), count, noise = box, box[2] * box[3], (pixels.inverse_gain, pixels.flat_error)
+    signal, dark, rows = space.pixels[0, :count], space.pixels[1, :count], space.pixels[2:5]
+    weights, residuals, lines, slopes = rows[0, :count], rows[1], space.pixels[5:11], space.pixels[11:]
+    normal, right, score = space.normal, space.sides[0, :size], space.sides[1]
+    x, y, flux = space.at[0], space.at[1], space.at[2]
     used = read_pixels(pixels, left, top, wide, high, ceiling, signal, dark)
     if m > 1:
         used = _leave_out(starts, members, left, top, wide, signal, dark)
     if used <= size:
         return
-    normal, right, score = np.empty((size, size)), np.empty(size), np.empty(size)
-    x, y, flux = starts.x[members], starts.y[members], np.empty(m)
+    for k in range(m):
+        x[k], y[k] = starts.x[members[k]], starts.y[members[k]]
     chi2, step = 0.0, 1.0
     for iteration in range(_ITERATIONS):
         for k in range(m):
@@ -173,13 +204,14 @@ def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, 
                 flux[k] = _amplitude(slopes[3 * k], signal, dark)
                 if not flux[k] > 0.0:
                     return
-        chi2 = weigh_pixels(slopes, flux, signal, dark, noise, reweigh or iteration < _WEIGHINGS, rows)
-        normal_equations(slopes, rows[1], rows[2], wide * high, normal, right, work[6])
+        chi2 = weigh_pixels(slopes, flux[:m], signal, dark, noise, reweigh or iteration < _WEIGHINGS, rows)
+        normal_equations(slopes, weights, residuals, normal, right)
         if not factorise(normal, size):
             return
-        score[:] = right
+        for a in range(size):
+            score[a] = right[a]
         substitute(normal, size, right)
-        step = _move(right, x, y, flux)
+        step = _move(right, x[:m], y, flux)
         gain = 0.0
         for a in range(size):
             gain += score[a] * right[a]
@@ -192,16 +224,22 @@ def _fit_group(pixels: Pixels, psf: Samples, starts: Starts, members: IntArray, 
             # what the last step gains is known; matrix and χ² are those of its start but for that
             chi2, step = chi2 - gain, 0.0
             break
-    if not step <= _ACCEPTED_PX:
-        return
-    for k in range(m):
+    if step <= _ACCEPTED_PX:
+        _note(members, space, chi2, used - size, out)
+
+
+@kernel
+def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: FloatArray) -> None:
+    """Rows of a fit, see `FITTED`, from a normal matrix that is factorised."""
+    size, column = 3 * len(members), space.sides[0]
+    for k in range(len(members)):
         row = out[members[k]]
-        row[0], row[1], row[2], row[6], row[7] = x[k], y[k], flux[k], chi2, used - size
+        row[0], row[1], row[2], row[6], row[7] = space.at[0, k], space.at[1, k], space.at[2, k], chi2, freedom
         for axis in range(2):
-            right[:] = 0.0
-            right[3 * k + 1 + axis] = 1.0
-            substitute(normal, size, right)
-            row[3 + axis], row[5] = right[3 * k + 1 + axis], right[3 * k + 1]
+            for a in range(size):
+                column[a] = 1.0 if a == 3 * k + 1 + axis else 0.0
+            substitute(space.normal, size, column)
+            row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
 
 @kernel

@@ -43,7 +43,7 @@ def fit_gaussians(pixels: Pixels, starts: Starts, stars: IntArray, half: int, sh
     Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; `shape` is the start.
     """
     found, told = np.empty((3, len(stars))), 0
-    work, slopes = np.empty((5, (2 * half + 1) ** 2)), np.empty((6, (2 * half + 1) ** 2))
+    work, slopes = np.empty((4, (2 * half + 1) ** 2)), np.empty((6, (2 * half + 1) ** 2))
     factors = np.empty((3 + len(_NODES), len(_NODES) * (2 * half + 1)))
     for n in stars:
         xx, yy, xy = _fit_gaussian(pixels, starts.x[n], starts.y[n], half, shape, work, slopes, factors)
@@ -66,12 +66,13 @@ def _fit_gaussian(
     slopes: FloatArray,
     factors: FloatArray,
 ) -> Shape:
-    """Shape of one star; `work` (5, W²), `slopes` (6, W²) and `factors` (6, 3 W) are working space."""
+    """Shape of one star; `work` (4, W²), `slopes` (6, W²) and `factors` (6, 3 W) are working space."""
     height, width = pixels.image.shape
     (a, b, c), cx, cy, flux, failed = shape, round(x), round(y), -1.0, (np.nan, np.nan, np.nan)
     left, top = max(cx - half, 0), max(cy - half, 0)
     wide, high = min(cx + half + 1, width) - left, min(cy + half + 1, height) - top
-    signal, dark, weights, residuals, count = work[0], work[1], work[2], work[3], wide * high
+    count = wide * high
+    signal, dark, weights, residuals = work[0, :count], work[1, :count], work[2, :count], work[3, :count]
     read_pixels(pixels, left, top, wide, high, np.inf, signal, dark)
     normal, right = np.zeros((6, 6)), np.empty(6)
     for _ in range(_STEPS):
@@ -89,7 +90,7 @@ def _fit_gaussian(
                 return failed
             continue
         slopes[:, :count] *= flux
-        normal_equations(slopes, weights, residuals, count, normal, right, work[4])
+        normal_equations(slopes, weights, residuals, normal, right)
         for m in range(6):
             normal[m, m] *= 1.0 + 1e-9
             if not normal[m, m] > 0.0:

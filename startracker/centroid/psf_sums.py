@@ -61,10 +61,9 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
     """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, to `out` (3, N).
 
     The first pixel is at (dx, dy) from the star. Where the table is a sum of products of two axes its interpolation is
-    that of theirs, and it is not read. `lines` (4, L) is working space, L no less than `wide` and `high`.
+    that of theirs, and it is not read. `lines` (6, L) is working space, L no less than 8, `wide` and `high`.
     """
-    table, axes, oversampling = psf.table, psf.axes, psf.oversampling
-    weights = np.empty((2, 8))
+    table, axes, oversampling, weights = psf.table, psf.axes, psf.oversampling, lines[4:]
     size = axes.shape[1] if len(axes) else table.shape[0]
     first_x = interpolate(size, oversampling, dx, weights, 0)
     first_y = interpolate(size, oversampling, dy, weights, 1)
@@ -136,48 +135,53 @@ def weigh_pixels(
         DN an electron, and relative error of the flat field.
     weigh : bool
         Whether the variances are made anew.
-    rows : (4, N)
-        Variances, which are kept where they are not made anew; gets weights, residuals; the last is working space.
+    rows : (3, N)
+        Gets weights and residuals; variances, which are kept where they are not made anew.
     """
-    variances, weights, residuals, model = rows[0], rows[1], rows[2], rows[3]
-    model[:] = 0.0
+    weights, residuals, variances = rows[0], rows[1], rows[2]
     for star in range(len(flux)):
         light, by_x, by_y, f = shares[3 * star], shares[3 * star + 1], shares[3 * star + 2], flux[star]
+        before = residuals if star else signal
         for n in range(len(signal)):
             light[n], by_x[n], by_y[n] = f * light[n], -f * by_x[n], -f * by_y[n]
-            model[n] += light[n]
-    chi2 = 0.0
+            residuals[n] = before[n] - light[n]
+    inverse_gain, flat_error, chi2 = noise[0], noise[1], 0.0
     for n in range(len(signal)):
         if weigh:
-            light_here = max(model[n], 0.0)
-            variances[n] = dark[n] + light_here * noise[0] + (noise[1] * light_here) ** 2
-        weights[n], residuals[n] = 1.0 / variances[n], signal[n] - model[n]
+            model = max(signal[n] - residuals[n], 0.0)
+            variances[n] = dark[n] + model * inverse_gain + (flat_error * model) ** 2
+        weights[n] = 1.0 / variances[n]
         chi2 += weights[n] * residuals[n] * residuals[n]
     return chi2
 
 
 @kernel_with(fastmath={"reassoc"})
 def normal_equations(
-    slopes: FloatArray,
-    weights: FloatArray,
-    residuals: FloatArray,
-    count: int,
-    normal: FloatArray,
-    right: FloatArray,
-    work: FloatArray,
+    slopes: FloatArray, weights: FloatArray, residuals: FloatArray, normal: FloatArray, right: FloatArray
 ) -> None:
-    """Normal matrix, its lower half, and right side of so many weighted pixels, whose model has the slopes (M, N).
+    """Normal matrix, its lower half, and right side of weighted pixels, whose model has the slopes (3 K, N).
 
-    The sums are in any order; `work` is working space for N numbers.
+    The sums are in any order; three parameters at a time, so that a pixel is read once for nine products.
     """
-    for a in range(len(slopes)):
-        slope, total = slopes[a], 0.0
-        for n in range(count):
-            work[n] = slope[n] * weights[n]
-            total += work[n] * residuals[n]
-        right[a] = total
-        for b in range(a + 1):
-            other, total = slopes[b], 0.0
-            for n in range(count):
-                total += work[n] * other[n]
-            normal[a, b] = total
+    for a in range(0, len(right), 3):
+        f, x, y = slopes[a], slopes[a + 1], slopes[a + 2]
+        rf, rx, ry, ff, xf, xx, yf, yx, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(len(weights)):
+            wf, wx, wy = weights[n] * f[n], weights[n] * x[n], weights[n] * y[n]
+            rf, rx, ry = rf + wf * residuals[n], rx + wx * residuals[n], ry + wy * residuals[n]
+            ff, xf, xx = ff + wf * f[n], xf + wx * f[n], xx + wx * x[n]
+            yf, yx, yy = yf + wy * f[n], yx + wy * x[n], yy + wy * y[n]
+        right[a], right[a + 1], right[a + 2] = rf, rx, ry
+        normal[a, a], normal[a + 1, a], normal[a + 1, a + 1] = ff, xf, xx
+        normal[a + 2, a], normal[a + 2, a + 1], normal[a + 2, a + 2] = yf, yx, yy
+        for b in range(0, a, 3):
+            g, u, v = slopes[b], slopes[b + 1], slopes[b + 2]
+            fg, fu, fv, xg, xu, xv, yg, yu, yv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for n in range(len(weights)):
+                wf, wx, wy = weights[n] * f[n], weights[n] * x[n], weights[n] * y[n]
+                fg, fu, fv = fg + wf * g[n], fu + wf * u[n], fv + wf * v[n]
+                xg, xu, xv = xg + wx * g[n], xu + wx * u[n], xv + wx * v[n]
+                yg, yu, yv = yg + wy * g[n], yu + wy * u[n], yv + wy * v[n]
+            normal[a, b], normal[a, b + 1], normal[a, b + 2] = fg, fu, fv
+            normal[a + 1, b], normal[a + 1, b + 1], normal[a + 1, b + 2] = xg, xu, xv
+            normal[a + 2, b], normal[a + 2, b + 1], normal[a + 2, b + 2] = yg, yu, yv

@@ -83,11 +83,11 @@ def read_pixels(
 
     Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
     """
-    count, n = 0, np.uint64(0)
+    image, level, noise, count, n = pixels.image, pixels.level, pixels.noise, 0, np.uint64(0)
     for j in range(top, top + high):
-        values = pixels.image[j, left : left + wide]
-        upper, lower, share = _row_of(pixels.level, j, left, wide)
-        quiet, loud, part = _row_of(pixels.noise, j, left, wide)
+        values = image[j, left : left + wide]
+        upper, lower, share = _row_of(level, j, left, wide)
+        quiet, loud, part = _row_of(noise, j, left, wide)
         for i in range(wide):
             usable = is_value(values[i]) and np.float64(values[i]) < ceiling
             above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
@@ -112,7 +112,8 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     -----
     var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: pixels independent, first order in noise.
     """
-    height, width = pixels.image.shape
+    image, level, noise, inverse_gain = pixels.image, pixels.level, pixels.noise, pixels.inverse_gain
+    height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
     left, wide = x + low_x, high_x - low_x + 1
@@ -120,15 +121,15 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     s, si, sj, sii, sjj = 0.0, 0.0, 0.0, 0.0, 0.0
     v, vi, vj, vii, vjj, vij = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(low_y, high_y + 1):
-        values = pixels.image[y + j, left : left + wide]
-        upper, lower, share = _row_of(pixels.level, y + j, left, wide)
-        quiet, loud, part = _row_of(pixels.noise, y + j, left, wide)
+        values = image[y + j, left : left + wide]
+        upper, lower, share = _row_of(level, y + j, left, wide)
+        quiet, loud, part = _row_of(noise, y + j, left, wide)
         row, row_i, row_ii, noisy, noisy_i, noisy_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for n in range(wide):
             i = low_x + n
             signal = np.float64(values[n]) - np.float64(upper[n] + share * (lower[n] - upper[n]))
             sigma = np.float64(quiet[n] + part * (loud[n] - quiet[n]))
-            variance = sigma * sigma + max(signal, 0.0) * pixels.inverse_gain
+            variance = sigma * sigma + max(signal, 0.0) * inverse_gain
             row, row_i, row_ii = row + signal, row_i + signal * i, row_ii + signal * i * i
             noisy, noisy_i, noisy_ii = noisy + variance, noisy_i + variance * i, noisy_ii + variance * i * i
         s, si, sj, sii, sjj = s + row, si + row_i, sj + row * j, sii + row_ii, sjj + row * j * j

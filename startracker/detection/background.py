@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -102,17 +103,17 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
         return Background(np.zeros(pixels.shape, np.float32), np.ones(pixels.shape, np.float32))
     step, floor = noise_floor(pixels)
     rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
-    level, noise = tile_statistics(pixels, rows, columns, step)
+    statistics = tile_statistics(pixels, rows, columns, step)
+    level, noise = statistics
     valid = np.isfinite(level)
     if not valid.any():
         return Background(np.zeros(pixels.shape, np.float32), np.ones(pixels.shape, np.float32))
     if not valid.all():
         level[~valid], noise[~valid] = np.median(level[valid]), np.median(noise[valid])
-    level = smooth_tiles(level)
-    noise = np.maximum(smooth_tiles(noise), floor)
+    level, noise = smooth_tiles(statistics)
     return Background(
         interpolate_tiles(level, height, width, True),
-        interpolate_tiles(noise, height, width, False),
+        interpolate_tiles(np.maximum(noise, floor), height, width, False),
     )
 
 
@@ -125,7 +126,7 @@ def noise_floor(image: Image) -> tuple[float, float]:
     of the range where values are not whole.
     """
     flat = image.reshape(-1)
-    sample = flat[:: max(1, flat.size // _STEP_SAMPLES)].astype(np.float32)
+    sample: NDArray[Any] = flat[:: max(1, flat.size // _STEP_SAMPLES)]
     divisor = whole_step(sample)
     if divisor:
         return float(divisor), divisor / math.sqrt(12.0)
@@ -142,7 +143,7 @@ def noise_floor(image: Image) -> tuple[float, float]:
     return step, max(step / math.sqrt(12.0), _NOISE_FREE * span, resolution, float(np.finfo(np.float32).tiny))
 
 
-def _lattice_step(values: FloatImage) -> float:
+def _lattice_step(values: NDArray[Any]) -> float:
     """Step of the lattice of sorted values; where they lie on none, their median gap, at most 1/255 of the range."""
     if values.size < 3:
         return 0.0

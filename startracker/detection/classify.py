@@ -1,25 +1,20 @@
-"""What each object of a frame is: a star, or why it is none."""
+"""What each source of a frame is: a star, or why it is none."""
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.detection.cosmic_rays import is_cosmic_ray, sharpest_share, sharpest_star
-from startracker.detection.plane import Plane
+from startracker.detection.cosmic_rays import Sharpness, are_cosmic_rays, sharpest_star
 from startracker.detection.shapes import PEAK_SHARE, measure_shapes
-from startracker.detection.sources import Sources
-from startracker.detection.surroundings import is_clutter, ring_space
+from startracker.detection.sources import Searched, Sources, peak_pixels
+from startracker.detection.surroundings import find_clutter
 from startracker.detection.thresholds import ONE_PIXEL_SHARE
-from startracker.detection.values import Image
-from startracker.kernels import kernel
 
-__all__ = ["REASONS", "STAR", "classify_sources"]
+__all__ = ["REASONS", "STAR", "Marks", "Questions", "classify_sources"]
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -33,75 +28,96 @@ REASONS = (
     "fainter than the brightest",
 )
 """The other classes in words, in their order, which is that of the questions."""
+_MORE = 4
 
 
-@kernel
-def classify_sources(
-    table: Sources,
-    saturated: Flags,
-    halo: Flags,
-    long: Flags,
-    image: Image,
-    level: Plane,
-    noise: Plane,
-    half: FloatImage,
-    reject_hits: bool,
-    offsets: IntArray,
-    ends: IntArray,
-    quiet: float,
-    isolation: float,
-    most: int,
-) -> tuple[NDArray[np.int64], bool]:
-    """Class (N,) of each source, the brightest first, and whether cosmic rays could be distinguished from stars.
+class Marks(NamedTuple):
+    """What the sums over a source's pixels say: bool arrays (N,)."""
 
-    Objects are looked at until `most` of them are found to be stars; of the others only the long ones, as their number
-    tells of smear.
+    saturated: Flags
+    halo: Flags
+    """Pieces of a brighter star's halo."""
+    long: Flags
+    """Too long for a star."""
 
-    Parameters
-    ----------
-    saturated, halo, long : bool array, shape (N,)
-        Objects with a saturated pixel; pieces of a halo; objects too long for a star.
-    half : array
-        The matched filter, see `startracker.detection.scan`.
-    reject_hits : bool
-        Whether to look for cosmic rays and hot pixels (`startracker.detection.cosmic_rays`).
-    offsets, ends, quiet, isolation
-        As of `startracker.detection.surroundings.is_clutter`; an isolation of 0: no object is clutter.
-    """
-    count = len(table)
-    kind = np.full(count, _UNSEEN)
-    inside = ~table["edge"]
-    whole = ~saturated & inside
-    limit, weight, share, shapes = 0.0, 0.0, 0.0, np.empty((0, 0))
-    if reject_hits:
-        limit, weight, shapes = sharpest_star(table, whole, image, level, noise)
-        share = sharpest_share(limit, half)
-    # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
-    whole |= (table["saturated"] == 1) & inside
-    space = ring_space(half, offsets)
-    place, stars = np.empty((2, 1), np.int64), 0
-    for n in range(count):
-        if halo[n]:
-            kind[n] = _HALO
-            continue
-        if stars >= most and not long[n]:
-            continue
-        x, y = int(table["x_peak"][n]), int(table["y_peak"][n])
-        if limit > 0.0 and whole[n]:
-            if math.isnan(shapes[n, 0]):
-                place[0, 0], place[1, 0] = x, y
-                shapes[n] = measure_shapes(image, level, noise, place[0], place[1], weight)[0]
-            if is_cosmic_ray(shapes[n], limit, share, x, y, image, level, noise, half):
-                kind[n] = _ONE_PIXEL if shapes[n, PEAK_SHARE] > ONE_PIXEL_SHARE else _COSMIC_RAY
-                continue
-        if long[n]:
-            kind[n] = _LONG
-            continue
-        if isolation > 0.0 and not saturated[n]:
-            radius = math.sqrt(table["pixels"][n] / math.pi)
-            if is_clutter(image, level, half, x, y, radius, offsets, ends, quiet, isolation, space):
-                kind[n] = _CLUTTER
-                continue
-        kind[n] = STAR
-        stars += 1
-    return kind, limit > 0.0
+
+class Questions(NamedTuple):
+    """What is asked of the sources."""
+
+    reject_hits: bool
+    """Whether to look for cosmic rays and hot pixels (`startracker.detection.cosmic_rays`)."""
+    quiet: float
+    isolation: float
+    """As of `startracker.detection.surroundings.find_clutter`; an isolation of 0: no source is clutter."""
+    most: int
+    """Stars after which only the long sources are looked at, as their number shows smear."""
+
+
+def classify_sources(table: Sources, marks: Marks, searched: Searched, asked: Questions) -> tuple[IntArray, bool]:
+    """Class (N,) of each source, the brightest first, and whether cosmic rays could be distinguished from stars."""
+    frame = _Frame.of(table, marks, searched, asked)
+    kind = np.where(marks.halo, _HALO, _UNSEEN)
+    left, room = np.flatnonzero(~marks.halo), asked.most
+    while room > 0 and len(left):
+        size = room + room // _MORE + _MORE  # a few more, as some are no stars
+        block, left = left[:size], left[size:]
+        found = frame.classes(block)
+        beyond = np.cumsum(found == STAR) - (found == STAR) >= room
+        found[beyond & ~marks.long[block]] = _UNSEEN
+        kind[block] = found
+        room -= int(np.count_nonzero(found == STAR))
+    long = left[marks.long[left]]
+    if len(long):
+        kind[long] = frame.classes(long)
+    return kind, frame.sharpness.limit_px2 > 0.0
+
+
+class _Frame(NamedTuple):
+    """The sources of a frame, and what is known of all of them."""
+
+    x: IntArray
+    y: IntArray
+    radius_px: NDArray[np.float64]
+    marks: Marks
+    judged: Flags
+    """Sources that can be cosmic rays."""
+    sharpness: Sharpness
+    searched: Searched
+    asked: Questions
+
+    @classmethod
+    def of(cls, table: Sources, marks: Marks, searched: Searched, asked: Questions) -> _Frame:
+        x, y = peak_pixels(table)
+        inside = ~table["edge"]
+        sharpness = Sharpness(0.0, 0.0, np.empty((len(table), 0)))
+        if asked.reject_hits:
+            sharpness = sharpest_star(table, ~marks.saturated & inside, searched)
+        # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
+        judged = (~marks.saturated | (table["saturated"] == 1)) & inside
+        return cls(x, y, np.sqrt(table["pixels"] / np.pi), marks, judged, sharpness, searched, asked)
+
+    def classes(self, which: IntArray) -> IntArray:
+        """Classes of some sources, none of them a piece of a halo."""
+        kind = np.full(len(which), STAR)
+        if self.sharpness.limit_px2 > 0.0:
+            self._find_cosmic_rays(which, kind)
+        kind[self.marks.long[which] & (kind == STAR)] = _LONG
+        if self.asked.isolation > 0.0:
+            asked = np.flatnonzero((kind == STAR) & ~self.marks.saturated[which])
+            of = which[asked]
+            clutter = find_clutter(
+                self.searched.image, self.searched.level, self.searched.half, self.x[of], self.y[of],
+                self.radius_px[of], self.asked.quiet, self.asked.isolation,
+            )  # fmt: skip
+            kind[asked[clutter]] = _CLUTTER
+        return kind
+
+    def _find_cosmic_rays(self, which: IntArray, kind: IntArray) -> None:
+        asked = np.flatnonzero(self.judged[which])
+        of, (limit, weight, shapes), (image, level, noise, _) = which[asked], self.sharpness, self.searched
+        new = of[np.isnan(shapes[of, 0])]
+        if len(new):
+            shapes[new] = measure_shapes(image, level, noise, self.x[new], self.y[new], weight)
+        sharp = are_cosmic_rays(shapes[of], limit, self.x[of], self.y[of], self.searched)
+        one_pixel = shapes[of, PEAK_SHARE] > ONE_PIXEL_SHARE
+        kind[asked[sharp]] = np.where(one_pixel, _ONE_PIXEL, _COSMIC_RAY)[sharp]

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from startracker.detection.background import Background, as_image
+from startracker.detection.forms import brightest_first
 from startracker.detection.objects import find_runs, join_runs
 from startracker.detection.selection import select_spots
 from startracker.detection.sources import SOURCE, Sources, add_pixel
@@ -87,7 +88,7 @@ def find_clusters(
     tau, growth = (adaptive_radius(runs, settings.max_pixels), _GROWTH_PX) if radius is None else (radius, 0.0)
     saturation = np.inf if saturation_dn is None else float(saturation_dn)
     table = merge_clusters(cluster_pixels(runs, tau, pixels, level, np.float32(saturation), growth), tau, growth)
-    return select_spots(table, settings, saturation_dn is not None, pixels, background)
+    return select_spots(brightest_first(table), settings, saturation_dn is not None, pixels, background)
 
 
 def adaptive_radius(runs: IntArray, max_pixels: int) -> float:

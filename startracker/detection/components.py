@@ -9,26 +9,20 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.blends import part_blends
+from startracker.detection.forms import brightest_first
 from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.selection import select_spots
 from startracker.detection.sources import Sources
 from startracker.detection.spots import Spots
+from startracker.detection.thresholds import LONGEST_TIMES, OVERSIZED_CONTRAST, OVERSIZED_LEVELS, OVERSIZED_RAISE
 from startracker.detection.trailed import decide, line_up, looks_trailed, select_trailed
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
 __all__ = ["find_components", "find_trailed"]
-
-_RAISE = 2.0
-"""Factor between the thresholds at which an oversized object is looked at again."""
-_CONTRAST = 2.0
-"""A star in an oversized object stands out this many times above the threshold that cuts it free."""
-_MOST_LEVELS = 24
-_LONGEST = 5
-"""A streak may have this many times `max_pixels`."""
 
 
 def find_components(
@@ -71,18 +65,18 @@ def find_components(
     pixels = as_pixels(image)
     if pixels.shape != background.shape:
         raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
-    saturation = np.float32(np.inf if saturation_dn is None else saturation_dn)
+    saturation = np.inf if saturation_dn is None else float(saturation_dn)
     known, threshold = saturation_dn is not None, float(settings.threshold_sigma)
     if not settings.matched_filter:
-        noise, limit = background.noise_plane, np.float32(threshold)
+        noise, limit = background.noise_plane, threshold
         groups, found, _ = search_rows(pixels, background.level_plane, noise, UNFILTERED, limit, pixels.size + 1)
         runs, signal = runs_above(groups, found, pixels, noise, limit)
         table, _ = measure_found(runs, signal, pixels, background, threshold, settings.max_pixels, saturation)
-        return select_spots(table, settings, known, pixels, background)
+        return select_spots(brightest_first(table), settings, known, pixels, background)
     half = filter_half(settings.psf_sigma_px)
     runs, signal, excess = search_filtered(pixels, background, half, threshold)
     table, parted = measure_found(runs, signal, pixels, background, excess * threshold, settings.max_pixels, saturation)
-    trails = None
+    table, trails = brightest_first(table), None
     if looks_trailed(table, parted, settings):
         trails = find_trailed(pixels, background, settings, saturation_dn)
     if trails is None:
@@ -102,7 +96,8 @@ def find_trailed(
     """
     pixels, threshold = as_pixels(image), 0.5 * float(settings.threshold_sigma)
     runs, signal, excess = search_filtered(pixels, background, filter_half(settings.psf_sigma_px), threshold)
-    saturation, longest = np.float32(np.inf if saturation_dn is None else saturation_dn), _LONGEST * settings.max_pixels
+    saturation = np.inf if saturation_dn is None else float(saturation_dn)
+    longest = LONGEST_TIMES * settings.max_pixels
     table, _ = measure_found(runs, signal, pixels, background, excess * threshold, longest, saturation, 1)
     return select_trailed(table, settings, saturation_dn is not None, background, excess)
 
@@ -114,8 +109,8 @@ def measure_found(
     background: Background,
     threshold: float,
     max_pixels: int,
-    saturation: np.float32,
-    levels: int = _MOST_LEVELS,
+    saturation: float,
+    levels: int = OVERSIZED_LEVELS,
 ) -> tuple[Sources, int]:
     """Table of the components of the runs, measured in the image, oversized ones taken apart; how many were parted.
 
@@ -134,10 +129,10 @@ def measure_found(
         fits = table["pixels"] <= max_pixels
         if depth > 0:
             at_peak = noise[table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)]
-            fits &= table["peak_residual"] >= _CONTRAST * threshold * at_peak
-        tables.append(table[fits])
+            fits &= table["peak_residual"] >= OVERSIZED_CONTRAST * threshold * at_peak
+        tables.append(table.take(np.flatnonzero(fits)))
         if not oversized.any():
             break
-        threshold *= _RAISE
+        threshold *= OVERSIZED_RAISE
         runs, signal = cut_runs(runs, signal, oversized[number], noise, np.float32(threshold))
-    return np.concatenate(tables), parted
+    return tables[0] if len(tables) == 1 else np.concatenate(tables), parted

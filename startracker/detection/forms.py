@@ -23,6 +23,7 @@ from startracker.kernels import kernel
 __all__ = ["Forms", "are_long", "brightest_first", "is_halo", "measure_forms"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 _PIXEL_VARIANCE = 1.0 / 12.0
@@ -49,14 +50,14 @@ def measure_forms(table: Sources, max_axis_ratio: float) -> Forms:
     eqs. 4.8 and 4.9, here along the principal axes, so that a slanted streak is one too). The moments are weighted with
     the signal; the variance of a pixel is added to each; objects of fewer than seven pixels have no shape.
     """
-    return Forms(*_measure_forms(table, max_axis_ratio))
+    moments, long = np.empty((len(table), 5)), np.empty(len(table), np.bool_)
+    _measure_forms(table, max_axis_ratio, moments, long)
+    return Forms(moments[:, :2], moments[:, 2:], long)
 
 
 @kernel
-def _measure_forms(table: Sources, max_axis_ratio: float) -> tuple[FloatArray, FloatArray, Flags]:
-    count = len(table)
-    centre, moments, long = np.empty((count, 2)), np.empty((count, 3)), np.empty(count, np.bool_)
-    for n in range(count):
+def _measure_forms(table: Sources, max_axis_ratio: float, moments: FloatArray, long: Flags) -> None:
+    for n in range(len(table)):
         row = table[n]
         flux = row["flux"]
         x, y = row["sum_x"] / flux, row["sum_y"] / flux
@@ -64,60 +65,30 @@ def _measure_forms(table: Sources, max_axis_ratio: float) -> tuple[FloatArray, F
         yy = row["sum_yy"] / flux - y * y + _PIXEL_VARIANCE
         xy = row["sum_xy"] / flux - x * y
         middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-        centre[n, 0], centre[n, 1] = x, y
-        moments[n, 0], moments[n, 1], moments[n, 2] = xx, yy, xy
+        moments[n, 0], moments[n, 1], moments[n, 2], moments[n, 3], moments[n, 4] = x, y, xx, yy, xy
         elongated = middle + half > max_axis_ratio * max(middle - half, 1e-12)
         long[n] = elongated and row["pixels"] >= SHAPE_PIXELS and middle + half > LONG_LEAST_PX2
-    return centre, moments, long
 
 
-@kernel
-def brightest_first(table: Sources, fewest: int, largest: int) -> tuple[NDArray[np.int64], int, int, int]:
-    """Objects of `fewest` to `largest` pixels that have a signal, brightest first; how many are smaller, larger, dark.
-
-    Position breaks ties, so that the order never depends on how the objects were found.
-    """
-    index, count, small, large, dark = np.empty(len(table), np.int64), 0, 0, 0, 0
-    for n in range(len(table)):
-        if table["pixels"][n] < fewest:
-            small += 1
-        elif table["pixels"][n] > largest:
-            large += 1
-        elif not table["flux"][n] > 0.0:
-            dark += 1
-        else:
-            index[count] = n
-            count += 1
-    index = index[:count]
-    index = index[np.argsort(-table["flux"][index], kind="mergesort")]
-    for last in range(1, count):
-        n, place = index[last], last
-        while place > 0 and _comes_before(table, n, index[place - 1]):
-            index[place] = index[place - 1]
-            place -= 1
-        index[place] = n
-    return index, small, large, dark
+def brightest_first(table: Sources) -> Sources:
+    """The objects by falling flux; position breaks ties, so that the order never depends on how they were found."""
+    falling = -table["flux"]
+    order = np.argsort(falling)
+    sorted_flux = falling[order]
+    if np.any(sorted_flux[1:] == sorted_flux[:-1]):
+        order = np.lexsort((table["x_peak"], table["y_peak"], falling))
+    return table.take(order)
 
 
-@kernel
-def _comes_before(table: Sources, n: int, other: int) -> bool:
-    """Of two objects of the same flux, the first in reading order."""
-    if table["flux"][n] != table["flux"][other]:
-        return False
-    y, x = table["y_peak"][n] - table["y_peak"][other], table["x_peak"][n] - table["x_peak"][other]
-    return bool(y < 0.0 or (y == 0.0 and x < 0.0))
-
-
-@kernel
 def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio: float) -> bool:
-    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`."""
-    if int(np.sum(_measure_forms(table, max_axis_ratio)[2])) < needed:
-        return False
-    index = brightest_first(table, fewest, np.iinfo(np.int64).max)[0][:most]
-    return int(np.sum(_measure_forms(table[index], max_axis_ratio)[2])) >= needed
+    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`.
+
+    `table` has the brightest first.
+    """
+    brightest = table.take(np.flatnonzero((table["pixels"] >= fewest) & (table["flux"] > 0.0))[:most])
+    return int(np.count_nonzero(measure_forms(brightest, max_axis_ratio).long)) >= needed
 
 
-@kernel
 def is_halo(table: Sources) -> Flags:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
@@ -125,28 +96,30 @@ def is_halo(table: Sources) -> Flags:
     bright: the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its
     peak gives that radius as 1.9 √(flux / (π peak)).
     """
-    count = len(table)
-    halo = np.zeros(count, np.bool_)
-    # side by side in memory
-    x, y, peaks = table["x_peak"].copy(), table["y_peak"].copy(), table["peak_residual"].copy()
+    halo = np.zeros(len(table), np.bool_)
+    columns = (np.ascontiguousarray(table[name]) for name in ("x_peak", "y_peak", "peak_residual"))
+    _mark_halo(table, *columns, halo)
+    return halo
+
+
+@kernel
+def _mark_halo(table: Sources, x: IntArray, y: IntArray, peaks: FloatArray, halo: Flags) -> None:
     faintest = np.inf
-    for n in range(count):
+    for n in range(len(peaks)):
         faintest = min(faintest, peaks[n])
-    for star in range(count):
+    for star in range(len(peaks)):
         peak = peaks[star]
         if not peak > HALO_PEAK_RATIO * faintest:  # most objects of a frame are too faint for rings
             continue
-        near = HALO_RADII * math.sqrt(table["pixels"][star] / np.pi) + HALO_MARGIN_PX
-        dark_radius = 1.9 * math.sqrt(table["flux"][star] / (np.pi * peak))
+        near = HALO_RADII * math.sqrt(table[star]["pixels"] / np.pi) + HALO_MARGIN_PX
+        dark_radius = 1.9 * math.sqrt(table[star]["flux"] / (np.pi * peak))
         # no farther than the ring about as faint as the faintest
         reach = max(near, dark_radius * (RING_MARGIN * 0.045 * peak / max(faintest, 1e-30)) ** (1.0 / 3.0)) + 1.0
-        for n in range(np.uint64(count)):
+        for n in range(np.uint64(len(peaks))):
             dx, dy = x[n] - x[star], y[n] - y[star]
             if dx * dx + dy * dy > reach * reach:
                 continue
-            times = peak / peaks[n]
-            if times > HALO_PEAK_RATIO and not halo[n]:
-                distance = math.hypot(dx, dy)
-                ring = (distance / dark_radius) ** 3 < RING_MARGIN * 0.045 * times
-                halo[n] = distance < near or ring
-    return halo
+            times, distance = peak / peaks[n], math.hypot(dx, dy)
+            share = distance / dark_radius
+            ring = share * share * share < RING_MARGIN * 0.045 * times
+            halo[n] |= times > HALO_PEAK_RATIO and (distance < near or ring)

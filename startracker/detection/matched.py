@@ -84,24 +84,24 @@ def search_filtered(
     """
     level, noise = background.level_plane, background.noise_plane
     stride = max(1, image.size // _SAMPLES) | 1
-    groups, found, sample = search_rows(image, level, noise, half, np.float32(threshold), stride)
+    groups, found, sample = search_rows(image, level, noise, half, threshold, stride)
     excess = 1.0
     if len(sample):
         middle, one, more = quantiles(sample, _SIGMA_QUANTILES)
         # stars that fill a small image are no noise: none is more correlated than one that is the same in every pixel
         largest = float(half[0] + 2.0 * half[1:].sum()) ** 2
         excess = min(max(1.0, one - middle, (more - middle) / 1.5), largest)
-    runs, signal = runs_above(groups, found, image, noise, np.float32(excess * threshold))
+    runs, signal = runs_above(groups, found, image, noise, excess * threshold)
     return runs, signal, excess
 
 
 def quantiles(values: NDArray[np.float32], shares: tuple[float, ...]) -> list[float]:
-    """Quantiles of finite values, interpolated between places as `numpy.quantile` does."""
-    ordered = np.sort(values)
+    """Quantiles of finite values, interpolated between neighbours as `numpy.quantile` does."""
+    ordered, last = np.sort(values), len(values) - 1
     found = []
     for share in shares:
-        place = share * (len(values) - 1)
-        low = math.floor(place)
-        below, above = float(ordered[low]), float(ordered[min(low + 1, len(values) - 1)])
-        found.append(below + (place - low) * (above - below))
+        rank = share * last
+        low = math.floor(rank)
+        below, above = float(ordered[low]), float(ordered[min(low + 1, last)])
+        found.append(below + (rank - low) * (above - below))
     return found

@@ -7,9 +7,12 @@ from numpy.typing import NDArray
 
 from startracker.detection.thresholds import (
     AGREEING_SHARE,
+    CLEAR_MOTION_PX,
+    FEWEST_AGREEING,
     MOTION_TOLERANCE_PX,
     MOTION_TOLERANCE_SHARE,
     SHORT_AGREEING_SHARE,
+    SHORTEST_MOTION_PX,
 )
 from startracker.kernels import kernel
 
@@ -17,10 +20,6 @@ __all__ = ["common_motion", "elongations", "frame_motion"]
 
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
-_FEWEST = 4
-SHORTEST_PX, CLEAR_PX = 3.0, 10.0
-"""Shorter lines are left to the limit on the axis ratio; of those that are not clearly longer than leaves and twigs,
-which point anywhere, more must agree."""
 
 FloatArray = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ def elongations(variance_x: FloatArray, variance_y: FloatArray, covariance: Floa
 
 
 def common_motion(
-    xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTEST_PX, clear_px: float = CLEAR_PX
+    xy: FloatArray, lines: FloatArray, shortest_px: float = SHORTEST_MOTION_PX, clear_px: float = CLEAR_MOTION_PX
 ) -> FloatArray | None:
     """Motion (a, b, c) that most streaks share, or None where fewer than four do.
 
@@ -59,17 +58,17 @@ def common_motion(
         Least motion, and the least that 0.6 suffice for.
     """
     count = len(xy)
-    if count < _FEWEST:
+    if count < FEWEST_AGREEING:
         return None
     tried = min(count, _TRIED)
     best, motion = _search(xy, lines, tried)
-    if best < _FEWEST:
+    if best < FEWEST_AGREEING:
         return None
     for _ in range(2):
         expected = motion_at(xy, motion)
         sign = np.where((expected * lines).sum(axis=1) < 0.0, -1.0, 1.0)
         fits = agrees(lines, expected)
-        if np.count_nonzero(fits[:tried]) < max(_FEWEST, AGREEING_SHARE * tried):
+        if np.count_nonzero(fits[:tried]) < max(FEWEST_AGREEING, AGREEING_SHARE * tried):
             return None
         motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
     length = np.median(np.hypot(*motion_at(xy[:tried], motion).T))
@@ -84,12 +83,14 @@ def frame_motion(xy: FloatArray, lines: FloatArray) -> FloatArray | None:
     motion is set aside in turn; of the motions that the others then share, that of more streaks is the frame's.
     """
     first = common_motion(xy, lines)
-    if len(xy) < 2 * _FEWEST or (first is not None and 2 * np.count_nonzero(_fits(xy, lines, first)) >= len(xy)):
+    if len(xy) < 2 * FEWEST_AGREEING or (
+        first is not None and 2 * np.count_nonzero(_fits(xy, lines, first)) >= len(xy)
+    ):
         return first
     best, most, left = first, 0 if first is None else np.count_nonzero(_fits(xy, lines, first)), np.ones(len(xy), bool)
     for _ in range(2):
         agreeing, group = _search(xy[left], lines[left], min(int(left.sum()), _TRIED))
-        if agreeing < _FEWEST:
+        if agreeing < FEWEST_AGREEING:
             break
         aside = _fits(xy, lines, group)
         left &= ~aside

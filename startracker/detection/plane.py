@@ -11,11 +11,11 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
-
 __all__ = ["Plane", "as_plane", "fill_plane", "sample_plane"]
 
 FloatImage = NDArray[np.float32]
+
+_ROWS_AT_ONCE = 64
 
 
 class Plane(NamedTuple):
@@ -35,9 +35,9 @@ class Plane(NamedTuple):
     cell: NDArray[np.int64]
     share: FloatImage
 
-    def __getitem__(self, place: Any) -> Any:
-        """Values at places (y, x): integers, arrays of them, or an open grid (`numpy.ix_`)."""
-        y, x = place
+    def __getitem__(self, pixel: Any) -> Any:
+        """Values at pixels (y, x): integers, arrays of them, or an open grid (`numpy.ix_`)."""
+        y, x = pixel
         cell = self.cell[y]
         upper = self.lines[cell, x]
         return upper + self.share[y] * (self.lines[np.minimum(cell + 1, len(self.lines) - 1), x] - upper)
@@ -63,26 +63,19 @@ def _plane_getitem(plane: Any, place: Any) -> Callable[..., Any] | None:
     return None
 
 
-@kernel
 def sample_plane(plane: Plane, step_y: int, step_x: int) -> FloatImage:
-    """Values of every so manyth row and column, flat."""
-    height, width = len(plane.cell), plane.lines.shape[1]
-    out, count = np.empty((height // step_y + 1) * (width // step_x + 1), np.float32), 0
-    for y in range(0, height, step_y):
-        for x in range(0, width, step_x):
-            out[count] = plane[y, x]
-            count += 1
-    return out[:count]
+    """Values of every `step_y`-th row and `step_x`-th column, flat."""
+    lines, cell, share = plane.lines[:, ::step_x], plane.cell[::step_y], plane.share[::step_y, None]
+    upper, lower = lines[cell], lines[np.minimum(cell + 1, len(lines) - 1)]
+    values: FloatImage = (upper + share * (lower - upper)).ravel()
+    return values
 
 
-@kernel
 def fill_plane(plane: Plane) -> FloatImage:
     """The whole map, shape (H, W)."""
     height, width = len(plane.cell), plane.lines.shape[1]
     out = np.empty((height, width), np.float32)
-    for y in range(height):
-        row, share = out[y], plane.share[y]
-        upper, lower = plane.lines[plane.cell[y]], plane.lines[min(plane.cell[y] + 1, len(plane.lines) - 1)]
-        for x in range(width):
-            row[x] = upper[x] + share * (lower[x] - upper[x])
+    for first in range(0, height, _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        out[rows] = sample_plane(Plane(plane.lines, plane.cell[rows], plane.share[rows]), 1, 1).reshape(-1, width)
     return out

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
+from startracker.detection.forms import brightest_first
 from startracker.detection.selection import select_spots
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
@@ -60,7 +61,7 @@ def grow_regions(
     saturation = np.inf if saturation_dn is None else float(saturation_dn)
     limit = background.level + np.float32(settings.threshold_sigma) * background.noise
     table, _ = grow_objects(pixels, background.level, limit, settings.search_step_px, np.float32(saturation))
-    return select_spots(table, settings, saturation_dn is not None, pixels, background)
+    return select_spots(brightest_first(table), settings, saturation_dn is not None, pixels, background)
 
 
 @kernel

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
 from startracker.detection.region_growing import grow_objects
-from startracker.detection.selection import is_saturated
-from startracker.detection.sources import Sources
+from startracker.detection.sources import Sources, is_saturated
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.detection.objects import row_marks
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
@@ -25,6 +24,8 @@ _PADDING = 17 * _LINE
 """Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
 _WORD = 8
 """Pixels whose marks are one number, and such numbers that are looked at together."""
+_WORKING_ROWS = 3
+"""Rows beside the ring: the filtered one, the limits, the one that comes in."""
 
 FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
@@ -107,7 +108,6 @@ def _sample_row(
     return int(np.int64(place))  # a signed number, as callers count with
 
 
-@kernel
 def search_rows(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
 ) -> tuple[Places, FloatImage, FloatImage]:
@@ -137,19 +137,33 @@ def search_rows(
     """
     height, width = image.shape
     reach = len(half) - 1
-    size = 2 * reach + 1
+    rows = 2 * reach + 1 + _WORKING_ROWS
     pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
-    work = np.zeros((size + 3) * pitch + _LINE, np.float32)
-    places = np.empty(size + 3, np.uint64)
-    for k in range(len(places)):
-        places[k] = (-work.ctypes.data // work.itemsize) % _LINE + k * pitch
-    rows, total, least, residual = places[:size], places[size], places[size + 1], places[size + 2]
-    marks, cell, cells, shares = row_marks(width), -1, noise.cell, noise.share
-    words = marks.view(np.uint64)
-    # room for all: memory that is never written costs nothing, arrays that grow in the loop are counted at every turn
-    found, groups = np.empty((height * len(words), _WORD), np.float32), np.empty((height * len(words), 2), np.uint64)
-    count = 0
-    sample, samples, place = np.empty(height * width // stride + 1, np.float32), 0, 0
+    work = np.zeros(rows * pitch + _LINE, np.float32)
+    starts = (-work.ctypes.data // work.itemsize) % _LINE + np.arange(rows) * pitch
+    marks = np.zeros((width + 63) // 64 * 64, np.uint8)
+    most = height * (len(marks) // _WORD)  # room for all: memory that is never written costs nothing
+    groups, found = np.empty((most, 2), np.uint64), np.empty((most, _WORD), np.float32)
+    sample = np.empty(height * width // stride + 1, np.float32)
+    rows_found, sampled = _search(
+        image, level, noise, half, np.float32(threshold), stride, work, starts.astype(np.uint64), marks,
+        marks.view(np.uint64), groups, found, sample,
+    )  # fmt: skip
+    return groups[:rows_found].copy(), found[:rows_found].copy(), sample[:sampled].copy()
+
+
+@kernel
+def _search(
+    image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int, work: FloatImage,
+    starts: Places, marks: NDArray[np.uint8], words: Places, groups: Places, found: FloatImage, sample: FloatImage,
+) -> tuple[int, int]:  # fmt: skip
+    """Fills `groups`, `found` and `sample` of `search_rows`, and how much of them; `words` are the `marks` by eight."""
+    height, width = image.shape
+    reach = len(half) - 1
+    size = 2 * reach + 1
+    rows, total, least, residual = starts[:size], starts[size], starts[size + 1], starts[size + 2]
+    cell, cells, shares = -1, noise.cell, noise.share
+    count, samples, place = 0, 0, 0
     for y in range(height + reach + 1):
         newest = rows[0]
         for k in range(size - 1):
@@ -164,20 +178,7 @@ def search_rows(
         # a row is looked at when the next comes, as what was just written is not yet there to read
         done = y - reach - 1
         if done >= 0:
-            # nearly every block of 64 pixels is sky, and looked at as eight numbers at once
-            for block in range(0, len(words), _WORD):
-                seen = np.uint64(0)
-                for word in range(block, block + _WORD):
-                    seen |= words[word]
-                if seen == 0:
-                    continue
-                for word in range(block, block + _WORD):
-                    if words[word] == 0:
-                        continue
-                    groups[count, 0], groups[count, 1] = done, _WORD * word
-                    for i in range(_WORD):
-                        found[count, i] = work[total + np.uint64(_WORD * word + i)]
-                    count += 1
+            count = _collect_marked(words, work, total, done, groups, found, count)
             samples = _sample_row(work, total, noise, image, done, place, stride, sample, samples)
             place += (width - place + stride - 1) // stride * stride - width if place < width else -width
         centre = y - reach
@@ -189,10 +190,30 @@ def search_rows(
             _least_limits(work, noise, centre, threshold, least)
             cell = cells[centre] if between else -1
         _filter_columns(work, rows, half, total, least, marks, width)
-    return groups[:count].copy(), found[:count].copy(), sample[:samples].copy()
+    return count, samples
 
 
 @kernel
+def _collect_marked(
+    words: Places, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage, count: int
+) -> int:
+    """Copy the groups of a row in which a pixel is marked; nearly every block of 64 pixels is sky."""
+    for block in range(0, len(words), _WORD):
+        seen = np.uint64(0)
+        for word in range(block, block + _WORD):
+            seen |= words[word]
+        if seen == 0:
+            continue
+        for word in range(block, block + _WORD):
+            if words[word] == 0:
+                continue
+            groups[count, 0], groups[count, 1] = row, _WORD * word
+            for i in range(_WORD):
+                found[count, i] = work[total + np.uint64(_WORD * word + i)]
+            count += 1
+    return count
+
+
 def runs_above(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float
 ) -> tuple[IntArray, FloatImage]:
@@ -212,15 +233,24 @@ def runs_above(
     signal : float32 array
         Filtered signal of the pixels of the runs.
     """
+    runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
+    count, values = _cut_groups(groups, found, image, noise, np.float32(threshold), runs, signal)
+    return runs[: 3 * count].copy().reshape(-1, 3), signal[:values].copy()
+
+
+@kernel
+def _cut_groups(
+    groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float, runs: IntArray, signal: FloatImage
+) -> tuple[int, int]:
+    """Fills `runs`, flat, and `signal` of `runs_above`, and how many these are."""
     size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
     # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
-    runs, signal = np.empty(3 * (found.size // 2 + 2), np.int64), np.empty(found.size + 1, np.float32)
     edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
     for n in range(np.uint64(len(groups))):
         if inside and (groups[n, 0] != row or groups[n, 1] != stop):
             runs[three * (edges >> one) + np.uint64(2)] = stop
             edges, inside = edges + one, False
-        row, first = groups[n]
+        row, first = groups[n, 0], groups[n, 1]
         stop, share, cell = min(first + size, width), noise.share[row], np.uint64(noise.cell[row])
         below = min(cell + one, np.uint64(len(lines)) - one)
         for x in range(first, stop):
@@ -237,4 +267,4 @@ def runs_above(
     if inside:
         runs[three * (edges >> one) + np.uint64(2)] = stop
         edges += one
-    return runs[: 3 * int(edges // 2)].copy().reshape(-1, 3), signal[: int(values)].copy()
+    return int(np.int64(edges // np.uint64(2))), int(np.int64(values))

@@ -1,4 +1,4 @@
-"""Kernel that looks at a candidate's pixels: moments under a weight that follows it."""
+"""Shapes of candidates: moments of their pixels under a weight that follows them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,38 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
 
-__all__ = ["MAJOR", "MINOR", "PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
+__all__ = ["MAJOR", "MINOR", "MINOR_ERROR", "PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
 brightest pixel, signal-to-noise ratio."""
-MINOR, MAJOR, PEAK_SHARE, SHAPE_SNR = 0, 1, 3, 4
+MINOR, MAJOR, MINOR_ERROR, PEAK_SHARE, SHAPE_SNR = range(SHAPE_COLUMNS)
 _RECENTRINGS = 3
 
-FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+def measure_shapes(
+    image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, weight_sigma: float
+) -> FloatArray:
+    """Shapes (N, 5) of candidates by moments under a Gaussian weight that follows their centre.
+
+    A Gaussian of variance C seen under a weight of variance W has C W / (C + W) (Kaiser, Squires & Broadhurst 1995);
+    this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
+    as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
+    """
+    half = max(2, math.ceil(2.0 * weight_sigma))
+    side, variance = 2 * half + 1, weight_sigma * weight_sigma
+    centred = np.array([math.exp(-0.5 * k * k / variance) for k in range(half + 1)])
+    # signal of the window's pixels and whether they are of use, which those beyond the border are not; weights
+    space, out = np.empty((2 * side + 2, side)), np.full((len(xs), SHAPE_COLUMNS), np.nan)
+    _measure_shapes(image, level, noise, xs, ys, variance, centred, space, out)
+    return out
 
 
 @kernel
@@ -37,43 +55,37 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
 
 
 @kernel
-def measure_shapes(
-    image: Image,
-    level: FloatImage,
-    noise: FloatImage,
-    xs: IntArray,
-    ys: IntArray,
-    weight_sigma: float,
-) -> FloatArray:
-    """Shapes (N, 5) of candidates by moments under a Gaussian weight that follows their centre.
-
-    A Gaussian of variance C seen under a weight of variance W has C W / (C + W) (Kaiser, Squires & Broadhurst 1995);
-    this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
-    as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
-    """
+def _read_window(
+    image: Image, level: Plane, x0: int, y0: int, window: FloatArray, use: FloatArray
+) -> tuple[float, float]:
+    """Signal about a pixel, and which pixels are of use; the sum and the highest of the nine in the middle."""
     height, width = image.shape
-    half = max(2, math.ceil(2.0 * weight_sigma))
+    half, plain, highest = len(window) // 2, 0.0, 0.0
+    for j in range(-half, half + 1):
+        for i in range(-half, half + 1):
+            y, x = y0 + j, x0 + i
+            usable = 0 <= y < height and 0 <= x < width and is_value(image[y, x])
+            signal = np.float64(image[y, x]) - np.float64(level[y, x]) if usable else 0.0
+            window[j + half, i + half] = signal
+            use[j + half, i + half] = 1.0 if usable else 0.0
+            if abs(i) <= 1 and abs(j) <= 1:
+                plain += signal
+                highest = max(highest, signal)
+    return plain, highest
+
+
+@kernel
+def _measure_shapes(
+    image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, w: float, centred: FloatArray,
+    space: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fills `out` of `measure_shapes`; `w` is the weight's variance."""
+    half = len(centred) - 1
     side = 2 * half + 1
-    w = weight_sigma * weight_sigma
-    out = np.full((len(xs), SHAPE_COLUMNS), np.nan)
-    centred, weight_x, weight_y = np.empty(half + 1), np.empty(side), np.empty(side)
-    for k in range(half + 1):
-        centred[k] = math.exp(-0.5 * k * k / w)
-    # signal of the window's pixels; those that are not finite or lie beyond the border have no use
-    window, use = np.empty((side, side)), np.empty((side, side))
+    window, use, weight_x, weight_y = space[:side], space[side : 2 * side], space[2 * side], space[2 * side + 1]
     for index in range(len(xs)):
         x0, y0 = xs[index], ys[index]
-        plain, highest = 0.0, 0.0
-        for j in range(-half, half + 1):
-            for i in range(-half, half + 1):
-                y, x = y0 + j, x0 + i
-                usable = 0 <= y < height and 0 <= x < width and is_value(image[y, x])
-                signal = np.float64(image[y, x]) - np.float64(level[y, x]) if usable else 0.0
-                window[j + half, i + half] = signal
-                use[j + half, i + half] = 1.0 if usable else 0.0
-                if abs(i) <= 1 and abs(j) <= 1:
-                    plain += signal
-                    highest = max(highest, signal)
+        plain, highest = _read_window(image, level, x0, y0, window, use)
         dx, dy = 0.0, 0.0
         sigma = np.float64(noise[y0, x0])
         for attempt in range(_RECENTRINGS):
@@ -117,4 +129,3 @@ def measure_shapes(
         out[index, 2] = error * (w / (w - min(minor, 0.95 * w))) ** 2
         out[index, 3] = highest / plain if plain > 0.0 else np.inf
         out[index, 4] = total / (sigma * math.sqrt(norm))
-    return out

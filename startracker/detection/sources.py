@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.detection.plane import Plane
+from startracker.detection.thresholds import FLAT_TOP_PIXELS
+from startracker.detection.values import Image
 from startracker.kernels import kernel
 
-__all__ = ["SOURCE", "Sources", "add_pixel"]
+__all__ = ["SOURCE", "Searched", "Sources", "add_pixel", "is_saturated", "peak_pixels"]
 
 SOURCE = np.dtype(
     [
@@ -27,12 +30,37 @@ SOURCE = np.dtype(
         ("sum_xx", np.float64),
         ("sum_yy", np.float64),
         ("sum_xy", np.float64),
-    ]
+    ],
+    align=True,
 )
 """Columns of a table of sources. A structured array keeps a source's row together, so that a kernel takes one argument,
 and rows are sorted, selected and joined as one."""
 Sources: TypeAlias = NDArray[np.void]
 """Table of `SOURCE` rows, shape (N,)."""
+
+
+class Searched(NamedTuple):
+    """What sources were found in."""
+
+    image: Image
+    level: Plane
+    noise: Plane
+    half: NDArray[np.float32]
+    """The matched filter (`startracker.detection.scan`), or `UNFILTERED`."""
+
+
+def peak_pixels(table: Sources) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Column and row of the brightest pixels, as kernels take them."""
+    return np.ascontiguousarray(table["x_peak"]), np.ascontiguousarray(table["y_peak"])
+
+
+def is_saturated(table: Sources, saturation_known: bool) -> NDArray[np.bool_]:
+    """Sources with a saturated pixel; the level not known: those of the highest value, if one has a flat top."""
+    if saturation_known or not len(table):
+        return np.asarray(table["saturated"] > 0)
+    highest = table["peak"] == table["peak"].max()
+    flat = highest & bool(np.any(highest & (table["at_peak"] >= FLAT_TOP_PIXELS)))
+    return np.asarray(flat)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Kernels that filter an image about single pixels; the filter is that of `startracker.detection.scan`."""
+"""The filtered image about single pixels; the filter is that of `startracker.detection.scan`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from startracker.kernels import kernel
 
 __all__ = ["filter_stamp", "filtered_at", "stamp_pitch"]
 
+FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 
-@kernel
 def stamp_pitch(half: FloatImage, radius: int) -> int:
     """Numbers from one row of a stamp to the next."""
     return 2 * (radius + len(half)) - 1
@@ -36,23 +37,22 @@ def filter_stamp(
     """
     height, width = image.shape
     reach = len(half) - 1
-    side, pitch = 2 * radius + 1, stamp_pitch(half, radius)
+    side, pitch = 2 * radius + 1, 2 * (radius + len(half)) - 1
     left, top = x0 - radius - reach, y0 - radius - reach
-    signal = work[: pitch * pitch]
-    first, last = max(left, 0), min(left + pitch, width)
-    if first > left or last < left + pitch or top < 0 or top + pitch > height:
-        signal[:] = 0.0
+    first, last, zero = max(left, 0), min(left + pitch, width), np.float32(0.0)
+    if left < 0 or left + pitch > width or top < 0 or top + pitch > height:
+        for i in range(pitch * pitch):
+            work[i] = zero
     for y in range(max(top, 0), min(top + pitch, height)):
-        share, cell = level.share[y], level.cell[y]
-        row = image[y, first:last]
-        upper, lower = level.lines[cell, first:last], level.lines[min(cell + 1, len(level.lines) - 1), first:last]
-        line = signal[(y - top) * pitch + first - left :][: last - first]
-        for i in range(len(line)):
-            value = np.float32(row[i]) - (upper[i] + share * (lower[i] - upper[i]))
-            line[i] = value if is_value(row[i]) else np.float32(0.0)
-    count, along_y = side * pitch, work[pitch * pitch :]
-    _correlate(signal, half, pitch, along_y, count)
-    _correlate(along_y, half, 1, out, count - 2 * reach)
+        share, cell, lines = level.share[y], np.uint64(level.cell[y]), level.lines
+        below, row = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(y)
+        to = np.uint64((y - top) * pitch - left)
+        for x in range(np.uint64(first), np.uint64(last)):
+            signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
+            work[to + x] = signal if is_value(image[row, x]) else zero
+    count, square = side * pitch, pitch * pitch
+    _correlate(work, 0, half, pitch, work, square, count)
+    _correlate(work, square, half, 1, out, 0, count - 2 * reach)
     inside = x0 >= radius and y0 >= radius and x0 + radius < width and y0 + radius < height
     if not (is_whole(image) and inside):
         for j in range(side):
@@ -63,34 +63,45 @@ def filter_stamp(
 
 
 @kernel
-def _correlate(values: FloatImage, half: FloatImage, step: int, out: FloatImage, count: int) -> None:
-    """Sums of 2 reach + 1 numbers that are `step` apart, the first of them at the place of the sum."""
+def _correlate(
+    values: FloatImage, start: int, half: FloatImage, step: int, out: FloatImage, to: int, count: int
+) -> None:
+    """Sums of 2 reach + 1 numbers that are `step` apart, the first of them at the position of the sum."""
     reach = len(half) - 1
-    middle = values[reach * step :][:count]
     for k in range(1, reach, 2):
         weight, near, far = half[0], half[k], half[k + 1]
-        a, b = values[(reach - k) * step :][:count], values[(reach + k) * step :][:count]
-        c, d = values[(reach - k - 1) * step :][:count], values[(reach + k + 1) * step :][:count]
+        middle, a, b = (
+            values[start + reach * step :],
+            values[start + (reach - k) * step :],
+            values[start + (reach + k) * step :],
+        )
+        c, d, sums = values[start + (reach - k - 1) * step :], values[start + (reach + k + 1) * step :], out[to:]
         if k == 1:
             for i in range(count):
-                out[i] = weight * middle[i] + near * (a[i] + b[i]) + far * (c[i] + d[i])
+                sums[i] = weight * middle[i] + near * (a[i] + b[i]) + far * (c[i] + d[i])
         else:
             for i in range(count):
-                out[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
+                sums[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
+
+
+def filtered_at(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> tuple[FloatArray, ...]:
+    """Filtered signal (N,) of single pixels, and their own; not a number where the image is not finite."""
+    out = np.empty((2, len(xs)))
+    _filter_pixels(image, level, half, xs, ys, out)
+    return out[0], out[1]
 
 
 @kernel
-def filtered_at(image: Image, level: Plane, half: FloatImage, x0: int, y0: int) -> float:
-    """Filtered signal of one pixel; not a number where the image is not finite."""
+def _filter_pixels(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray, out: FloatArray) -> None:
     height, width = image.shape
     reach = len(half) - 1
-    if not is_value(image[y0, x0]):
-        return np.nan
-    total = np.float32(0.0)
-    for y in range(max(y0 - reach, 0), min(y0 + reach + 1, height)):
-        line = np.float32(0.0)
-        for x in range(max(x0 - reach, 0), min(x0 + reach + 1, width)):
-            if is_value(image[y, x]):
-                line += half[abs(x - x0)] * (np.float32(image[y, x]) - level[y, x])
-        total += half[abs(y - y0)] * line
-    return float(total)
+    for n in range(len(xs)):
+        x0, y0, total = xs[n], ys[n], np.float32(0.0)
+        for y in range(max(y0 - reach, 0), min(y0 + reach + 1, height)):
+            line = np.float32(0.0)
+            for x in range(max(x0 - reach, 0), min(x0 + reach + 1, width)):
+                if is_value(image[y, x]):
+                    line += half[abs(x - x0)] * (np.float32(image[y, x]) - level[y, x])
+            total += half[abs(y - y0)] * line
+        out[0, n] = total if is_value(image[y0, x0]) else np.nan
+        out[1, n] = np.float32(image[y0, x0]) - level[y0, x0]

@@ -44,24 +44,23 @@ def has_structure(image: Image, background: Background) -> bool:
     return bool(0.0 < spread * _NOISE_TIMES < 1.0)
 
 
-@kernel
 def _spread(image: Image, noise: Plane) -> float:
     """Robust standard deviation of the differences of a thousand pixels, in units of the background's noise."""
     height, width = image.shape
     down, right = max(1, height // _ROWS), max(1, width // _COLUMNS)
-    size = ((height - 2 * _LAG_PX) // down + 1) * ((width - 2 * _LAG_PX) // right + 1)
-    values, largest = np.empty(size, np.float32), 0.0
+    rows, columns = range(_LAG_PX, height - _LAG_PX, down), range(_LAG_PX, width - _LAG_PX, right)
+
+    def pixels(dy: int, dx: int) -> FloatArray:
+        top, left = _LAG_PX + dy, _LAG_PX + dx
+        return image[top : height - _LAG_PX + dy : down, left : width - _LAG_PX + dx : right].astype(np.float64)
+
+    one, sigma, largest = pixels(0, 0), noise[np.ix_(rows, columns)], 0.0
     for dy, dx in ((0, _LAG_PX), (_LAG_PX, 0)):
-        count = 0
-        for y in range(_LAG_PX, height - _LAG_PX, down):
-            for x in range(_LAG_PX, width - _LAG_PX, right):
-                one, before, after = image[y, x], image[y - dy, x - dx], image[y + dy, x + dx]
-                if is_value(one) and is_value(before) and is_value(after):
-                    mean = 0.5 * (np.float64(before) + np.float64(after))
-                    values[count] = abs(np.float64(one) - mean) / noise[y, x]
-                    count += 1
-        if count > 0:
-            largest = max(largest, select_kth(values, 0, count, count // 2))
+        with np.errstate(invalid="ignore"):
+            values = (np.abs(one - 0.5 * (pixels(-dy, -dx) + pixels(dy, dx))) / sigma).astype(np.float32)
+        values = values[np.isfinite(values)]
+        if len(values):
+            largest = max(largest, float(np.partition(values, len(values) // 2)[len(values) // 2]))
     return largest / (_MEDIAN_ABSOLUTE * math.sqrt(1.5))
 
 

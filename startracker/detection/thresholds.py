@@ -8,29 +8,48 @@ not see a change here, so delete it after one.
 __all__ = [
     "AGREEING_SHARE",
     "ALIGNED_SIGMA",
+    "BLEND_LEAST_PX2",
+    "BLEND_PIXELS",
+    "CLEAR_MOTION_PX",
     "COMMON_WIDTH_RATIO",
+    "FEWEST_AGREEING",
     "FEWEST_ALIGNED",
     "FEWEST_LONG",
     "FEWEST_POINTS",
+    "FEWEST_WIDE",
+    "FLAT_TOP_PIXELS",
     "HALO_MARGIN_PX",
     "HALO_PEAK_RATIO",
     "HALO_RADII",
+    "HOT_PEAK_SHARE",
+    "HOT_SHARE",
+    "LONGEST_TIMES",
     "LONG_LEAST_PX2",
+    "LOOKED_AT",
+    "LOOKED_AT_MORE",
     "LOOK_LONG_SHARE",
+    "MANY_SHARP",
     "MOTION_TOLERANCE_PX",
     "MOTION_TOLERANCE_SHARE",
     "ONE_PIXEL_SHARE",
     "ON_TRAIL_PX",
+    "OVERSIZED_CONTRAST",
+    "OVERSIZED_LEVELS",
+    "OVERSIZED_RAISE",
     "PARTED_SHARE",
     "PEAK_ERRORS",
     "POINT_SHARE",
+    "QUIET_QUANTILE",
     "RING_MARGIN",
     "RING_SHARE",
     "SHAPE_PIXELS",
     "SHARPEST_STARS_PX2",
     "SHARP_ERRORS",
     "SHARP_SHARE",
+    "SHORTEST_MOTION_PX",
     "SHORT_AGREEING_SHARE",
+    "TRAIL_AXIS_RATIO",
+    "TRAIL_PIXELS",
     "VALLEY_SHARE",
     "VALLEY_SIGMA",
     "WIDEST_TRACK_PX2",
@@ -38,7 +57,27 @@ __all__ = [
     "WIDTH_SNR",
 ]
 
+# ---------------------------------------------------------------------- what is looked at
+LOOKED_AT, LOOKED_AT_MORE = 6, 36
+"""Objects examined for each star asked for: the brightest; an image full of noise has thousands. More where these are
+too few stars, or all as sharp as hot pixels, of which a warm detector has thousands too."""
+FLAT_TOP_PIXELS = 5
+"""Pixels that share the highest value of a flat top; a star centred on a corner has four of them."""
+QUIET_QUANTILE = 0.25
+"""Quantile of the noise map that stands for the noise of the sky: branches fill up to three quarters of a frame."""
+OVERSIZED_RAISE = 2.0
+"""Factor between the thresholds at which an oversized object is looked at again."""
+OVERSIZED_CONTRAST = 2.0
+"""Times the threshold that cuts it free by which a star in an oversized object stands out: 1 is structure of
+something extended."""
+OVERSIZED_LEVELS = 24
+"""Thresholds at most: 2²⁴ times the first is beyond any converter's range."""
+
 # ---------------------------------------------------------------------- parting of blends
+BLEND_PIXELS = 6
+"""Pixels from which an object can be two stars: two peaks 2 px apart, with their neighbours, have no fewer."""
+BLEND_LEAST_PX2 = 4
+"""Squared distance of two peaks, px², at least: nearer ones are noise on one top."""
 VALLEY_SHARE = 0.8
 """Share of the fainter of two peaks below which the signal between them must fall for two stars: equal Gaussians are
 at 0.8 at a distance of 2.7 σ."""
@@ -81,6 +120,11 @@ SHARP_ERRORS = 2.0
 are lost."""
 PEAK_ERRORS = 3.0
 """Noise of a pixel by which a peak must exceed that of the sharpest star: one such star in 740 is lost."""
+HOT_PEAK_SHARE, HOT_SHARE = 0.75, 0.8
+"""Share of the signal of 3 × 3 px in the brightest that makes a hot pixel for certain: no star of σ > 0.3 px has it off
+the middle of a pixel; and the share of the sharp objects that must have it, for these to be no stars."""
+MANY_SHARP, FEWEST_WIDE = 5, 3
+"""Sharp objects, and others, at least, before the frame's width is taken from the others: fewer are chance."""
 ONE_PIXEL_SHARE = 0.6
 """Share of the signal of 3 × 3 px in the brightest from which a sharp object is a hot pixel, below a cosmic ray:
 named so in reports, both are left out."""
@@ -96,6 +140,15 @@ PARTED_SHARE = 0.25
 ALIGNED_SIGMA = 5.0
 """Poisson errors above the mean of the pairs in one direction: by chance in fewer than one frame in 1,000, which
 costs a search and no star."""
+LONGEST_TIMES = 5
+"""Times `max_pixels` that a trail may have."""
+TRAIL_PIXELS, TRAIL_AXIS_RATIO = 12, 1.5
+"""Pixels that a trail has at least, above half the threshold, and ratio of its second moments: a star's is nearer 1."""
+FEWEST_AGREEING = 4
+"""Trails that must share a motion, which has three unknowns."""
+SHORTEST_MOTION_PX, CLEAR_MOTION_PX = 3.0, 10.0
+"""Shorter lines are left to the limit on the axis ratio; of those that are not clearly longer than leaves and twigs,
+which point anywhere, more must agree."""
 FEWEST_ALIGNED = 8
 """Pairs in that direction at least: where the mean is near zero its Poisson error says nothing."""
 FEWEST_POINTS = 5

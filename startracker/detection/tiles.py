@@ -1,8 +1,10 @@
-"""Kernels of the background: statistics of tiles, their smoothing, their interpolation."""
+"""Tiles of the background: their statistics, their smoothing, their interpolation."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from startracker.kernels import kernel, kernel_with
 
 __all__ = ["find_kth", "interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
 
+FloatArray = NDArray[np.float64]
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
 _SAMPLES = 400
@@ -26,6 +29,7 @@ _SHIFT = 5
 _FARTHEST = 2.0**20
 """Steps from one tile's quantile beyond which the next one's is not looked for."""
 _LARGEST_WHOLE = 2.0**31
+_FEW_VALUES = 64
 _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
 
@@ -58,28 +62,21 @@ def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> fl
     return float(values[k])
 
 
-@kernel
-def whole_step(values: NDArray[np.float32]) -> int:
+def whole_step(values: NDArray[Any]) -> int:
     """Greatest common divisor of the differences of whole numbers; 1 where all are the same, 0 where one is not whole.
 
     Values that are not finite are left out; without any other, or beyond 2³¹, the answer is 0.
     """
-    divisor, first, count = 0, 0, 0
-    for i in range(len(values)):
-        value = values[i]
-        if not abs(value) < np.inf:
-            continue
-        if not abs(value) < _LARGEST_WHOLE or value != np.rint(value):
+    if values.dtype.kind == "f":
+        values = values[np.isfinite(values)]
+        if np.any(values != np.rint(values)) or np.any(np.abs(values) >= _LARGEST_WHOLE):
             return 0
-        whole = int(value)
-        if count == 0:
-            first = whole
-        count += 1
-        if divisor != 1:
-            rest = abs(whole - first)
-            while rest:
-                divisor, rest = rest, divisor % rest
-    return max(divisor, 1) if count else 0
+    if not len(values):
+        return 0
+    gaps = values.astype(np.int64) - int(values[0])
+    # most images have the step 1, which a few values show
+    few = int(np.gcd.reduce(gaps[:_FEW_VALUES]))
+    return few if few == 1 else max(int(np.gcd.reduce(gaps)), 1)
 
 
 @kernel
@@ -155,21 +152,26 @@ def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float
     return int(np.int64(used))  # a signed number, as callers count with
 
 
-@kernel
-def tile_statistics(
-    image: Image, rows: int, columns: int, step: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Clipped mean and standard deviation of each of rows × columns tiles; NaN for one without finite pixels.
+def tile_statistics(image: Image, rows: int, columns: int, step: float) -> FloatArray:
+    """Clipped mean and standard deviation (2, rows, columns) of each of the tiles; NaN for one without finite pixels.
 
     `step` is the digitisation step: the clipping never falls between neighbouring values, and the quantiles of values
     that are multiples of it are found faster.
     """
+    tile_rows, tile_columns = -(-image.shape[0] // rows), -(-image.shape[1] // columns)
+    stride = max(1, tile_rows * tile_columns // _SAMPLES)
+    sample = np.empty(tile_rows * tile_columns // stride + 2 * tile_rows + 2, np.float32)
+    statistics = np.full((2, rows, columns), np.nan)
+    _fill_statistics(image, stride, step, sample, statistics)
+    return statistics
+
+
+@kernel
+def _fill_statistics(
+    image: Image, stride: int, step: float, sample: NDArray[np.float32], statistics: FloatArray
+) -> None:
     height, width = image.shape
-    level = np.full((rows, columns), np.nan)
-    noise = np.full((rows, columns), np.nan)
-    size = ((height + rows - 1) // rows) * ((width + columns - 1) // columns)
-    stride = max(1, size // _SAMPLES)
-    sample = np.empty(size // stride + 2 * ((height + rows - 1) // rows) + 2, np.float32)
+    rows, columns = statistics.shape[1], statistics.shape[2]
     median = upper = np.nan
     for tile_row in range(rows):
         y0, y1 = tile_row * height // rows, (tile_row + 1) * height // rows
@@ -193,89 +195,61 @@ def tile_statistics(
                 if kept == before:  # the same ones, as all lie about the median
                     break
                 before = kept
-            level[tile_row, tile_column], noise[tile_row, tile_column] = mean, std
-    return level, noise
+            statistics[0, tile_row, tile_column], statistics[1, tile_row, tile_column] = mean, std
 
 
-@kernel
-def _middle(a: float, b: float, c: float) -> float:
-    return max(min(a, b), min(max(a, b), c))
-
-
-@kernel
-def smooth_tiles(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """3×3 median over tiles; outside, the map goes on linearly, so that a plane stays as it is."""
-    rows, columns = tiles.shape
-    padded = np.empty((rows + 2, columns + 2))
-    above, below, left, right = min(1, rows - 1), max(rows - 2, 0), min(2, columns), max(columns - 1, 1)
-    for c in range(columns):
-        for r in range(rows):
-            padded[r + 1, c + 1] = tiles[r, c]
-        padded[0, c + 1] = 2.0 * tiles[0, c] - tiles[above, c]
-        padded[rows + 1, c + 1] = 2.0 * tiles[rows - 1, c] - tiles[below, c]
-    for r in range(rows + 2):
-        padded[r, 0] = 2.0 * padded[r, 1] - padded[r, left]
-        padded[r, columns + 1] = 2.0 * padded[r, columns] - padded[r, right]
+def smooth_tiles(tiles: FloatArray) -> FloatArray:
+    """3×3 median over tiles (…, R, C); outside, the map goes on linearly, so that a plane stays as it is."""
+    rows, columns = tiles.shape[-2:]
+    padded = np.empty((*tiles.shape[:-2], rows + 2, columns + 2))
+    padded[..., 1:-1, 1:-1] = tiles
+    padded[..., 0, 1:-1] = 2.0 * tiles[..., 0, :] - tiles[..., min(1, rows - 1), :]
+    padded[..., -1, 1:-1] = 2.0 * tiles[..., -1, :] - tiles[..., max(rows - 2, 0), :]
+    padded[..., 0] = 2.0 * padded[..., 1] - padded[..., min(2, columns)]
+    padded[..., -1] = 2.0 * padded[..., columns] - padded[..., max(columns - 1, 1)]
     # the median of nine is that of the largest least, the middle middle and the least largest of its rows sorted
-    low, middle, high = np.empty((rows + 2, columns)), np.empty((rows + 2, columns)), np.empty((rows + 2, columns))
-    for r in range(rows + 2):
-        for c in range(columns):
-            a, b, d = padded[r, c], padded[r, c + 1], padded[r, c + 2]
-            low[r, c], middle[r, c], high[r, c] = min(a, b, d), _middle(a, b, d), max(a, b, d)
-    out = np.empty((rows, columns))
-    for r in range(rows):
-        for c in range(columns):
-            out[r, c] = _middle(
-                max(low[r, c], low[r + 1, c], low[r + 2, c]),
-                _middle(middle[r, c], middle[r + 1, c], middle[r + 2, c]),
-                min(high[r, c], high[r + 1, c], high[r + 2, c]),
-            )
-    return out
+    a, b, c = padded[..., :-2], padded[..., 1:-1], padded[..., 2:]
+    low, middle, high = np.minimum(np.minimum(a, b), c), _middle(a, b, c), np.maximum(np.maximum(a, b), c)
+    return _middle(
+        np.maximum(np.maximum(low[..., :-2, :], low[..., 1:-1, :]), low[..., 2:, :]),
+        _middle(middle[..., :-2, :], middle[..., 1:-1, :], middle[..., 2:, :]),
+        np.minimum(np.minimum(high[..., :-2, :], high[..., 1:-1, :]), high[..., 2:, :]),
+    )
 
 
-@kernel
-def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _middle(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+
+
+@lru_cache(maxsize=16)
+def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], FloatArray]:
     """Lower of the two tiles between whose centres each pixel of an axis lies, and how far it is to the upper one."""
-    cell, share = np.zeros(size, np.int64), np.zeros(size)
-    for k in range(tiles - 1):
-        low = 0.5 * (k * size // tiles + (k + 1) * size // tiles - 1)
-        high = 0.5 * ((k + 1) * size // tiles + (k + 2) * size // tiles - 1)
-        first = 0 if k == 0 else math.ceil(low)
-        for i in range(first, size if k == tiles - 2 else math.ceil(high)):
-            cell[i], share[i] = k, (i - low) / (high - low)
-    for i in range(size):
-        if not extrapolate:
-            share[i] = min(max(share[i], 0.0), 1.0)
-    return cell, share
+    if tiles == 1:
+        return np.zeros(size, np.int64), np.zeros(size)
+    k = np.arange(tiles)
+    centre, pixel = 0.5 * (k * size // tiles + (k + 1) * size // tiles - 1), np.arange(size)
+    cell = np.clip(np.searchsorted(centre, pixel, side="right") - 1, 0, tiles - 2)
+    share = (pixel - centre[cell]) / (centre[cell + 1] - centre[cell])
+    return cell, share if extrapolate else np.clip(share, 0.0, 1.0)
 
 
-def interpolate_tiles(tiles: NDArray[np.float64], height: int, width: int, extrapolate: bool) -> Plane:
+def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: bool) -> Plane:
     """Bilinear interpolation between tile centres to (height, width).
 
     Beyond the outermost centres the map goes on linearly or stays constant.
     """
-    return Plane(*_interpolate(tiles, height, width, extrapolate))
-
-
-@kernel
-def _interpolate(
-    tiles: NDArray[np.float64], height: int, width: int, extrapolate: bool
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
     rows, columns = tiles.shape
     cell_y, share_y = _cells(rows, height, extrapolate)
     cell_x, share_x = _cells(columns, width, extrapolate)
     lines = np.empty((rows, width), np.float32)
-    first = 0
-    while first < width:
-        # the pixels between two centres
-        k, last = cell_x[first], first + 1
-        while last < width and cell_x[last] == k:
-            last += 1
-        share = share_x[first:last]
-        for r in range(rows):
-            left, line = tiles[r, k], lines[r, first:last]
-            step = tiles[r, min(k + 1, columns - 1)] - left
-            for i in range(len(share)):
-                line[i] = left + share[i] * step
-        first = last
-    return lines, cell_y, share_y.astype(np.float32)
+    _interpolate(tiles, np.minimum(cell_x + 1, columns - 1), cell_x, share_x, lines)
+    return Plane(lines, cell_y, share_y.astype(np.float32))
+
+
+@kernel
+def _interpolate(
+    tiles: FloatArray, right: NDArray[np.int64], left: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]
+) -> None:
+    for r in range(len(tiles)):
+        for x in range(len(share)):
+            lines[r, x] = tiles[r, left[x]] + share[x] * (tiles[r, right[x]] - tiles[r, left[x]])

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from startracker.detection.background import Background
 from startracker.detection.forms import are_long, measure_forms
 from startracker.detection.motion import agrees, frame_motion, motion_at
-from startracker.detection.selection import FAINTER, is_saturated
+from startracker.detection.selection import FAINTER
 from startracker.detection.shapes import MAJOR, MINOR, SHAPE_SNR, measure_shapes
-from startracker.detection.sources import Sources
+from startracker.detection.sources import Sources, is_saturated
 from startracker.detection.spots import Spots
 from startracker.detection.thresholds import (
     ALIGNED_SIGMA,
@@ -24,6 +24,8 @@ from startracker.detection.thresholds import (
     ON_TRAIL_PX,
     PARTED_SHARE,
     POINT_SHARE,
+    TRAIL_AXIS_RATIO,
+    TRAIL_PIXELS,
     WIDTH_RATIO,
     WIDTH_SNR,
 )
@@ -39,9 +41,9 @@ Flags = NDArray[np.bool_]
 
 _LOOKED_AT = 30
 _WHOLE_PIXELS = 12
-_TRAIL_PIXELS, _TRAIL_RATIO = 12, 1.5
 _BRIGHTEST, _NEIGHBOUR_PX, _DIRECTIONS = 150, 40.0, 18
 """Objects, distance and bins of 10° in which pairs are counted that may be pieces of one trail."""
+_BEFORE, _AFTER = ((np.arange(_DIRECTIONS) + step) % _DIRECTIONS for step in (-1, 1))
 _WEIGHTS_PX = (1.2, 2.4, 4.8)
 """Gaussian weights under which widths are measured: the first that is wider than the star images."""
 
@@ -58,12 +60,15 @@ def looks_trailed(table: Sources, parted: int, settings: DetectionSettings) -> b
 def line_up(table: Sources) -> float | None:
     """Direction, rad, in which far more neighbouring objects line up than by chance: pieces of long trails; or None.
 
-    Pairs within 40 px among the 150 brightest are counted by direction. Of stars all directions have as many.
+    Pairs within 40 px among the 150 brightest are counted by direction. Of stars all directions have as many. `table`
+    has the brightest first.
     """
     flux = table["flux"]
-    faintest = np.partition(flux, -_BRIGHTEST)[-_BRIGHTEST] if len(table) > _BRIGHTEST else -math.inf
-    pairs = _pair_directions(table, faintest)
-    three = pairs + np.roll(pairs, 1) + np.roll(pairs, -1)
+    count = len(flux) if len(flux) <= _BRIGHTEST else np.count_nonzero(flux >= flux[_BRIGHTEST - 1])
+    xy = np.column_stack([table["x_peak"][:count], table["y_peak"][:count]]).astype(np.float64)
+    pairs = np.zeros(_DIRECTIONS, np.int64)
+    _count_directions(xy, pairs)
+    three = pairs + pairs[_BEFORE] + pairs[_AFTER]
     most, mean = int(np.argmax(three)), 3.0 * pairs.sum() / _DIRECTIONS
     if three[most] < max(FEWEST_ALIGNED, mean + ALIGNED_SIGMA * math.sqrt(mean)):
         return None
@@ -72,19 +77,13 @@ def line_up(table: Sources) -> float | None:
 
 
 @kernel
-def _pair_directions(table: Sources, faintest: float) -> IntArray:
-    """Number of pairs of neighbours, not fainter than that, by direction."""
-    number, x, y, count = np.zeros(_DIRECTIONS, np.int64), np.empty(len(table)), np.empty(len(table)), 0
-    for n in range(len(table)):
-        if table["flux"][n] >= faintest:
-            x[count], y[count] = table["x_peak"][n], table["y_peak"][n]
-            count += 1
-    for first in range(count):
+def _count_directions(xy: FloatArray, pairs: IntArray) -> None:
+    """Count pairs of neighbours by direction."""
+    for first in range(len(xy)):
         for second in range(first):
-            dx, dy = x[second] - x[first], y[second] - y[first]
+            dx, dy = xy[second, 0] - xy[first, 0], xy[second, 1] - xy[first, 1]
             if 0.0 < dx * dx + dy * dy < _NEIGHBOUR_PX * _NEIGHBOUR_PX:
-                number[int((math.atan2(dy, dx) / math.pi) % 1.0 * _DIRECTIONS) % _DIRECTIONS] += 1
-    return number
+                pairs[int((math.atan2(dy, dx) / math.pi) % 1.0 * _DIRECTIONS) % _DIRECTIONS] += 1
 
 
 def select_trailed(
@@ -107,8 +106,8 @@ def select_trailed(
     at_peak = table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)
     noise = excess * background.noise_plane[*at_peak]
     strong = table["flux"] > 2.0 * settings.threshold_sigma * noise * np.sqrt(table["pixels"])
-    table = table[strong & (table["pixels"] >= _TRAIL_PIXELS)]
-    forms = measure_forms(table, _TRAIL_RATIO)
+    table = table.take(np.flatnonzero(strong & (table["pixels"] >= TRAIL_PIXELS)))
+    forms = measure_forms(table, TRAIL_AXIS_RATIO)
     whole = np.flatnonzero(forms.long & ~table["edge"])
     order = whole[np.lexsort((table["x_peak"][whole], table["y_peak"][whole], -table["flux"][whole]))]
     middle = 0.5 * (np.array(background.shape[::-1]) - 1.0)
@@ -189,7 +188,7 @@ def _round_stars(
     level, noise, width = background.level_plane, background.noise_plane, math.nan
     x, y = np.rint(centre).astype(np.int64).T
     for weight in _WEIGHTS_PX:
-        across = measure_shapes(image, level, noise, x.copy(), y.copy(), weight)[:, MINOR]
+        across = measure_shapes(image, level, noise, np.ascontiguousarray(x), np.ascontiguousarray(y), weight)[:, MINOR]
         width = float(np.median(across[np.isfinite(across)])) if np.isfinite(across).any() else math.nan
         if width < weight**2:
             break

@@ -11,9 +11,8 @@ from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
-from startracker.kernels import kernel
 
-__all__ = ["Image", "as_image", "as_pixels", "is_value", "is_whole", "whole_range"]
+__all__ = ["Image", "as_image", "as_pixels", "is_value", "is_whole"]
 
 Image = NDArray[np.float32] | NDArray[np.uint16]
 """What kernels read: float32 of which some may not be finite, or uint16."""
@@ -69,19 +68,3 @@ def _is_whole(image: Any) -> Callable[[Any], bool]:
         return whole
 
     return found
-
-
-@kernel
-def whole_range(image: NDArray[np.uint16], level: float) -> tuple[int, int, int]:
-    """Lowest and highest value of an image of integers, and how many are at or above a level, in one pass."""
-    lowest, highest, full = image[0, 0], image[0, 0], 0
-    for y in range(image.shape[0]):
-        row = image[y]
-        top = row[0]
-        for x in range(len(row)):
-            lowest, top = min(lowest, row[x]), max(top, row[x])
-        highest = max(highest, top)
-        if top >= level:
-            for x in range(len(row)):
-                full += row[x] >= level
-    return lowest, highest, full

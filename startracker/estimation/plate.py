@@ -15,12 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
-from startracker.kernels import kernel
+from startracker.estimation.rotations import normalised
 
 __all__ = ["Plate", "first_center_deg", "plate_constants", "solve_plate"]
 
 FloatArray = NDArray[np.float64]
 
+_TOO_WIDE = "plate constants need directions within 78° of their mean; use another estimator"
+_NO_PLATE = "the reference directions are no plate of the observed ones: check the identification"
 _ROUNDS = 50
 _SETTLED_RAD = 1e-13
 _LINE = 1e-6
@@ -201,123 +203,68 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
         which no plane holds, and stars that fit no plate.
     """
     b, r, sigma = check_directions(observed, reference, sigma_rad)
-    code, matrix, covariance = _plate_attitude(b, r, sigma)
-    if code == 1:
-        raise InputError("plate constants need directions within 78° of their mean; use another estimator")
-    if code == 2:
-        raise InputError("the reference directions are no plate of the observed ones: check the identification")
-    return Estimate(matrix, covariance)
-
-
-@kernel
-def _tangent_axes(mean: FloatArray) -> FloatArray:
-    """Rows: two axes across a direction (3,) and the direction itself, right-handed."""
-    out = np.empty((3, 3))
-    out[2] = mean / math.sqrt((mean**2).sum())
-    smallest = np.argmin(np.abs(mean))
-    out[0] = -out[2, smallest] * out[2]
-    out[0, smallest] += 1.0
-    out[0] /= math.sqrt((out[0] ** 2).sum())
-    out[1, 0] = out[2, 1] * out[0, 2] - out[2, 2] * out[0, 1]
-    out[1, 1] = out[2, 2] * out[0, 0] - out[2, 0] * out[0, 2]
-    out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
-    return out
-
-
-@kernel
-def _project(axes: FloatArray, v: FloatArray, out: FloatArray) -> bool:
-    """Gnomonic coordinates (M, 2) of directions (M, 3); whether all are well before the plane."""
-    for i in range(len(v)):
-        depth = axes[2, 0] * v[i, 0] + axes[2, 1] * v[i, 1] + axes[2, 2] * v[i, 2]
-        if depth < 0.2:
-            return False
-        for k in range(2):
-            out[i, k] = (axes[k, 0] * v[i, 0] + axes[k, 1] * v[i, 1] + axes[k, 2] * v[i, 2]) / depth
-    return True
-
-
-@kernel
-def _plate_attitude(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[int, FloatArray, FloatArray]:
-    """0, or what was wrong; attitude; covariance."""
-    m = len(b)
     weight = (sigma.min() / sigma) ** 2
     weight /= weight.sum()
-    mean_b, mean_r = np.zeros(3), np.zeros(3)
-    for i in range(m):
-        mean_b += weight[i] * b[i]
-        mean_r += weight[i] * r[i]
-    nothing = np.zeros((3, 3))
-    if not ((mean_b**2).sum() > 1e-6 and (mean_r**2).sum() > 1e-6):
-        return 1, nothing, nothing
+    mean_b, mean_r = weight @ b, weight @ r
+    if not (mean_b @ mean_b > 1e-6 and mean_r @ mean_r > 1e-6):
+        raise InputError(_TOO_WIDE)
     axes_b, axes_r = _tangent_axes(mean_b), _tangent_axes(mean_r)
-    x, sky = np.empty((m, 2)), np.empty((m, 2))
-    if not _project(axes_b, b, x):
-        return 1, nothing, nothing
-    middle = np.zeros(2)
-    for i in range(m):
-        middle += weight[i] * x[i]
-    sxx, sxy, syy = 0.0, 0.0, 0.0
-    for i in range(m):
-        p, q = x[i, 0] - middle[0], x[i, 1] - middle[1]
-        sxx += weight[i] * p * p
-        sxy += weight[i] * p * q
-        syy += weight[i] * q * q
-    det, total = sxx * syy - sxy**2, sxx + syy
-    full = det > _SLENDER * total**2
-    # rows of the fit: the map's columns from the stars' shifts, per star
-    along = np.empty((m, 2))
-    for i in range(m):
-        p, q = x[i, 0] - middle[0], x[i, 1] - middle[1]
-        if full:
-            along[i, 0] = weight[i] * (syy * p - sxy * q) / det
-            along[i, 1] = weight[i] * (sxx * q - sxy * p) / det
-        else:
-            along[i, 0], along[i, 1] = weight[i] * p / total, weight[i] * q / total
-    t = np.empty((2, 2))
-    offset = np.empty(2)
-    last = np.inf
+    x = _project(axes_b, b)
+    if x is None:
+        raise InputError(_TOO_WIDE)
+    middle, along, full = _lever_arms(x, weight)
+    matrix, last = np.eye(2), np.inf
     for _ in range(_ROUNDS):
-        if not _project(axes_r, r, sky):
-            return 2, nothing, nothing
-        t[:] = 0.0
-        centre = np.zeros(2)
-        for i in range(m):
-            centre += weight[i] * sky[i]
-        for i in range(m):
-            u, v = sky[i, 0] - centre[0], sky[i, 1] - centre[1]
-            if full:
-                t[0, 0] += along[i, 0] * u
-                t[0, 1] += along[i, 1] * u
-                t[1, 0] += along[i, 0] * v
-                t[1, 1] += along[i, 1] * v
-            else:
-                t[0, 0] += along[i, 0] * u + along[i, 1] * v
-                t[1, 0] += along[i, 0] * v - along[i, 1] * u
+        sky = _project(axes_r, r)
+        if sky is None:
+            raise InputError(_NO_PLATE)
+        centre = weight @ sky
+        matrix = (sky - centre).T @ along
         if not full:
-            t[1, 1], t[0, 1] = t[0, 0], -t[1, 0]
-        offset[0] = centre[0] - t[0, 0] * middle[0] - t[0, 1] * middle[1]
-        offset[1] = centre[1] - t[1, 0] * middle[0] - t[1, 1] * middle[1]
-        size = math.sqrt(offset[0] ** 2 + offset[1] ** 2)
+            same, other = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
+            matrix = np.array([[same, -other], [other, same]])
+        offset = centre - matrix @ middle
+        size = float(np.hypot(*offset))
         if size < _SETTLED_RAD or (size < 1e-9 and size >= 0.5 * last):
             break
         last = size
-        axes_r = _tangent_axes(axes_r[2] + offset[0] * axes_r[0] + offset[1] * axes_r[1])
-    if not size < 1e-7:
-        return 2, nothing, nothing
-    swing, reach = t[1, 0] - t[0, 1], t[0, 0] + t[1, 1]
+        axes_r = _tangent_axes(axes_r[2] + offset @ axes_r[:2])
+    swing, reach = matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1]
     length = math.hypot(swing, reach)
     # a mirror image, or no image at all, turns nowhere
-    if not (length > 0.1 and t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0] > 0.0):
-        return 2, nothing, nothing
+    if not (size < 1e-7 and length > 0.1 and np.linalg.det(matrix) > 0.0):
+        raise InputError(_NO_PLATE)
     c, s = reach / length, swing / length
-    turned = axes_b.copy()
-    turned[0], turned[1] = c * axes_b[0] - s * axes_b[1], s * axes_b[0] + c * axes_b[1]
-    matrix = turned.T @ axes_r
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes_b
     inner = _plate_covariance(x, sigma, weight, along, middle, full)
-    return 0, matrix, axes_b.T @ inner @ axes_b
+    return Estimate(turned.T @ axes_r, axes_b.T @ inner @ axes_b)
 
 
-@kernel
+def _tangent_axes(mean: FloatArray) -> FloatArray:
+    """Rows: two axes across a direction (3,) and the direction itself, right-handed."""
+    axis = normalised(mean)
+    smallest = int(np.argmin(np.abs(mean)))
+    across = normalised(np.eye(3)[smallest] - axis[smallest] * axis)
+    return np.stack([across, np.cross(axis, across), axis])
+
+
+def _project(axes: FloatArray, v: FloatArray) -> FloatArray | None:
+    """Gnomonic coordinates (M, 2) of directions (M, 3); None unless all are well before the plane."""
+    x, y, depth = axes @ v.T
+    return None if (depth < 0.2).any() else np.stack([x / depth, y / depth], axis=1)
+
+
+def _lever_arms(x: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Weighted mean (2,) of points (M, 2), and rows (M, 2) that give a map's columns from the stars' shifts: of all
+    four elements, or of scale and rotation alone where the points are nearly in a line (False)."""
+    middle = weight @ x
+    off = x - middle
+    moments = (weight[:, None] * off).T @ off
+    total, det = float(np.trace(moments)), float(np.linalg.det(moments))
+    full = det > _SLENDER * total**2
+    return middle, weight[:, None] * (off @ np.linalg.inv(moments) if full else off / total), full
+
+
 def _plate_covariance(
     x: FloatArray, sigma: FloatArray, weight: FloatArray, along: FloatArray, middle: FloatArray, full: bool
 ) -> FloatArray:
@@ -327,28 +274,12 @@ def _plate_covariance(
     by G δ, G = [[−xy, 1 + x², −y], [−(1 + y²), xy, x]]; so δ̂ = (F G)⁻¹ F m. Isotropic errors σ of a direction become
     σ² (1 + x² + y²) (I + p pᵀ), p = (x, y), in the plane.
     """
-    jacobian, noise = np.zeros((3, 3)), np.zeros((3, 3))
-    f = np.empty((3, 2))
-    g = np.empty((2, 3))
-    spread = np.empty((2, 2))
-    for i in range(len(x)):
-        p, q = x[i, 0], x[i, 1]
-        level = weight[i] - along[i, 0] * middle[0] - along[i, 1] * middle[1]
-        if full:
-            f[0, 0], f[0, 1] = 0.0, -level
-            f[1, 0], f[1, 1] = level, 0.0
-            f[2, 0], f[2, 1] = -0.5 * along[i, 1], 0.5 * along[i, 0]
-        else:
-            skew = along[i, 0] * middle[1] - along[i, 1] * middle[0]
-            f[0, 0], f[0, 1] = skew, -level
-            f[1, 0], f[1, 1] = level, skew
-            f[2, 0], f[2, 1] = -along[i, 1], along[i, 0]
-        g[0, 0], g[0, 1], g[0, 2] = -p * q, 1.0 + p * p, -q
-        g[1, 0], g[1, 1], g[1, 2] = -(1.0 + q * q), p * q, p
-        widen = sigma[i] ** 2 * (1.0 + p * p + q * q)
-        spread[0, 0], spread[1, 1] = widen * (1.0 + p * p), widen * (1.0 + q * q)
-        spread[0, 1] = spread[1, 0] = widen * p * q
-        jacobian += f @ g
-        noise += f @ spread @ f.T
-    inverse = np.linalg.inv(jacobian)
-    return inverse @ noise @ inverse.T
+    level, (a, b), (p, q) = weight - along @ middle, along.T, x.T
+    zero, one = np.zeros(len(x)), np.ones(len(x))
+    half, skew = (0.5, zero) if full else (1.0, a * middle[1] - b * middle[0])
+    f = np.array([[skew, -level], [level, skew], [-half * b, half * a]])
+    g = np.array([[-p * q, one + p * p, -q], [-(one + q * q), p * q, p]])
+    widen = sigma**2 * (1.0 + p * p + q * q)
+    spread = widen * np.array([[one + p * p, p * q], [p * q, one + q * q]])
+    inverse = np.linalg.inv(np.einsum("ikm,kjm->ij", f, g))
+    return np.asarray(inverse @ np.einsum("ikm,klm,jlm->ij", f, spread, f) @ inverse.T)

@@ -48,10 +48,20 @@ from scipy.special import chdtri, fdtri
 
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
+from startracker.linalg import inverse
 from startracker.sorting import median
 
-__all__ = ["TRUSTED", "UNKNOWN_FLOOR_PX", "Pose", "displacements", "few_stars_factor", "fit_pose", "pixel_slopes"]
-__all__ += ["probability_as_assumed"]
+__all__ = [
+    "TRUSTED",
+    "UNKNOWN_FLOOR_PX",
+    "Linearised",
+    "Pose",
+    "displacements",
+    "few_stars_factor",
+    "fit_pose",
+    "pixel_slopes",
+    "probability_as_assumed",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -80,6 +90,34 @@ _LEAST_ELONGATION = 9.0
 _MOST_ELONGATION = 0.95
 _FARTHEST_SQUARE = 9.0
 _STEP_RAD = 1e-5
+
+
+class Linearised(NamedTuple):
+    """Stars of one field about a first attitude.
+
+    Parameters
+    ----------
+    residual : (M, 2)
+        Measured minus predicted, pixels.
+    slopes : (M, 2, 3)
+        `pixel_slopes`.
+    offset : (M, 2)
+        Predicted positions from the principal point: what the focal length scales.
+    covariance : (M, 2, 2)
+        Stated, pixels².
+    extra, extra_sigma : (M, 2, E), (E,)
+        Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
+    as_assumed : float
+        Probability beforehand that there is no τ (`probability_as_assumed`).
+    """
+
+    residual: FloatArray
+    slopes: FloatArray
+    offset: FloatArray
+    covariance: FloatArray
+    extra: FloatArray
+    extra_sigma: FloatArray
+    as_assumed: float = _AS_ASSUMED
 
 
 class Pose(NamedTuple):
@@ -163,82 +201,30 @@ def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
     return out
 
 
-@kernel
-def _inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
-    """Inverse of the leading block of a positive definite matrix by Cholesky's factors, and ln of its determinant."""
-    lower, log_det = np.zeros((size, size)), 0.0
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return np.full((size, size), np.nan), np.nan
-                lower[i, i] = math.sqrt(total)
-                log_det += math.log(total)
-            else:
-                lower[i, j] = total / lower[j, j]
-    inverse = np.zeros((size, size))  # of the factor, then of the matrix
-    for i in range(size):
-        inverse[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total -= lower[i, k] * inverse[k, j]
-            inverse[i, j] = total / lower[i, i]
-    out = np.zeros((size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, size):
-                total += inverse[k, i] * inverse[k, j]
-            out[i, j] = out[j, i] = total
-    return out, log_det
-
-
-def _columns(slopes: FloatArray, extra: FloatArray, offset: FloatArray) -> FloatArray:
+def _columns(stars: Linearised) -> FloatArray:
     """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
-    known = extra.shape[2]
-    out = np.empty((len(slopes), 2, 6 + known))
-    out[:, :, :3], out[:, :, 3 : 3 + known] = slopes, extra
+    known, offset = stars.extra.shape[2], stars.offset
+    out = np.empty((len(offset), 2, 6 + known))
+    out[:, :, :3], out[:, :, 3 : 3 + known] = stars.slopes, stars.extra
     out[:, :, 3 + known] = out[:, :, 4 + known] = offset
     out[:, 1, 4 + known] *= -1.0
     out[:, :, 5 + known] = offset[:, ::-1]
     return out
 
 
-def displacements(slopes: FloatArray, offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
-    """How far what may be wrong with the camera (`Pose.unknowns`) moves stars (M, 2), pixels; see `fit_pose`."""
-    return np.asarray(_columns(slopes, extra, offset)[:, :, 3:] @ unknowns)
+def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
+    """How far what may be wrong with the camera (`Pose.unknowns`) moves stars (M, 2), pixels; see `Linearised`."""
+    focal, one, two = unknowns[-3:].tolist()
+    moved: FloatArray = offset @ np.array([[focal + one, two], [two, focal - one]])
+    return moved + extra @ unknowns[:-3] if len(unknowns) > 3 else moved
 
 
-def fit_pose(
-    residual: FloatArray,
-    slopes: FloatArray,
-    offset: FloatArray,
-    covariance: FloatArray,
-    extra: FloatArray,
-    extra_sigma: FloatArray,
-    trusted: float,
-    first: int,
-    models: int,
-    as_assumed: float = _AS_ASSUMED,
-) -> Pose:
+def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose:
     """Average of all models of the module's docstring over their evidence.
 
     Parameters
     ----------
-    residual : (M, 2)
-        Measured minus predicted, pixels.
-    slopes : (M, 2, 3)
-        `pixel_slopes`.
-    offset : (M, 2)
-        Predicted positions from the principal point: what the focal length scales.
-    covariance : (M, 2, 2)
-        Stated, pixels².
-    extra, extra_sigma : (M, 2, E), (E,)
-        Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
+    stars : Linearised
     trusted : float
         Degrees of freedom of the stated errors; 0: they are unknown, and those given only their ratios, in which case
         there is no τ.
@@ -246,16 +232,13 @@ def fit_pose(
         First model: 0 where the camera may be as calibrated; 1 where the focal length is always fitted.
     models : int
         Number of models: 3, or 2 where the caller's columns make shears as they are.
-    as_assumed : float
-        Probability beforehand that there is no τ (`probability_as_assumed`).
     """
-    columns, known = _columns(slopes, extra, offset), extra.shape[2]
-    given = residual, columns, covariance, extra_sigma, trusted, first, models, known, as_assumed
-    pose = _fit_models(*given, np.eye(2))
+    columns = _columns(stars)
+    pose = _fit_models(stars, columns, trusted, first, models, np.eye(2))
     if trusted > 0.0 and pose.systematic_px2 > 0.0:
-        shape = _shape_of_systematic(residual, columns, pose)
+        shape = _shape_of_systematic(stars.residual, columns, pose)
         if shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
-            pose = _fit_models(*given, shape)
+            pose = _fit_models(stars, columns, trusted, first, models, shape)
     return pose
 
 
@@ -290,93 +273,83 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
 
 
 def _fit_models(
-    residual: FloatArray,
-    columns: FloatArray,
-    covariance: FloatArray,
-    extra_sigma: FloatArray,
-    trusted: float,
-    first: int,
-    models: int,
-    known: int,
-    as_assumed: float,
-    shape: FloatArray,
+    stars: Linearised, columns: FloatArray, trusted: float, first: int, models: int, shape: FloatArray
 ) -> Pose:
     """`fit_pose` with the systematic error's covariance τ² `shape`."""
-    trace = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
-    unit = median(trace.copy())  # which it sorts
-    fits = _fit_each_model(
-        residual, columns, covariance, extra_sigma, trusted, first, models, known, unit, as_assumed, shape
-    )
+    trace = 0.5 * (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1])
+    unit, known = median(trace.copy()), len(stars.extra_sigma)  # it sorts
+    prior_sigma = np.full((3, columns.shape[2]), SHEAR_SIGMA)
+    prior_sigma[:, 3 : 3 + known], prior_sigma[:, 3 + known] = stars.extra_sigma, FREE_FOCAL_SIGMA
+    if first == 0:
+        prior_sigma[1, 3 + known] = FOCAL_SIGMA
+    fits = _fit_each_model(stars, columns, prior_sigma, trusted, first, models, unit, shape)
     pose: Pose = _averaged(*fits, trace, unit, known)
     return pose
 
 
 @kernel
+def _weighted_sums(
+    stars: Linearised, columns: FloatArray, systematic: FloatArray, normal: FloatArray, right: FloatArray
+) -> tuple[float, float]:
+    """Hᵀ V⁻¹ H and Hᵀ V⁻¹ r, written to `normal` and `right`; rᵀ V⁻¹ r and ln |V|. V has a systematic part (2, 2)."""
+    normal[:], right[:] = 0.0, 0.0
+    total, log_det = 0.0, 0.0
+    for n in range(len(stars.residual)):
+        a, c = stars.covariance[n, 0, 0] + systematic[0, 0], stars.covariance[n, 1, 1] + systematic[1, 1]
+        b = stars.covariance[n, 0, 1] + systematic[0, 1]
+        det = a * c - b * b
+        wa, wb, wc = c / det, -b / det, a / det
+        log_det += math.log(det)
+        x, y = stars.residual[n, 0], stars.residual[n, 1]
+        total += x * (wa * x + wb * y) + y * (wb * x + wc * y)
+        for i in range(len(right)):
+            u = wa * columns[n, 0, i] + wb * columns[n, 1, i]
+            v = wb * columns[n, 0, i] + wc * columns[n, 1, i]
+            right[i] += u * x + v * y
+            for j in range(i + 1):
+                normal[i, j] += u * columns[n, 0, j] + v * columns[n, 1, j]
+    return total, log_det
+
+
+@kernel
 def _fit_each_model(
-    residual: FloatArray,
+    stars: Linearised,
     columns: FloatArray,
-    covariance: FloatArray,
-    extra_sigma: FloatArray,
+    prior_sigma: FloatArray,
     trusted: float,
     first: int,
     models: int,
-    known: int,
     unit: float,
-    as_assumed: float,
     shape: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """All models, with the systematic error's covariance τ² `shape`: logarithms of their weights and scales
     (grid, 3), means (grid, 3, 6 + E) and covariances of all unknowns, and covariances (grid, 3, 3) of rotations alone.
+
+    `prior_sigma` (3, 6 + E) has the standard deviations beforehand of each model's unknowns but the rotation.
     """
-    count = len(residual)
-    widest = columns.shape[2]
-    freedom = 2.0 * count - 3.0
+    widest, known = columns.shape[2], columns.shape[2] - 6
+    freedom = 2.0 * len(columns) - 3.0
     grid = len(SYSTEMATIC) if trusted > 0.0 else 1
     weight, scale = np.full((grid, 3), -np.inf), np.zeros((grid, 3))
-    mean = np.zeros((grid, 3, widest))
-    every = np.zeros((grid, 3, widest, widest))
-    plain = np.zeros((grid, 3, 3))
-    normal, right = np.empty((widest, widest)), np.empty(widest)
+    mean, every = np.zeros((grid, 3, widest)), np.zeros((grid, 3, widest, widest))
+    plain, normal, right = np.zeros((grid, 3, 3)), np.empty((widest, widest)), np.empty(widest)
     for t in range(grid):
-        tau2 = SYSTEMATIC[t] ** 2 * unit
-        normal[:], right[:] = 0.0, 0.0
-        total, log_det = 0.0, 0.0
-        for n in range(count):
-            a, c = covariance[n, 0, 0] + tau2 * shape[0, 0], covariance[n, 1, 1] + tau2 * shape[1, 1]
-            b = covariance[n, 0, 1] + tau2 * shape[0, 1]
-            det = a * c - b * b
-            wa, wb, wc = c / det, -b / det, a / det
-            log_det += math.log(det)
-            x, y = residual[n, 0], residual[n, 1]
-            total += x * (wa * x + wb * y) + y * (wb * x + wc * y)
-            for i in range(widest):
-                u = wa * columns[n, 0, i] + wb * columns[n, 1, i]
-                v = wb * columns[n, 0, i] + wc * columns[n, 1, i]
-                right[i] += u * x + v * y
-                for j in range(i + 1):
-                    normal[i, j] += u * columns[n, 0, j] + v * columns[n, 1, j]
-        of_turn = _inverse(normal, 3)[0]
-        for i in range(3):
-            for j in range(3):
-                plain[t, i, j] = of_turn[i, j]
+        total, log_det = _weighted_sums(stars, columns, SYSTEMATIC[t] ** 2 * unit * shape, normal, right)
+        plain[t] = inverse(normal, 3)[0]
         for m in range(first, models):
             size = (3 + known, 4 + known, 6 + known)[m]
             added, log_prior = normal.copy(), 0.0
             for k in range(3, size):
-                sigma = SHEAR_SIGMA
-                if k < 3 + known:
-                    sigma = extra_sigma[k - 3]
-                elif k == 3 + known:
-                    sigma = FOCAL_SIGMA if m == 1 and first == 0 else FREE_FOCAL_SIGMA
-                added[k, k] += 1.0 / sigma**2
-                log_prior -= 2.0 * math.log(sigma)
-            inverse, log_normal = _inverse(added, size)
+                added[k, k] += 1.0 / prior_sigma[m, k] ** 2
+                log_prior -= 2.0 * math.log(prior_sigma[m, k])
+            covariance, log_normal = inverse(added, size)
             if not math.isfinite(log_normal):
                 continue
             chi2 = total
             for i in range(size):
                 for j in range(size):
-                    mean[t, m, i] += inverse[i, j] * right[j]
+                    every[t, m, i, j] = covariance[i, j]
+                    mean[t, m, i] += covariance[i, j] * right[j]
                 chi2 -= mean[t, m, i] * right[i]
             power, chi2 = trusted + freedom, max(chi2, 1e-12)
             if trusted > 0.0:
@@ -384,11 +357,8 @@ def _fit_each_model(
                 scale[t, m] = (trusted + chi2) / (power - 2.0)
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
-            for i in range(size):
-                for j in range(size):
-                    every[t, m, i, j] = inverse[i, j]
             log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
-            probable = as_assumed if t == 0 else 1.0 - as_assumed
+            probable = stars.as_assumed if t == 0 else 1.0 - stars.as_assumed
             weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] + math.log(probable) - 0.5 * log_data
     return weight, scale, mean, every, plain
 

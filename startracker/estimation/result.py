@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
-from startracker.estimation.kernels import unit_vectors
+from startracker.estimation.rotations import normalised
 
 __all__ = ["Estimate", "check_directions"]
 
@@ -60,12 +60,12 @@ def check_directions(
 
 
 def _unit(name: str, vectors: FloatArray) -> FloatArray:
-    unit = np.empty_like(vectors)
-    spread = unit_vectors(vectors, unit)
-    if spread < 0.0:
+    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
+    if not ((largest > 0.0) & np.isfinite(largest)).all():
         raise InputError(f"{name} directions must be finite and not zero")
-    if len(unit) < 2:
-        raise InputError(f"an attitude needs two {name} directions; got {len(unit)}")
-    if spread < _DISTINCT_RAD:
+    if len(vectors) < 2:
+        raise InputError(f"an attitude needs two {name} directions; got {len(vectors)}")
+    unit = normalised(vectors / largest)
+    if np.linalg.norm(np.cross(unit[0], unit), axis=1).max() < _DISTINCT_RAD:
         raise InputError(f"an attitude needs two distinct {name} directions; the {len(unit)} given lie along one axis")
     return unit

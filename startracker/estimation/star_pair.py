@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.estimation.kernels import cross
 from startracker.estimation.result import Estimate, check_directions
-from startracker.kernels import kernel
 
 __all__ = ["pitch_error_deg", "star_pair"]
 
@@ -80,20 +76,14 @@ def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     return Estimate(frame_b @ frame_r.T, frame_b @ covariance @ frame_b.T)
 
 
-@kernel
 def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
     """Indices of the pair with the smallest error of the line's angle, its separation taken along the diagonal."""
-    best, first, second = np.inf, 0, 1
-    for i in range(len(b)):
-        for j in range(i + 1, len(b)):
-            # the sine: opposite directions share an axis and are as bad as equal ones
-            x, y, z = cross(b[i], b[j])
-            side = math.sqrt(0.5 * (x * x + y * y + z * z))
-            slack = 2.0 * math.sqrt(0.5 * (sigma[i] ** 2 + sigma[j] ** 2))
-            error = math.atan2(side + slack, side - slack) - math.atan2(side - slack, side + slack)
-            if error < best:
-                best, first, second = error, i, j
-    return first, second
+    first, second = np.triu_indices(len(b), 1)
+    # the sine: opposite directions share an axis and are as bad as equal ones
+    side = np.sqrt(0.5) * np.linalg.norm(np.cross(b[first], b[second]), axis=1)
+    slack = 2.0 * np.sqrt(0.5 * (sigma[first] ** 2 + sigma[second] ** 2))
+    best = np.argmin(np.arctan2(side + slack, side - slack) - np.arctan2(side - slack, side + slack))
+    return int(first[best]), int(second[best])
 
 
 def _pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:

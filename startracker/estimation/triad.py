@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.estimation.kernels import cross, most_telling_pair, pair_frame, pair_rotation
+from startracker.estimation.directions import pair_frame, pair_rotation
 from startracker.estimation.result import Estimate, check_directions
-from startracker.kernels import kernel
+from startracker.estimation.rotations import most_telling_pair
 
 __all__ = ["triad"]
 
@@ -41,19 +41,10 @@ def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
         See `startracker.estimation.result.check_directions`.
     """
     b, r, sigma = check_directions(observed, reference, sigma_rad)
-    return Estimate(*_triad(b, r, sigma))
-
-
-@kernel
-def _triad(b: FloatArray, r: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
     first, second = most_telling_pair(b, sigma)
-    x, y, z = cross(b[first], b[second])
-    sine = np.sqrt(x * x + y * y + z * z)
-    cosine = (b[first] * b[second]).sum()
+    sine, cosine = float(np.linalg.norm(np.cross(b[first], b[second]))), float(b[first] @ b[second])
     one, two = sigma[first] ** 2, sigma[second] ** 2
-    inner = np.zeros((3, 3))
-    inner[0, 0] = (two + one * cosine**2) / sine**2
-    inner[1, 1] = inner[2, 2] = one
-    inner[0, 2] = inner[2, 0] = one * cosine / sine
+    along = one * cosine / sine
+    inner = np.array([[(two + one * cosine**2) / sine**2, 0.0, along], [0.0, one, 0.0], [along, 0.0, one]])
     frame = pair_frame(b[first], b[second])
-    return pair_rotation(b, r, first, second), frame @ inner @ frame.T
+    return Estimate(pair_rotation(b, r, first, second), frame @ inner @ frame.T)

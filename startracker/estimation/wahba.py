@@ -15,16 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.estimation.kernels import (
-    common_frame,
-    covariance_of,
-    cross,
-    most_telling_pair,
-    pair_rotation,
-    polish,
-)
+from startracker.estimation.directions import pair_rotation
 from startracker.estimation.result import Estimate, check_directions
-from startracker.kernels import kernel
+from startracker.estimation.rotations import common_frame, covariance_of, most_telling_pair, polish
 
 __all__ = ["attitude_covariance", "davenport", "esoq2", "quest", "wahba_svd"]
 
@@ -112,7 +105,6 @@ def _optimal(
     return Estimate(rotation(b, r, sigma), covariance_of(b, sigma))
 
 
-@kernel
 def weights_of(sigma: FloatArray) -> FloatArray:
     """σ⁻² (M,), their sum one."""
     weight: FloatArray = (sigma.min() / sigma) ** 2
@@ -120,29 +112,18 @@ def weights_of(sigma: FloatArray) -> FloatArray:
     return weight
 
 
-@kernel
 def profile_of(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     """Attitude profile matrix B = Σ w b rᵀ (3, 3)."""
-    out = np.zeros((3, 3))
-    for i in range(len(b)):
-        for j in range(3):
-            for k in range(3):
-                out[j, k] += weight[i] * b[i, j] * r[i, k]
-    return out
+    return np.asarray((weight[:, None] * b).T @ r)
 
 
-@kernel
 def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray, weight: FloatArray) -> FloatArray:
     axis = common_frame(b, weight)[0]
-    spread = 0.0
-    for i in range(len(b)):
-        x, y, z = cross(axis, b[i])
-        spread += weight[i] * (x * x + y * y + z * z)
+    spread = float(weight @ (np.cross(axis, b) ** 2).sum(axis=1))
     if spread < _LOST_RAD2:
         first, second = most_telling_pair(b, sigma)
         matrix = pair_rotation(b, r, first, second)
-    polished: FloatArray = polish(matrix, b, r, weight)
-    return polished
+    return polish(matrix, b, r, weight)
 
 
 def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
@@ -157,11 +138,9 @@ def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray
 
 def _svd_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
-    rotation: FloatArray = _finish(fit_rotation(b, r, weight), b, r, sigma, weight)
-    return rotation
+    return _finish(fit_rotation(b, r, weight), b, r, sigma, weight)
 
 
-@kernel
 def matrix_of(q: FloatArray) -> FloatArray:
     """Matrix (3, 3), reference to observed, of an unnormalised quaternion (4,), scalar last."""
     x, y, z, w = q / math.sqrt((q**2).sum())
@@ -174,62 +153,40 @@ def matrix_of(q: FloatArray) -> FloatArray:
     )
 
 
-@kernel
 def eigenvector_rotation(profile: FloatArray) -> FloatArray:
     """Davenport's rotation (3, 3) of a profile matrix B."""
     k = np.empty((4, 4))
-    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
-    for i in range(3):
-        for j in range(3):
-            k[i, j] = profile[i, j] + profile[j, i]
-        k[i, i] -= trace
-    k[0, 3] = profile[1, 2] - profile[2, 1]
-    k[1, 3] = profile[2, 0] - profile[0, 2]
-    k[2, 3] = profile[0, 1] - profile[1, 0]
-    k[3, :3] = k[:3, 3]
-    k[3, 3] = trace
-    rotation: FloatArray = matrix_of(np.linalg.eigh(k)[1][:, 3].copy())
-    return rotation
+    k[:3, :3] = profile + profile.T - np.trace(profile) * np.eye(3)
+    k[3, :3] = k[:3, 3] = _axial(profile)
+    k[3, 3] = np.trace(profile)
+    return matrix_of(np.linalg.eigh(k)[1][:, 3])
 
 
-@kernel
+def _axial(profile: FloatArray) -> FloatArray:
+    """z = Σ w b × r (3,), from the profile matrix."""
+    difference = profile - profile.T
+    return np.array([difference[1, 2], difference[2, 0], difference[0, 1]])
+
+
 def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
-    first: FloatArray = eigenvector_rotation(profile_of(b, r, weight))
-    rotation: FloatArray = _finish(first, b, r, sigma, weight)
-    return rotation
+    return _finish(eigenvector_rotation(profile_of(b, r, weight)), b, r, sigma, weight)
 
 
-@kernel
-def _turn_reference(profile: FloatArray, axis: int) -> None:
-    """Turn the reference frame by 180° about an axis (in place; −1: not at all): two columns of B change sign."""
-    for k in range(3):
-        if axis >= 0 and k != axis:
-            profile[:, k] *= -1.0
+def _turned_reference(matrix: FloatArray, axis: int) -> FloatArray:
+    """The reference frame turned by 180° about an axis (−1: not at all): two columns change sign."""
+    return matrix if axis < 0 else matrix * np.where(np.arange(3) == axis, 1.0, -1.0)
 
 
-@kernel
 def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
     """Largest root of the characteristic quartic of K, and whether Newton's method settled on it.
 
     λ⁴ − (a + b) λ² − c λ + (ab + cσ − d) = 0 with Shuster & Oh's a, b, c, d.
     """
-    s = profile + profile.T
-    sigma = 0.5 * (s[0, 0] + s[1, 1] + s[2, 2])
-    z0, z1, z2 = profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]
-    kappa = s[1, 1] * s[2, 2] - s[1, 2] ** 2 + s[0, 0] * s[2, 2] - s[0, 2] ** 2 + s[0, 0] * s[1, 1] - s[0, 1] ** 2
-    delta = (
-        s[0, 0] * (s[1, 1] * s[2, 2] - s[1, 2] ** 2)
-        - s[0, 1] * (s[0, 1] * s[2, 2] - s[1, 2] * s[0, 2])
-        + s[0, 2] * (s[0, 1] * s[1, 2] - s[1, 1] * s[0, 2])
-    )
-    t0 = s[0, 0] * z0 + s[0, 1] * z1 + s[0, 2] * z2
-    t1 = s[1, 0] * z0 + s[1, 1] * z1 + s[1, 2] * z2
-    t2 = s[2, 0] * z0 + s[2, 1] * z1 + s[2, 2] * z2
+    s, z = profile + profile.T, _axial(profile)
+    sigma, kappa, delta, t = float(np.trace(profile)), _kappa(s), float(np.linalg.det(s)), s @ z
     a = sigma**2 - kappa
-    b = sigma**2 + z0 * z0 + z1 * z1 + z2 * z2
-    c = delta + z0 * t0 + z1 * t1 + z2 * t2
-    d = t0 * t0 + t1 * t1 + t2 * t2
+    b, c, d = sigma**2 + float(z @ z), delta + float(z @ t), float(t @ t)
     constant = a * b + c * sigma - d
     value = 1.0
     for _ in range(_NEWTON_STEPS):
@@ -243,59 +200,38 @@ def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
     return value, False
 
 
-@kernel
+def _kappa(s: FloatArray) -> float:
+    """Trace of the adjugate of a symmetric matrix (3, 3)."""
+    return 0.5 * float(np.trace(s) ** 2 - (s**2).sum())
+
+
 def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)
-    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
-    axis = int(np.argmax(np.array([trace, profile[0, 0], profile[1, 1], profile[2, 2]]))) - 1
-    _turn_reference(profile, axis)
+    axis = int(np.argmax([np.trace(profile), *profile.diagonal()])) - 1
+    profile = _turned_reference(profile, axis)
     value, settled = largest_eigenvalue(profile)
-    s = profile + profile.T
-    trace = 0.5 * (s[0, 0] + s[1, 1] + s[2, 2])
-    z = np.array([profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]])
-    kappa = s[1, 1] * s[2, 2] - s[1, 2] ** 2 + s[0, 0] * s[2, 2] - s[0, 2] ** 2 + s[0, 0] * s[1, 1] - s[0, 1] ** 2
-    alpha, beta = value**2 - trace**2 + kappa, value - trace
-    q = np.empty(4)
+    s, z, trace = profile + profile.T, _axial(profile), float(np.trace(profile))
+    alpha, beta = value**2 - trace**2 + _kappa(s), value - trace
     sz = s @ z
-    q[:3] = alpha * z + beta * sz + s @ sz
-    q[3] = (value + trace) * alpha - np.linalg.det(s)
-    matrix = matrix_of(q) if settled and (q**2).sum() > _SMALLEST else eigenvector_rotation(profile)
-    _turn_reference(matrix, axis)
-    rotation: FloatArray = _finish(matrix, b, r, sigma, weight)
-    return rotation
+    q = np.append(alpha * z + beta * sz + s @ sz, (value + trace) * alpha - np.linalg.det(s))
+    matrix = matrix_of(q) if settled and q @ q > _SMALLEST else eigenvector_rotation(profile)
+    return _finish(_turned_reference(matrix, axis), b, r, sigma, weight)
 
 
-@kernel
 def _esoq2_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)
-    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
-    axis = int(np.argmin(np.array([trace, profile[0, 0], profile[1, 1], profile[2, 2]]))) - 1
-    _turn_reference(profile, axis)
+    axis = int(np.argmin([np.trace(profile), *profile.diagonal()])) - 1
+    profile = _turned_reference(profile, axis)
     value, settled = largest_eigenvalue(profile)
-    trace = profile[0, 0] + profile[1, 1] + profile[2, 2]
-    z = np.array([profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]])
-    m = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            m[i, j] = -(value - trace) * (profile[i, j] + profile[j, i]) - z[i] * z[j]
-        m[i, i] += value**2 - trace**2
-    e, longest = np.zeros(3), 0.0
-    for i in range(3):
-        x, y, w = cross(m[(i + 1) % 3], m[(i + 2) % 3])
-        length = x * x + y * y + w * w
-        if length > longest:
-            longest = length
-            e[0], e[1], e[2] = x, y, w
-    if settled and longest > _SMALLEST:
-        e /= math.sqrt(longest)
-        q = np.empty(4)
-        q[:3] = (value - trace) * e
-        q[3] = (z * e).sum()
-        matrix = matrix_of(q)
+    z, trace = _axial(profile), float(np.trace(profile))
+    m = (value**2 - trace**2) * np.eye(3) - (value - trace) * (profile + profile.T) - np.outer(z, z)
+    products = np.cross(m[[1, 2, 0]], m[[2, 0, 1]])
+    e = products[np.argmax((products**2).sum(axis=1))]
+    if settled and e @ e > _SMALLEST:
+        e = e / math.sqrt(e @ e)
+        matrix = matrix_of(np.append((value - trace) * e, z @ e))
     else:
         matrix = eigenvector_rotation(profile)
-    _turn_reference(matrix, axis)
-    rotation: FloatArray = _finish(matrix, b, r, sigma, weight)
-    return rotation
+    return _finish(_turned_reference(matrix, axis), b, r, sigma, weight)

@@ -14,7 +14,7 @@ acceptance by the odds of the whole field.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -23,12 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.identification.hypothesis import Bench, hypothesis_of, kernel_stars, too_few
+from startracker.identification.candidate_search import Effort, Verifier
+from startracker.identification.hypothesis import Bench, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.pole_votes import VOTE_SIGMAS, pair_bearings, search_poles
-from startracker.identification.search_plan import ROLLS, Plan, evidence_of_matches, fewest_matches, plan
-from startracker.identification.search_state import Finds, Limits, Pairs
-from startracker.identification.triangles import PAIR_SIGMAS, search_triangles, triangle_costs
+from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
+from startracker.identification.search_plan import (
+    ROLLS,
+    Plan,
+    Setting,
+    crowding_price,
+    evidence_of_matches,
+    fewest_matches,
+    plan,
+)
+from startracker.identification.search_state import Guides, Limits, Pairs
+from startracker.identification.triangles import PAIR_SIGMAS, triangle_costs, triangles_alike
 from startracker.identification.verification import GATE_SIGMAS
 from startracker.settings import AdaptiveSettings, IdentificationSettings
 
@@ -84,10 +93,18 @@ _QUICK, _THOROUGH = (_STATED, _THREE, _FOCAL), (_STATED, _THREE, _FOCAL, _SEVEN)
 _BEYOND_RIVALS, _AS_STATED = 5.0, 2.2
 """A field that is accepted with so much (in ln of the chance) to spare, and fits within so many stated errors, is
 searched by votes no longer: a rival would have to explain that much beyond chance."""
+_MULTIPLES = (1.0, 1.5, 2.25, 3.5)
+"""Of the fewest true stars that could be accepted: what the search by votes is planned for, where errors are as stated
+and the fewest are not to be found within its operations."""
 _MOST_STARS, _WIDE_STARS = 120, 25
 _BRIGHT = 9
 _LEAST_SIDE = 0.12
-_MOST_FINDS = 12
+_TRIANGLE_WORK, _TRIANGLE_LOOK_WORK = 300.0, 50.0
+_POLE_WORK, _POLE_LOOK_WORK = 100.0, 25.0
+_MANY_FOUND, _LEVER = 201, 2.25
+"""Candidates of triangles after which the sky is marked, for stars whose position errs by so many of their errors."""
+_MANY_TRIED, _USUAL_LEVER = 60, 3.0
+"""The same of the votes."""
 _HITS_FOR_RATE = 10.0
 _USUAL_OPERATIONS = IdentificationSettings().max_operations
 _NO_PRIOR = np.eye(3)
@@ -158,7 +175,28 @@ class _Search:
             else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
         )
         self._pairs = Pairs(near.first, near.second, near.separation_rad)
-        self._finds, self._count = _no_finds(len(observed)), 0
+        self._guides = Guides(guide.directions, guide.v_mag)
+        self._head = np.full(len(guide), -1, np.int32)
+        self._verifier = Verifier(self.bench, guide, self._stars)
+
+    @cached_property
+    def _sigma(self) -> float:
+        """Stated standard error of most stars, rad."""
+        return float(np.median(self._stars.sigma))
+
+    @cached_property
+    def _nearest(self) -> IntArray:
+        """The other stars by their distance from each."""
+        return nearest_stars(self._observed.vectors[:_MOST_STARS])
+
+    @cached_property
+    def _price(self) -> FloatArray:
+        return crowding_price(self._stars.excess)
+
+    @cached_property
+    def _box(self) -> BallotBox:
+        guides, (there, back) = len(self._guide), _bearings(self._near, self._guide)
+        return BallotBox(there, back, np.empty((guides, 4), np.uint64), np.empty(guides, np.bool_), self._head)
 
     @property
     def fits_as_stated(self) -> bool:
@@ -170,20 +208,23 @@ class _Search:
 
     def triangles(self, assumption: _Assumption) -> bool:
         """Look up the first triangles of the brightest stars."""
-        if self.bench.left <= 0:
-            self.bench.cut_short = True
+        if self._exhausted():
             return True
-        triangles = first_triangles(self._observed.vectors, 2.0 * self._guide.half_diagonal_rad, assumption.triangles)
         limits = _limits(self.bench, self._observed, assumption)
-        return self._take(
-            search_triangles(triangles, self._stars, self._guide.view, self._pairs, limits, self._finds, self._count),
-            f"{assumption.words}: {{looked}} triangles",
-        )
+        vectors, diagonal = self._observed.vectors, 2.0 * self._guide.half_diagonal_rad
+        effort = Effort(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_LOOK_WORK)
+        triples = first_triangles(vectors, diagonal, assumption.triangles)
+        while effort.looked < len(triples) and not effort.ended:
+            self._verifier.mark(effort, _MANY_FOUND, _LEVER)
+            some = triples[effort.looked : 2 * effort.looked + 1]  # the first does mostly
+            candidates, work = triangles_alike(some, self._stars, self._guides, self._pairs, limits, self._head)
+            effort.looked += len(some)
+            self._verifier.take(candidates, effort, work)
+        return self._verifier.note(effort, f"{assumption.words}: {effort.looked} triangles")
 
     def votes(self, assumption: _Assumption) -> bool:
         """Take one star after the other for the pole that its neighbours vote about."""
-        if self.bench.left <= 0:
-            self.bench.cut_short = True
+        if self._exhausted():
             return True
         votes, fewest = self._plan(assumption)
         # wider assumptions are tried as far as their share goes; that the stated one is not is told
@@ -192,34 +233,35 @@ class _Search:
             self.bench.cut_short |= stated and votes.cut_short
             return False
         limits = _limits(self.bench, self._observed, assumption)
-        nearest = nearest_stars(self._observed.vectors[:_MOST_STARS], votes.neighbours)
-        before = self.bench.operations
-        done = self._take(
-            search_poles(
-                np.arange(votes.poles),
-                nearest,
-                votes.votes,
-                fewest,
-                self._stars,
-                self._guide.view,
-                self._pairs,
-                _bearings(self._near, self._guide),
-                limits,
-                self._finds,
-                self._count,
-            ),
-            f"{assumption.words}: {{looked}} stars with {votes.neighbours} neighbours",
+        nearest = self._nearest[:, : votes.neighbours]
+        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_LOOK_WORK, enough=fewest - 3)
+        for pole in range(votes.poles):
+            if effort.ended:
+                break
+            left = limits._replace(work=limits.work - effort.work)
+            stars, sky = self._stars, self._guides
+            candidates, work = vote_about(pole, nearest[pole], votes.votes, stars, sky, self._pairs, self._box, left)
+            effort.looked += 1
+            if len(candidates.focal):
+                self._verifier.mark(effort, _MANY_TRIED - len(candidates.focal), _USUAL_LEVER)
+            self._verifier.take(candidates, effort, work)
+        done = self._verifier.note(
+            effort, f"{assumption.words}: {effort.looked} stars with {votes.neighbours} neighbours"
         )
-        beyond = votes.cut_short or self.bench.operations - before > limits.work
+        beyond = votes.cut_short or effort.work > limits.work
         if not done and (self.bench.left <= 0 or (stated and beyond)):
             self.bench.cut_short = True
         accepted = bool(self.bench.standing) and self.bench.log_chance < self.bench.limit
         return done or (accepted and stated)
 
+    def _exhausted(self) -> bool:
+        self.bench.cut_short |= self.bench.left <= 0
+        return self.bench.left <= 0
+
     def _plan(self, assumption: _Assumption) -> tuple[Plan, int]:
         observed, guide, bench = self._observed, self._guide, self.bench
         n, free = min(len(observed), _MOST_STARS), assumption.focal_range > 0.0
-        area, sigma = guide.solid_angle_sr, float(np.median(observed.sigma_rad))
+        area, sigma = guide.solid_angle_sr, self._sigma
         side, guides = math.sqrt(area), len(guide)
         evidence = evidence_of_matches(
             len(observed),
@@ -228,7 +270,7 @@ class _Search:
             assumption.residual,
             4 if free else 3,
         )
-        fewest = fewest_matches(evidence, self._stars.excess, bench.least_evidence)
+        fewest = fewest_matches(evidence, self._price, bench.least_evidence)
         # of those only the brightest are looked at
         fewest = max(fewest * n // len(observed), 3)
         if fewest > n:
@@ -238,29 +280,10 @@ class _Search:
         pairs = 4.0 * side * (error + assumption.focal_range * 0.5 * side) * len(self._pairs.separation) / widest**2
         rolls = 1.0 + 2.0 * error / (0.3 * side) * ROLLS / (2.0 * math.pi)
         gate = math.pi * (GATE_SIGMAS * assumption.multiple * sigma) ** 2 * guides / (4.0 * math.pi)
-        planned = plan(
-            n,
-            fewest,
-            assumption.miss,
-            _work(assumption, n),
-            pairs=_rounded(pairs),
-            guides=guides,
-            rolls=_rounded(rolls),
-            gate=_rounded(gate),
-            rare=assumption.chance_hits,
-        )
+        setting = Setting(_rounded(pairs), guides, _rounded(rolls), _rounded(gate), assumption.chance_hits)
+        multiples = _MULTIPLES if assumption.residual < 1.0 else (1.0,)
+        planned = plan(n, fewest, assumption.miss, _work(assumption, n), setting, multiples)
         return planned, fewest
-
-    def _take(self, searched: tuple[int, int, int, float], words: str) -> bool:
-        """Take in what a search found."""
-        count, looked, found, operations = searched
-        self.bench.operations += int(operations)
-        words = words.format(looked=looked)
-        self.bench.note(f"{words}, {found} alike in the sky, {count - self._count} worth a look")
-        self._count = count
-        for row in range(count):
-            self.bench.add(hypothesis_of(tuple(column[row] for column in self._finds)))
-        return self.bench.surely
 
 
 def _work(assumption: _Assumption, stars: int) -> float:
@@ -282,11 +305,11 @@ def _bearings(near: PairList, guide: GuideDatabase) -> tuple[NDArray[np.uint16],
     return bearings
 
 
-def nearest_stars(vectors: FloatArray, count: int) -> IntArray:
-    """The `count` nearest others (N, count) of each star (N, 3)."""
+def nearest_stars(vectors: FloatArray) -> IntArray:
+    """The others (N, N − 1) of each star (N, 3), the nearest first."""
     separation = np.linalg.norm(vectors[:, None] - vectors[None], axis=-1)
     np.fill_diagonal(separation, -1.0)
-    return np.ascontiguousarray(np.argsort(separation, axis=1, kind="stable")[:, 1 : count + 1])
+    return np.argsort(separation, axis=1, kind="stable")[:, 1:]
 
 
 def _limits(bench: Bench, observed: Observed, turn: _Assumption) -> Limits:
@@ -294,11 +317,11 @@ def _limits(bench: Bench, observed: Observed, turn: _Assumption) -> Limits:
     if prior is not None:
         slack = prior.radius_rad + 6.0 * turn.multiple * float(observed.sigma_rad.max()) + turn.focal_range
         matrix, cosine = prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
-    tolerance, sure = AdaptiveSettings.of(bench.settings).magnitude_tolerance, bench.sure_evidence
+    tolerance = AdaptiveSettings.of(bench.settings).magnitude_tolerance
     # who accepts much by chance wants what few other stars confirm to be looked at, too
     chance_hits = max(turn.chance_hits, _HITS_FOR_RATE * bench.settings.false_alarm_rate)
     work = min(_work(turn, len(observed)) * bench.settings.max_operations / _USUAL_OPERATIONS, bench.left)
-    return Limits(turn.multiple, turn.focal_range, tolerance, chance_hits, sure, work, matrix, cosine)
+    return Limits(turn.multiple, turn.focal_range, tolerance, chance_hits, work, matrix, cosine)
 
 
 def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> IntArray:
@@ -317,11 +340,3 @@ def _triples(n: int) -> IntArray:
     """Triples (T, 3) of n stars, brightest first."""
     triples = np.array(list(combinations(range(n), 3)), dtype=np.int64)
     return triples[np.argsort(triples[:, 2], kind="stable")]
-
-
-def _no_finds(n: int) -> Finds:
-    """Room for hypotheses; whoever looks at it knows how many there are."""
-    h = _MOST_FINDS
-    return Finds(
-        np.empty(h), np.empty((h, 3, 3)), np.empty(h), np.empty(h), np.empty(h, np.int64), np.empty((h, n), np.int64)
-    )

@@ -12,6 +12,7 @@ from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.identification.hypothesis import nearest_unique
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
+from startracker.sorting import median
 
 __all__ = ["MARGIN_PX", "REJECT_SIGMAS", "joined", "matched_again", "named"]
 
@@ -55,14 +56,18 @@ def matched_again(
     """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
     scale = _robust_scale(used, xy, _predicted(matrix, reference, image), sigma, known)
     index, _, places = stars_on_image(matrix, cosine, MARGIN_PX, sky, grid, image)
-    near, _ = nearest_unique(xy, places, REJECT_SIGMAS * scale * sigma)
-    seen = np.flatnonzero(near >= 0)
-    pairs = np.empty((len(seen), 2), np.int64)
-    same = len(seen) == len(used)
-    for k in range(len(seen)):
-        pairs[k, 0], pairs[k, 1] = seen[k], index[near[seen[k]]]
-        same = same and pairs[k, 0] == used[k, 0] and pairs[k, 1] == used[k, 1]
-    return pairs, same
+    gate = np.empty(len(xy))
+    for star in range(len(xy)):
+        gate[star] = REJECT_SIGMAS * scale * sigma[star]
+    near, _ = nearest_unique(xy, places, gate)
+    pairs, count, same = np.empty((len(near), 2), np.int64), 0, True
+    for star in range(len(near)):
+        if near[star] >= 0:
+            guide = index[near[star]]
+            pairs[count, 0], pairs[count, 1] = star, guide
+            same = same and count < len(used) and used[count, 0] == star and used[count, 1] == guide
+            count += 1
+    return pairs[:count], same and count == len(used)
 
 
 @kernel
@@ -73,7 +78,7 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
         star = used[k, 0]
         length[k] = math.hypot(xy[star, 0] - predicted[k, 0], xy[star, 1] - predicted[k, 1]) / sigma[star]
     freedom = max(1.0 - 3.0 / (2.0 * len(length)), 0.2)
-    scale = np.median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
+    scale: float = median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:
         return max(scale, UNKNOWN_FLOOR_PX)
     # where many stars agree better than they claim to, as without noise, a blend among them shows
@@ -103,33 +108,52 @@ def named(
         widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
         gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
     near, _ = nearest_unique(xy, places, gate)
-    taken, owner = np.zeros(len(places), np.bool_), np.full(len(places), -1)
+    owner, merged, several = np.empty(len(places), np.int64), np.empty_like(xy), np.empty(len(xy))
+    for k in range(len(places)):
+        owner[k] = -1
     for n in range(len(xy)):
+        merged[n, 0], merged[n, 1], several[n] = xy[n, 0], xy[n, 1], 1.0
         if near[n] >= 0:
-            taken[near[n]], owner[near[n]] = True, n
-    merged, several = xy.copy(), np.ones(len(xy))
+            owner[near[n]] = n
     for n in range(len(xy)):
         best, at = gate[n], -1
         for k in range(len(places) if near[n] < 0 else 0):
             away = math.hypot(xy[n, 0] - places[k, 0], xy[n, 1] - places[k, 1])
-            if away <= best and taken[k]:
+            if away <= best and owner[k] >= 0:
                 best, at = away, owner[k]
         if at >= 0:
             several[at] += 1.0
-            merged[at] += (xy[n] - merged[at]) / several[at]
-    rest, free = np.flatnonzero(near < 0), np.flatnonzero(~taken)
-    other, _ = nearest_unique(xy[rest], places[free], np.full(len(rest), near_px))
-    pairs, fits, count = np.empty((len(xy), 2), np.int64), np.zeros(len(xy), np.bool_), 0
-    late = np.full(len(xy), -1)
-    for k in range(len(rest)):
-        if other[k] >= 0:
-            late[rest[k]] = free[other[k]]
+            for axis in range(2):
+                merged[at, axis] += (xy[n, axis] - merged[at, axis]) / several[at]
+    pairs, fits, count = np.empty((len(xy), 2), np.int64), np.empty(len(xy), np.bool_), 0
+    late = _of_the_rest(xy, near, places, owner, near_px)
     for n in range(len(xy)):
         place = near[n] if near[n] >= 0 else late[n]
         if place >= 0:
             pairs[count, 0], pairs[count, 1], fits[count] = n, index[place], near[n] >= 0
             count += 1
     return pairs[:count], fits[:count], merged
+
+
+@kernel
+def _of_the_rest(xy: FloatArray, near: IntArray, places: FloatArray, owner: IntArray, near_px: float) -> IntArray:
+    """For centroids (N, 2) without a guide star in `near` (N,) the nearest without an owner (G,), or −1."""
+    points, gate, out = np.empty_like(xy), np.empty(len(xy)), np.empty(len(xy), np.int64)
+    rest, free = np.empty_like(places), np.empty(len(places), np.int64)
+    count, left = 0, 0
+    for n in range(len(xy)):
+        points[count, 0], points[count, 1], gate[count], out[n] = xy[n, 0], xy[n, 1], near_px, -1
+        count += near[n] < 0
+    for k in range(len(places)):
+        rest[left, 0], rest[left, 1], free[left] = places[k, 0], places[k, 1], k
+        left += owner[k] < 0
+    other, _ = nearest_unique(points[:count], rest[:left], gate[:count])
+    k = 0
+    for n in range(len(xy)):
+        if near[n] < 0:
+            out[n] = free[other[k]] if other[k] >= 0 else -1
+            k += 1
+    return out
 
 
 def joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from startracker.kernels import kernel
+from startracker.linalg import log_determinant
 from startracker.sorting import median, order_of
 
 FloatArray = NDArray[np.float64]
@@ -76,13 +77,21 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
         V of the guide stars of the field.
     """
     out = np.zeros((len(SCATTERS_MAG), len(magnitude)))
-    seen = np.flatnonzero(matched >= 0)
-    if len(seen) < 3:
+    seen, difference, sorted_, count = (
+        np.empty(len(matched), np.int64),
+        np.empty(len(matched)),
+        np.empty(len(matched)),
+        0,
+    )
+    for star in range(len(matched)):
+        if matched[star] >= 0:
+            seen[count] = star
+            difference[count] = sorted_[count] = magnitude[star] - field_v[matched[star]]
+            count += 1
+    if count < 3:
         return out
-    difference = np.empty(len(seen))
-    for k in range(len(seen)):
-        difference[k] = magnitude[seen[k]] - field_v[matched[seen[k]]]
-    zero = median(difference.copy())
+    seen = seen[:count]
+    zero = median(sorted_[:count])
     if not math.isfinite(zero):
         return out
     stride = max(1, len(field_v) // _SAMPLE)
@@ -204,40 +213,8 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
     return average
 
 
-@kernel
-def log_determinant(matrix: FloatArray) -> float:
-    """ln of the determinant of a symmetric positive definite matrix (Cholesky); −inf where it is not."""
-    n = matrix.shape[0]
-    lower = np.zeros((n, n))
-    total = 0.0
-    for i in range(n):
-        for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not rest > 0.0:
-                    return -math.inf
-                lower[i, i] = math.sqrt(rest)
-                total += math.log(rest)
-            else:
-                lower[i, j] = rest / lower[j, j]
-    return total
-
-
-@kernel
-def log_bayes_factor(
-    distance: FloatArray,
-    rank: IntArray,
-    sigma: FloatArray,
-    information: FloatArray,
-    log_ratio: FloatArray,
-    in_field: int,
-    area: float,
-    focal_sigma: float,
-    counts: CountTable,
-) -> tuple[float, float]:
-    """ln B of an attitude, and which multiple of the stated errors explains it best.
+class Matched(NamedTuple):
+    """Observed stars as they are matched.
 
     Parameters
     ----------
@@ -247,10 +224,63 @@ def log_bayes_factor(
         Place of that guide star in the field's order of brightness; anything where it has none.
     sigma : (N,)
         Stated standard error on one axis, rad.
-    information : (3, 3) or (4, 4)
-        Normal matrix of attitude (and focal length) at the stated errors.
     log_ratio : (scatters, N)
         Of `log_magnitude_ratios`.
+    """
+
+    distance: FloatArray
+    rank: IntArray
+    sigma: FloatArray
+    log_ratio: FloatArray
+
+
+@kernel
+def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> float:
+    """ln of the share of all attitudes (and focal lengths) that fit, with errors of `scale` times the stated ones."""
+    unknowns = information.shape[0]
+    normal = np.empty((unknowns, unknowns))
+    for i in range(unknowns):
+        for j in range(unknowns):
+            normal[i, j] = information[i, j] / scale**2
+    if unknowns == 4:
+        normal[3, 3] += 1.0 / focal_sigma**2
+    volume = 0.5 * unknowns * math.log(2.0 * math.pi) - 0.5 * log_determinant(normal) - _LOG_SPHERE_OF_ROTATIONS
+    if unknowns == 4:
+        volume -= math.log(focal_sigma * _ROOT_TWO_PI)
+    return float(volume)
+
+
+@kernel
+def _log_matches(
+    matched: Matched, seen: IntArray, area: float, scale: float, scatter: int, in_field: int, counts: CountTable
+) -> float:
+    """`log_assignments` with errors of `scale` times the stated ones; `scatter` of the magnitudes, −1: without."""
+    gain, order = np.empty(len(seen)), np.empty(len(seen), np.int64)
+    largest_first, places = np.empty(len(seen)), np.empty(len(seen), np.int64)
+    for k in range(len(seen)):
+        star = seen[k]
+        spread = scale * matched.sigma[star]
+        gain[k] = 0.5 * (matched.distance[star] / spread) ** 2 - math.log(area / (2.0 * math.pi * spread**2))
+        if scatter >= 0:
+            gain[k] -= matched.log_ratio[scatter, star]
+    order_of(gain, order)
+    for k in range(len(seen)):
+        largest_first[k], places[k] = -gain[order[k]], matched.rank[seen[order[k]]]
+    value: float = log_assignments(largest_first, places, in_field, counts)
+    return value
+
+
+@kernel
+def log_bayes_factor(
+    matched: Matched, information: FloatArray, in_field: int, area: float, focal_sigma: float, counts: CountTable
+) -> tuple[float, float]:
+    """ln B of an attitude, and which multiple of the stated errors explains it best.
+
+    Parameters
+    ----------
+    matched : Matched
+    information : (3, 3) or (4, 4)
+        Normal matrix of attitude (and focal length) at the stated errors.
     in_field : int
         Guide stars of the field, K.
     area : float
@@ -260,49 +290,25 @@ def log_bayes_factor(
     counts : CountTable
         For N stars and at least as many guide stars as the field has.
     """
-    seen = np.flatnonzero(distance < np.inf)
-    if len(seen) < 3 or in_field < 1:
+    seen, count = np.empty(len(matched.distance), np.int64), 0
+    for star in range(len(matched.distance)):
+        seen[count] = star
+        count += matched.distance[star] < np.inf
+    seen = seen[:count]
+    if count < 3 or in_field < 1:
         return -math.inf, 1.0
-    unknowns = information.shape[0]
-    base = np.empty(len(seen))
-    square = np.empty(len(seen))
-    for k in range(len(seen)):
-        base[k] = math.log(area / (2.0 * math.pi * sigma[seen[k]] ** 2))
-        square[k] = 0.5 * (distance[seen[k]] / sigma[seen[k]]) ** 2
     # the width that fits best, without magnitudes
-    values = np.empty(len(SCALES))
-    volumes = np.empty(len(SCALES))
-    gain = np.empty(len(seen))
-    normal = np.empty((unknowns, unknowns))
-    order, places, largest_first = np.empty(len(seen), np.int64), np.empty(len(seen), np.int64), np.empty(len(seen))
-    order_of(square, order)
-    for k in range(len(seen)):
-        places[k] = rank[seen[order[k]]]
+    volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
     for s in range(len(SCALES)):
-        for i in range(unknowns):
-            for j in range(unknowns):
-                normal[i, j] = information[i, j] / SCALES[s] ** 2
-        if unknowns == 4:
-            normal[3, 3] += 1.0 / focal_sigma**2
-        volumes[s] = 0.5 * unknowns * math.log(2.0 * math.pi) - 0.5 * log_determinant(normal) - _LOG_SPHERE_OF_ROTATIONS
-        if unknowns == 4:
-            volumes[s] -= math.log(focal_sigma * _ROOT_TWO_PI)
-        for k in range(len(seen)):
-            gain[k] = base[order[k]] - 2.0 * math.log(SCALES[s]) - square[order[k]] / SCALES[s] ** 2
-        values[s] = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(gain, places, in_field, counts)
-    best = 0
-    for s in range(len(SCALES)):
-        best = s if values[s] > values[best] else best
+        volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
+        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
+        if value > highest:
+            best, highest = s, value
     # what lies beside the best adds the most; what is left out could only make B larger
     highest, total = -math.inf, 0.0
     for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
         for scatter in range(len(SCATTERS_MAG)):
-            for k in range(len(seen)):
-                gain[k] = square[k] / SCALES[s] ** 2 - base[k] + 2.0 * math.log(SCALES[s]) - log_ratio[scatter, seen[k]]
-            order_of(gain, order)
-            for k in range(len(seen)):
-                largest_first[k], places[k] = -gain[order[k]], rank[seen[order[k]]]
-            value = volumes[s] + SCALE_LOG_PRIOR[s] + log_assignments(largest_first, places, in_field, counts)
+            value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], scatter, in_field, counts)
             if value > highest:
                 total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
                 highest = value

@@ -24,7 +24,8 @@ from startracker.identification.clustering_null import clustering_price
 from startracker.identification.evidence import log_evidence, magnitude_ratio
 from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
-from startracker.lens import by_turn, change_lens, is_one_to_one, sensitivity
+from startracker.lens import change_lens, is_one_to_one
+from startracker.lens_fit import Matches, image_equations
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -99,41 +100,33 @@ def fit_camera(
     camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis (px); the rms is inf
     where no lens that is one to one over the image fits.
     """
-    count = 5 if with_k1 else 4
-    held = np.zeros(count)
-    if with_k1:
-        held[4] = _K1_SIGMA**-2
-    normal = np.eye(count)
+    names = ("f", "k1") if with_k1 else ("f",)
+    stars, normal = Matches(xy, directions, np.ones(len(xy))), np.eye(3 + len(names))
+    nothing = camera, matrix, np.zeros((3, 3)), math.inf
     for _ in range(8):
-        vectors = directions @ matrix.T
-        if not (vectors[:, 2] > _LEAST_DEPTH[camera.projection]).all():
-            return camera, matrix, np.zeros((3, 3)), math.inf
-        places, moves, by_vector = sensitivity(camera, vectors)
-        columns = np.empty((len(xy), 2, count))
-        columns[:, :, :3] = by_turn(by_vector, vectors)
-        columns[:, :, 3] = moves["f"]
+        if not (directions @ matrix[2] > _LEAST_DEPTH[camera.projection]).all():
+            return nothing
+        normal, right = image_equations(camera, matrix, stars, names)
         if with_k1:
-            columns[:, :, 4] = moves["k1"]
-        jacobian = columns.reshape(-1, count)
-        normal = jacobian.T @ jacobian + np.diag(held)
-        pull = held * (camera.distortion.k1 - k1_expected)
+            normal[1, 1] += _K1_SIGMA**-2
+            right[1] -= (camera.distortion.k1 - k1_expected) * _K1_SIGMA**-2
         try:
-            change = np.linalg.solve(normal, jacobian.T @ (xy - places).ravel() - pull)
+            change = np.linalg.solve(normal, right)
         except np.linalg.LinAlgError:  # all at one place
-            return camera, matrix, np.zeros((3, 3)), math.inf
+            return nothing
         if not np.isfinite(change).all():
-            return camera, matrix, np.zeros((3, 3)), math.inf
+            return nothing
         change = np.clip(change, -0.3, 0.3)
-        camera = change_lens(camera, {"f": float(change[3]), "k1": float(change[4]) if with_k1 else 0.0})
-        matrix = rotation_vector_to_matrix(change[:3]) @ matrix
+        camera = change_lens(camera, dict(zip(names, change.tolist(), strict=False)))
+        matrix = rotation_vector_to_matrix(change[-3:]) @ matrix
         if not _sane(camera):
-            return camera, matrix, np.zeros((3, 3)), math.inf
-        if np.abs(change[:4]).max() < 1e-8:
+            return nothing
+        if max(abs(change[0]), *np.abs(change[-3:])) < 1e-8:
             break
     residual = xy - camera.project(directions @ matrix.T)
-    freedom = max(2 * len(xy) - count, 1)
+    freedom = max(2 * len(xy) - len(normal), 1)
     variance = float(np.sum(residual**2)) / freedom
-    covariance: FloatArray = np.linalg.inv(normal)[:3, :3].astype(np.float64) * variance
+    covariance: FloatArray = np.linalg.inv(normal)[-3:, -3:].astype(np.float64) * variance
     return camera, matrix, covariance, math.sqrt(variance)
 
 

@@ -31,13 +31,15 @@ def usable_directions(
     """Directions (N, 3) of centroids, those that are of use (M,), and directions and standard errors, rad, of these."""
     directions = to_directions(xy, image)
     usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
+    chosen = np.empty_like(directions)
     for n in range(len(xy)):
         # beyond the lens model's fold there are no directions, NaN on all axes
         if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
             usable[count], sigma[count] = n, stated_px[n] * pixel_rad
+            for axis in range(3):
+                chosen[count, axis] = directions[n, axis]
             count += 1
-    usable = usable[:count]
-    return directions, usable, directions[usable], sigma[:count]
+    return directions, usable[:count], chosen[:count], sigma[:count]
 
 
 def as_prior(attitude: object, prior_deg: float) -> Prior | None:

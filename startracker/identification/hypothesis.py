@@ -14,12 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.search_state import Stars
-from startracker.identification.verification import MOST_EXTRA, focal_slopes, match_nearest, verify_attitude
+from startracker.identification.verification import (
+    MOST_EXTRA,
+    Verified,
+    match_nearest,
+    verify_attitude,
+)
 from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
@@ -134,26 +140,16 @@ def _verified(
         float(scale),
         focal is not None,
     )
-    return hypothesis_of(found[:6]), found[6]
+    return hypothesis_of(found), found.operations
 
 
-def hypothesis_of(found: tuple[float, FloatArray, float, float, int, IntArray]) -> Hypothesis | None:
+def hypothesis_of(found: Verified) -> Hypothesis | None:
     """What `verify_attitude` says, as an object; None when fewer than three stars agree."""
-    log_b, matrix, focal, scale, in_field, guide_of = found
-    if not log_b > -math.inf:
+    if not found.log_b > -math.inf:
         return None
-    return Hypothesis(matrix, _pairs(guide_of), float(log_b), float(scale), int(in_field), math.exp(focal))
-
-
-@kernel
-def _pairs(guide_of: IntArray) -> IntArray:
-    """Pairs (M, 2) of observed stars and their guide stars (N,), where that is not −1."""
-    pairs, count = np.empty((len(guide_of), 2), np.int64), 0
-    for star in range(len(guide_of)):
-        if guide_of[star] >= 0:
-            pairs[count, 0], pairs[count, 1] = star, guide_of[star]
-            count += 1
-    return pairs[:count]
+    stars = np.flatnonzero(found.guide_of >= 0)
+    pairs = np.stack([stars, found.guide_of[stars]], axis=1)
+    return Hypothesis(found.matrix, pairs, found.log_b, found.scale, found.in_field, math.exp(found.focal))
 
 
 def too_few(observed: Observed, least: int) -> Identification:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from startracker.kernels import kernel, kernel_with
 
-__all__ = ["Marks", "is_marked", "mark_sky", "no_marks", "share_marked"]
+__all__ = ["Marks", "is_marked", "mark_sky", "no_marks"]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,11 +34,14 @@ class Marks(NamedTuple):
         Cells to a unit of length.
     reach2 : float
         Square of the reach; negative where nothing is marked and nothing can be told.
+    share : float
+        Of the bits that are set, which is that of random directions that cannot be excluded at once.
     """
 
     words: NDArray[np.uint32]
     per_unit: float
     reach2: float
+    share: float
 
 
 @kernel_with(inline="always")
@@ -47,10 +50,9 @@ def _bit(i: int, j: int, k: int) -> np.uint64:
     return np.uint64((i * 73856093 ^ j * 19349663 ^ k * 83492791) & ((1 << _BITS) - 1))
 
 
-@kernel
 def no_marks() -> Marks:
     """Before anything is marked."""
-    return Marks(np.empty(0, np.uint32), 0.0, -1.0)
+    return Marks(np.empty(0, np.uint32), 0.0, -1.0, 1.0)
 
 
 @kernel
@@ -58,7 +60,7 @@ def mark_sky(directions: FloatArray, reach: float) -> Marks:
     """Marks of all cells that have a point within `reach` of one of the directions (G, 3)."""
     words, reach = np.zeros(1 << (_BITS - 5), np.uint32), max(reach, _LEAST_REACH)
     per_unit, beyond = 1.0 / (_REACHES_PER_CELL * reach), reach + _ROUNDING
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    low, high, count = np.empty(3, np.int64), np.empty(3, np.int64), 0
     for star in range(len(directions)):
         for axis in range(3):  # 2: whole numbers are cut off the same way on both sides of 0
             low[axis] = int((directions[star, axis] + 2.0 - beyond) * per_unit)
@@ -67,20 +69,10 @@ def mark_sky(directions: FloatArray, reach: float) -> Marks:
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
                     bit = _bit(i, j, k)
-                    words[bit >> np.uint64(5)] |= np.uint32(1) << np.uint32(bit & np.uint64(31))
-    return Marks(words, per_unit, reach * reach)
-
-
-@kernel
-def share_marked(marks: Marks) -> float:
-    """Share of the bits that are set, which is that of random directions that cannot be excluded at once."""
-    count = 0
-    for word in marks.words:
-        left = word
-        while left != np.uint32(0):
-            left &= left - np.uint32(1)
-            count += 1
-    return count / (32.0 * max(len(marks.words), 1))
+                    word, mark = words[bit >> np.uint64(5)], np.uint32(1) << np.uint32(bit & np.uint64(31))
+                    count += (word & mark) == 0
+                    words[bit >> np.uint64(5)] = word | mark
+    return Marks(words, per_unit, reach * reach, count / 2**_BITS)
 
 
 @kernel_with(inline="always")

@@ -17,15 +17,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
-from startracker.identification import match_kernels as kernels
 from startracker.identification.hypothesis import SCALES, Bench, too_few
+from startracker.identification.match_kernels import (
+    MAX_MEMBERS,
+    Groups,
+    Shapes,
+    Windows,
+    collect,
+    group_sizes,
+    mark,
+    validate,
+)
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings, MatchGroupSettings
@@ -106,10 +114,7 @@ class _Search:
     observed: Observed
     guide: GuideDatabase
     bench: Bench
-    pair_args: tuple[NDArray[Any], ...]
-    magnitude: FloatArray
-    tolerance_mag: float
-    allowed: NDArray[np.bool_]
+    windows: Windows
     tolerance: FloatArray
     separations: FloatArray
     sizes: IntArray
@@ -142,10 +147,11 @@ class _Search:
         if magnitude is None:
             magnitude, tolerance_mag = np.zeros(len(observed)), math.inf
         partners = np.zeros((len(observed), len(guide)), dtype=np.uint64)
-        pair_args = (i, j, low, high, pairs.first, pairs.second)
-        kernels.mark(*pair_args, magnitude, guide.v_mag, tolerance_mag, allowed, partners)
-        sizes = kernels.group_sizes(partners)
-        return cls(observed, guide, bench, pair_args, magnitude, tolerance_mag, allowed, tolerance, separations, sizes)
+        marked = Windows(
+            i, j, low, high, pairs.first, pairs.second, magnitude, guide.v_mag, float(tolerance_mag), allowed
+        )
+        mark(marked, partners)
+        return cls(observed, guide, bench, marked, tolerance, separations, group_sizes(partners))
 
     @property
     def largest(self) -> int:
@@ -174,28 +180,25 @@ class _Search:
         """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
         n, settings = len(self.observed), MatchGroupSettings.of(self.bench.settings)
         none = np.empty((0, n), dtype=np.int64)
-        if not self.bench.spend(_COLLECT_WORK * float(np.sum(self.pair_args[3] - self.pair_args[2]))):
+        if not self.bench.spend(_COLLECT_WORK * float(np.sum(self.windows.high - self.windows.low))):
             return none
         kernel_obs, kernel_guide = np.nonzero(self.sizes >= threshold)
         group = np.full(self.sizes.shape, -1, dtype=np.int64)
         group[kernel_obs, kernel_guide] = np.arange(len(kernel_obs))
-        start, members = kernels.collect(
-            *self.pair_args, self.magnitude, self.guide.v_mag, self.tolerance_mag, self.allowed, group, len(kernel_obs)
-        )
-        members_each = np.minimum(np.diff(start), kernels.MAX_MEMBERS).astype(float)
+        start, members = collect(self.windows, group, len(kernel_obs))
+        members_each = np.minimum(np.diff(start), MAX_MEMBERS).astype(float)
         if not self.bench.spend(_COUPLE_WORK * float(np.sum(members_each**2)) + n * len(kernel_obs)):
             return none
-        i, j = self.pair_args[0], self.pair_args[1]
+        i, j = self.windows.i, self.windows.j
         low, high = np.ones((2, n, n))
         mirror = np.zeros((n, n))
         low[i, j] = low[j, i] = np.cos(np.minimum(self.separations + self.tolerance, math.pi))
         high[i, j] = high[j, i] = np.cos(np.maximum(self.separations - self.tolerance, 0.0))
         # height of the triangle over this base, in tolerances: below one its sense is noise
         mirror[i, j] = mirror[j, i] = np.sin(self.separations) * self.tolerance
-        size, rss, found = kernels.validate(
-            kernel_obs, kernel_guide, start, members,
-            self.observed.vectors, self.guide.directions, low, high, mirror, max(settings.min_stars, 3),
-        )  # fmt: skip
+        shapes = Shapes(self.observed.vectors, self.guide.directions, low, high, mirror)
+        groups = Groups(kernel_obs, kernel_guide, start, members)
+        size, rss, found = validate(groups, shapes, max(settings.min_stars, 3))
         order = np.lexsort((rss, -size))
         order = order[size[order] >= threshold]
         kept: list[int] = []

@@ -6,10 +6,14 @@ the right separation from it. Couples are coded ``observed · G + guide``.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.kernels import kernel
+from startracker.linalg import triple_product
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,25 +33,12 @@ def popcount(word: np.uint64) -> int:
     return count
 
 
-@kernel
-def mark(
-    i_obs: IntArray,
-    j_obs: IntArray,
-    low: IntArray,
-    high: IntArray,
-    first: IntArray,
-    second: IntArray,
-    magnitude: FloatArray,
-    v_mag: FloatArray,
-    tolerance_mag: float,
-    allowed: BoolArray,
-    partners: WordArray,
-) -> None:
-    """Set, for each couple, the bits of the observed stars that support it.
+class Windows(NamedTuple):
+    """Observed pairs, each with the guide pairs of its length.
 
     Parameters
     ----------
-    i_obs, j_obs : (P,)
+    i, j : (P,)
         Observed stars of each observed pair.
     low, high : (P,)
         Window of each in the guide pairs.
@@ -55,26 +46,83 @@ def mark(
         Guide stars of each guide pair.
     magnitude, v_mag : (N,), (G,)
         Observed and catalogued; only their differences within a pair are compared, so that no zero point is needed.
+    tolerance_mag : float
     allowed : (N, G) bool, or (0, 0)
         Couples that a prior lets through; empty: all.
-    partners : (N, G) uint64
-        Result, added to.
     """
-    restricted = allowed.shape[0] > 0
+
+    i: IntArray
+    j: IntArray
+    low: IntArray
+    high: IntArray
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    magnitude: FloatArray
+    v_mag: FloatArray
+    tolerance_mag: float
+    allowed: BoolArray
+
+
+class Groups(NamedTuple):
+    """Match groups kept: observed and guide star (K,) of each one's kernel, and the members
+    ``members[start[k]:start[k + 1]]`` of group k."""
+
+    observed: IntArray
+    guide: IntArray
+    start: IntArray
+    members: IntArray
+
+
+class Shapes(NamedTuple):
+    """What members of a group are compared by.
+
+    Parameters
+    ----------
+    vectors, directions : (N, 3), (G, 3)
+        Unit vectors observed and of the guide stars.
+    cos_low, cos_high : (N, N)
+        Range of the cosine of the guide stars' separation for each observed pair.
+    mirror_floor : (N, N)
+        Triple product above which the sense of the triangle with that base can be told from noise.
+    """
+
+    vectors: FloatArray
+    directions: FloatArray
+    cos_low: FloatArray
+    cos_high: FloatArray
+    mirror_floor: FloatArray
+
+
+class _Group(NamedTuple):
+    """Scratch: observed and guide star of each member, how many support it, and which; members by falling support."""
+
+    observed: IntArray
+    guide: IntArray
+    degree: IntArray
+    support: BoolArray
+    order: IntArray
+
+
+@kernel
+def _agree(w: Windows, i: int, a: int, j: int, b: int) -> bool:
+    """Whether the brightnesses of two couples agree, and a prior lets both through."""
+    fits: bool = abs(w.magnitude[i] - w.magnitude[j] - (w.v_mag[a] - w.v_mag[b])) <= w.tolerance_mag
+    return fits and (len(w.allowed) == 0 or (w.allowed[i, a] and w.allowed[j, b]))
+
+
+@kernel
+def mark(w: Windows, partners: WordArray) -> None:
+    """Set, for each couple (N, G), the bits of the observed stars that support it."""
     one = np.uint64(1)
-    for p in range(i_obs.shape[0]):
-        i, j = i_obs[p], j_obs[p]
-        brighter = magnitude[i] - magnitude[j]
+    for p in range(len(w.i)):
+        i, j = w.i[p], w.j[p]
         bit_i, bit_j = one << np.uint64(i), one << np.uint64(j)
-        for k in range(low[p], high[p]):
-            a, b = first[k], second[k]
-            step = v_mag[a] - v_mag[b]
-            if abs(brighter - step) <= tolerance_mag and (not restricted or (allowed[i, a] and allowed[j, b])):
-                partners[i, a] |= bit_j
-                partners[j, b] |= bit_i
-            if abs(brighter + step) <= tolerance_mag and (not restricted or (allowed[i, b] and allowed[j, a])):
-                partners[i, b] |= bit_j
-                partners[j, a] |= bit_i
+        for k in range(w.low[p], w.high[p]):
+            for turn in range(2):
+                a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
+                if _agree(w, i, a, j, b):
+                    partners[i, a] |= bit_j
+                    partners[j, b] |= bit_i
 
 
 @kernel
@@ -89,167 +137,138 @@ def group_sizes(partners: WordArray) -> IntArray:
 
 
 @kernel
-def collect(
-    i_obs: IntArray,
-    j_obs: IntArray,
-    low: IntArray,
-    high: IntArray,
-    first: IntArray,
-    second: IntArray,
-    magnitude: FloatArray,
-    v_mag: FloatArray,
-    tolerance_mag: float,
-    allowed: BoolArray,
-    group: IntArray,
-    count: int,
-) -> tuple[IntArray, IntArray]:
+def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray]:
     """Members of the groups kept, as rows of a sparse table: ``members[start[k]:start[k + 1]]`` for group k.
 
     `group` (N, G) numbers the groups kept, −1 for those discarded, which are left out as members too ("all match
-    groups that are associated with any discarded match group are also removed"). Other parameters as in `mark`.
+    groups that are associated with any discarded match group are also removed").
     """
-    restricted = allowed.shape[0] > 0
     width = group.shape[1]
-    start = np.zeros(count + 1, np.int64)
-    members = np.empty(0, np.int64)
-    filled = np.zeros(count, np.int64)
+    start, filled, members = np.zeros(count + 1, np.int64), np.zeros(count, np.int64), np.empty(0, np.int64)
     for sweep in range(2):  # first count, then fill
-        for p in range(i_obs.shape[0]):
-            i, j = i_obs[p], j_obs[p]
-            brighter = magnitude[i] - magnitude[j]
-            for k in range(low[p], high[p]):
+        for p in range(len(w.i)):
+            i, j = w.i[p], w.j[p]
+            for k in range(w.low[p], w.high[p]):
                 for turn in range(2):
-                    a, b = (first[k], second[k]) if turn == 0 else (second[k], first[k])
+                    a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
                     kernel, other = group[i, a], group[j, b]
-                    if kernel < 0 or other < 0 or not abs(brighter - (v_mag[a] - v_mag[b])) <= tolerance_mag:
+                    if kernel < 0 or other < 0 or not _agree(w, i, a, j, b):
                         continue
-                    if restricted and not (allowed[i, a] and allowed[j, b]):
-                        continue
-                    if sweep == 0:
-                        start[kernel + 1] += 1
-                        start[other + 1] += 1
-                    else:
+                    if sweep == 1:
                         members[start[kernel] + filled[kernel]] = j * width + b
                         members[start[other] + filled[other]] = i * width + a
-                        filled[kernel] += 1
-                        filled[other] += 1
+                    filled[kernel] += 1
+                    filled[other] += 1
+        for k in range(count if sweep == 0 else 0):
+            start[k + 1] = start[k] + filled[k]
+            filled[k] = 0
         if sweep == 0:
-            start = np.cumsum(start)
             members = np.empty(start[count], np.int64)
     return start, members
 
 
 @kernel
-def _det(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-    product: float = a[0] * x + a[1] * y + a[2] * z
-    return product
+def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
+    """Which of a group's members support each other, beside the kernel's observed and guide star `seen` (2,)."""
+    obs, gid = group.observed, group.guide
+    for a in range(count):
+        group.degree[a], group.support[a, a] = 0, False
+    for a in range(count):
+        for b in range(a + 1, count):
+            agree = False
+            if obs[a] != obs[b] and gid[a] != gid[b]:
+                u, w = shapes.directions[gid[a]], shapes.directions[gid[b]]
+                cosine = u[0] * w[0] + u[1] * w[1] + u[2] * w[2]
+                if shapes.cos_low[obs[a], obs[b]] <= cosine <= shapes.cos_high[obs[a], obs[b]]:
+                    turn = triple_product(shapes.vectors[seen[0]], shapes.vectors[obs[a]], shapes.vectors[obs[b]])
+                    real = triple_product(shapes.directions[seen[1]], u, w)
+                    agree = turn * real > 0.0 or abs(turn) < shapes.mirror_floor[obs[a], obs[b]]
+            group.support[a, b] = group.support[b, a] = agree
+            group.degree[a] += agree
+            group.degree[b] += agree
+    for last in range(count):  # by falling support, of equal ones the first first
+        place = last
+        while place > 0 and group.degree[last] > group.degree[group.order[place - 1]]:
+            group.order[place] = group.order[place - 1]
+            place -= 1
+        group.order[place] = last
 
 
 @kernel
-def validate(
-    kernel_obs: IntArray,
-    kernel_guide: IntArray,
-    start: IntArray,
-    members: IntArray,
-    vectors: FloatArray,
-    directions: FloatArray,
-    cos_low: FloatArray,
-    cos_high: FloatArray,
-    mirror_floor: FloatArray,
-    min_stars: int,
-) -> tuple[IntArray, FloatArray, IntArray]:
+def _clique(group: _Group, count: int, seed: int, clique: IntArray) -> int:
+    """Members that all support each other, from a seed on, those with most support first; how many."""
+    clique[0], length = seed, 1
+    for at in range(count):
+        m = group.order[at]
+        fits = m != seed and length < len(clique)
+        for c in range(length):
+            fits = fits and group.support[m, clique[c]]
+        if fits:
+            clique[length] = m
+            length += 1
+    return length
+
+
+@kernel
+def _square_sum(pairs: IntArray, shapes: Shapes) -> float:
+    """Sum of the squared differences of chords between couples (M, 2), rad²."""
+    total = 0.0
+    for a in range(len(pairs)):
+        for b in range(a + 1, len(pairs)):
+            seen, real = 0.0, 0.0
+            for axis in range(3):
+                seen += (shapes.vectors[pairs[a, 0], axis] - shapes.vectors[pairs[b, 0], axis]) ** 2
+                real += (shapes.directions[pairs[a, 1], axis] - shapes.directions[pairs[b, 1], axis]) ** 2
+            total += (math.sqrt(seen) - math.sqrt(real)) ** 2
+    return total
+
+
+@kernel
+def validate(groups: Groups, shapes: Shapes, min_stars: int) -> tuple[IntArray, FloatArray, IntArray]:
     """Mutual validation and mirror test: within each group the largest set whose members all support each other.
 
     Two members support each other when they are different observed and guide stars, stand at the right separation,
     and the triangle with the kernel turns the same way round in the image and in the sky. Greedy, from each member as
-    the seed, partners with most support first; ties go to the smaller sum of squared separation errors.
-
-    Parameters
-    ----------
-    kernel_obs, kernel_guide : (K,)
-        Kernel of each group.
-    start, members : from `collect`.
-    vectors, directions : (N, 3), (G, 3)
-        Unit vectors observed and of the guide stars.
-    cos_low, cos_high : (N, N)
-        Range of the cosine of the guide stars' separation for each observed pair.
-    mirror_floor : (N, N)
-        Triple product above which the sense of the triangle with that base can be told from noise.
-    min_stars : int
-        Smaller groups are not looked for.
+    the seed, partners with most support first; ties go to the smaller sum of squared separation errors. Groups of
+    fewer than `min_stars` are not looked for.
 
     Returns
     -------
     size (K,), rss (K,) of the separations' errors (rad), guide star of each observed star or −1 (K, N).
     """
-    groups, n, width = len(kernel_obs), vectors.shape[0], directions.shape[0]
-    size = np.zeros(groups, np.int64)
-    rss = np.full(groups, np.inf)
-    found = np.full((groups, n), -1, np.int64)
-    support = np.zeros((MAX_MEMBERS, MAX_MEMBERS), np.bool_)
-    obs = np.empty(MAX_MEMBERS, np.int64)
-    gid = np.empty(MAX_MEMBERS, np.int64)
-    degree = np.empty(MAX_MEMBERS, np.int64)
-    clique = np.empty(n, np.int64)
-    for group in range(groups):
-        o0, g0 = kernel_obs[group], kernel_guide[group]
-        count = min(start[group + 1] - start[group], MAX_MEMBERS)
+    count_of, n, width = len(groups.observed), len(shapes.vectors), len(shapes.directions)
+    size, rss, found = np.zeros(count_of, np.int64), np.full(count_of, np.inf), np.full((count_of, n), -1, np.int64)
+    most = MAX_MEMBERS
+    group = _Group(
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.zeros((most, most), np.bool_),
+        np.empty(most, np.int64),
+    )
+    clique, pairs = np.empty(n, np.int64), np.empty((n + 1, 2), np.int64)
+    for g in range(count_of):
+        count = min(groups.start[g + 1] - groups.start[g], most)
         if count + 1 < min_stars:
             continue
+        pairs[0, 0], pairs[0, 1] = groups.observed[g], groups.guide[g]
         for m in range(count):
-            code = members[start[group] + m]
-            obs[m], gid[m] = code // width, code % width
-            degree[m] = 0
-            support[m, m] = False
-        for a in range(count):
-            for b in range(a + 1, count):
-                agree = False
-                if obs[a] != obs[b] and gid[a] != gid[b]:
-                    u, w = directions[gid[a]], directions[gid[b]]
-                    cosine = u[0] * w[0] + u[1] * w[1] + u[2] * w[2]
-                    if cos_low[obs[a], obs[b]] <= cosine <= cos_high[obs[a], obs[b]]:
-                        seen = _det(vectors[o0], vectors[obs[a]], vectors[obs[b]])
-                        real = _det(directions[g0], u, w)
-                        agree = seen * real > 0.0 or abs(seen) < mirror_floor[obs[a], obs[b]]
-                support[a, b] = agree
-                support[b, a] = agree
-                if agree:
-                    degree[a] += 1
-                    degree[b] += 1
-        order = np.argsort(-degree[:count], kind="mergesort")
-        for seed in order:
-            if degree[seed] + 2 < max(min_stars, size[group]):
+            code = groups.members[groups.start[g] + m]
+            group.observed[m], group.guide[m] = code // width, code % width
+        _fill(group, count, pairs[0], shapes)
+        for at in range(count):
+            seed = group.order[at]
+            if group.degree[seed] + 2 < max(min_stars, size[g]):
                 break
-            clique[0] = seed
-            length = 1
-            for m in order:
-                if length >= n:
-                    break
-                fits = m != seed
-                for c in range(length):
-                    if not support[m, clique[c]]:
-                        fits = False
-                        break
-                if fits:
-                    clique[length] = m
-                    length += 1
-            if length + 1 < max(min_stars, size[group]):
+            length = _clique(group, count, seed, clique) + 1
+            if length < max(min_stars, size[g]):
                 continue
-            total = 0.0
-            for a in range(-1, length):
-                oa, ga = (o0, g0) if a < 0 else (obs[clique[a]], gid[clique[a]])
-                for b in range(a + 1, length):
-                    ob, gb = obs[clique[b]], gid[clique[b]]
-                    seen_chord, real_chord = 0.0, 0.0
-                    for axis in range(3):
-                        seen_chord += (vectors[oa, axis] - vectors[ob, axis]) ** 2
-                        real_chord += (directions[ga, axis] - directions[gb, axis]) ** 2
-                    total += (np.sqrt(seen_chord) - np.sqrt(real_chord)) ** 2
-            if length + 1 > size[group] or total < rss[group]:
-                size[group], rss[group] = length + 1, total
-                found[group, :] = -1
-                found[group, o0] = g0
-                for a in range(length):
-                    found[group, obs[clique[a]]] = gid[clique[a]]
+            for m in range(1, length):
+                pairs[m, 0], pairs[m, 1] = group.observed[clique[m - 1]], group.guide[clique[m - 1]]
+            total = _square_sum(pairs[:length], shapes)
+            if length > size[g] or total < rss[g]:
+                size[g], rss[g] = length, total
+                found[g, :] = -1
+                for m in range(length):
+                    found[g, pairs[m, 0]] = pairs[m, 1]
     return size, np.sqrt(rss), found

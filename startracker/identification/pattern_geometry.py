@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.kernels import triple_product
+from startracker.estimation.directions import pair_rotation
 from startracker.identification.pattern_table import chord
-from startracker.identification.verification import solve_symmetric, turned
 from startracker.kernels import kernel
+from startracker.linalg import solve, triple_product, turned
 
 __all__ = ["correspondence", "pattern_attitude"]
 
@@ -84,7 +82,7 @@ def correspondence(
 def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
 
-    From the first two of greatest separation (TRIAD), then three Gauss–Newton steps.
+    From the two of greatest separation, then three Gauss–Newton steps.
     """
     n = len(observed)
     longest, a, b = -1.0, 0, 1
@@ -93,7 +91,7 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
             d = chord(observed[i], observed[j])
             if d > longest:
                 longest, a, b = d, j, i
-    matrix: FloatArray = _triad(observed[a], observed[b]).T @ _triad(reference[a], reference[b])
+    matrix: FloatArray = pair_rotation(observed, reference, a, b)
     for _ in range(3):
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for i in range(n):
@@ -106,16 +104,6 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
             right[0] += p[1] * e[2] - p[2] * e[1]
             right[1] += p[2] * e[0] - p[0] * e[2]
             right[2] += p[0] * e[1] - p[1] * e[0]
-        change = solve_symmetric(normal, right)
+        change = solve(normal, right)
         matrix = turned(matrix, change[0], change[1], change[2])
     return matrix
-
-
-@kernel
-def _triad(u: FloatArray, v: FloatArray) -> FloatArray:
-    out = np.empty((3, 3))
-    out[0] = (u + v) / math.sqrt((u + v) @ (u + v))
-    across = np.cross(u, v)
-    out[1] = across / math.sqrt(across @ across)
-    out[2] = np.cross(out[0], out[1])
-    return out

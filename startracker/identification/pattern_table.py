@@ -14,12 +14,8 @@ identification with hash tables"; the choice of patterns by the camera's own fie
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
-import os
-import tempfile
-import zipfile
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -60,7 +56,6 @@ _MOST_NUMBER = 65535
 _SAMPLE = 0.05
 _STEP = 0.18  # of the field's width, from one attitude of the lattice to the next
 _FEWEST_FIELDS, _MOST_FIELDS = 4_000, 30_000
-_UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 class PatternTable(NamedTuple):
@@ -327,35 +322,20 @@ def _table(catalog: StarCatalog, camera: Camera, pattern: bytes) -> PatternTable
 
 def load(key: str, members: NDArray[np.int32]) -> PatternTable | None:
     """The table stored under `key`; None when there is none or it cannot be used."""
+    stored = cache.load_arrays(key)
     try:
-        with (cache.folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            table = PatternTable(stored["keys"], stored["stars"], stored["sizes"], members, float(stored["largest"]))
-            sound = str(stored["digest"]) == _digest(table)
-    except _UNUSABLE:
+        if stored is None:
+            return None
+        table = PatternTable(stored["keys"], stored["stars"], stored["sizes"], members, float(stored["largest"]))
+        return table if str(stored["digest"]) == _digest(table) else None
+    except (KeyError, ValueError):
         return None
-    return table if sound else None
 
 
 def store(key: str, table: PatternTable) -> None:
-    """Store a table under `key`: written beside and moved into place; where that fails nothing is kept."""
-    temporary = ""
-    try:
-        folder = cache.folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=f"{key}.", suffix=".tmp", delete=False) as file:
-            temporary = file.name
-            np.savez(
-                file,
-                keys=table.keys,
-                stars=table.stars,
-                sizes=table.sizes,
-                largest=np.array(table.largest),
-                digest=np.array(_digest(table)),
-            )
-        os.replace(temporary, folder / f"{key}.npz")
-    except OSError:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
+    """Store a table under `key`."""
+    arrays = {name: np.asarray(getattr(table, name)) for name in ("keys", "stars", "sizes", "largest")}
+    cache.store_arrays(key, {**arrays, "digest": np.array(_digest(table))})
 
 
 def _digest(table: PatternTable) -> str:

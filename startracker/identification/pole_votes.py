@@ -1,10 +1,10 @@
-"""Kernels that find a star's place in the sky by the votes of the stars around it.
+"""Kernels that find a star's position in the sky by the votes of the stars around it.
 
 An observed star is taken for the pole, as in the grid algorithm of Padgett & Kreutz-Delgado 1997. Every guide pair as
 long as its separation from one of its neighbours says which guide star the pole may be, and by the difference of the
 two bearings how the camera is then rolled about it: one vote for that guide star and that roll. True neighbours agree
-in both; false ones scatter. Where enough votes meet, the pairs that gave them are attitudes, which the other observed
-stars have to confirm before one is verified against all (`verification`).
+in both; false ones scatter. Where enough votes meet, the pairs that gave them are the candidates, which the other
+observed stars have to confirm (`other_stars`) before one is verified against all (`verification`).
 
 A pole costs one look at the guide pairs of each of its neighbours, where triangles would cost one of each two of them.
 The votes of a guide star are counted for 64 rolls at a time, bit by bit: four words hold a digit of all 64 counts each.
@@ -13,29 +13,21 @@ The votes of a guide star are counted for 64 rolls at a time, bit by bit: four w
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.catalog.sky_view import SkyView
-from startracker.identification.marked_sky import mark_sky, no_marks, share_marked
-from startracker.identification.other_stars import enough_hits, least_hits, look_beyond, no_others
 from startracker.identification.search_plan import MOST_VOTES
-from startracker.identification.search_state import Finds, Limits, Pairs, Stars
-from startracker.identification.triangles import (
-    ABERRATION,
-    attitude_of_pair,
-    chord_angle,
-    fits_prior,
-    weigh_attitude,
-    window,
-)
-from startracker.identification.verification import GATE_SIGMAS
+from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
+from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
 from startracker.kernels import kernel, kernel_with
 from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Int32Array = NDArray[np.int32]
+BearingArray = NDArray[np.uint16]
 
 _TURN = 65536
 """Units of a bearing to a turn."""
@@ -45,10 +37,43 @@ VOTE_SIGMAS = 2.6
 """A true side is measured within this many standard errors but for 1 in 100, and there are other votes."""
 _LEAST_ERRORS = 3.0
 """Errors of a separation that it must be at least for the bearing to say something."""
-_RARE = 1e-4
-_MANY_TRIED, _USUAL_LEVER = 60, 3.0
-"""Attitudes tried after which the sky is marked, for stars whose place errs by so many of their own errors."""
-_VOTE_WORK, _CANDIDATE_WORK, _LOOK_WORK = 8.0, 100.0, 25.0
+_VOTE_WORK = 8.0
+
+
+class BallotBox(NamedTuple):
+    """What the votes about any pole take.
+
+    Parameters
+    ----------
+    there, back : (P,)
+        Of `pair_bearings`.
+    votes : uint64 (G, 4)
+        Scratch: digits of the votes of each guide star for 64 rolls.
+    elected : bool (G,)
+        Scratch: the guide stars with enough votes.
+    head : int32 (G,)
+        Scratch, −1 throughout; left so.
+    """
+
+    there: BearingArray
+    back: BearingArray
+    votes: NDArray[np.uint64]
+    elected: NDArray[np.bool_]
+    head: Int32Array
+
+
+class _Neighbours(NamedTuple):
+    """The stars (L,) that vote about a pole: their separations and bearings, the errors of both (`spread` in parts of
+    the separation), the rolls that a vote covers as bits, and the guide pairs of that length."""
+
+    star: IntArray
+    separation: FloatArray
+    spread: FloatArray
+    bearing: IntArray
+    slack: IntArray
+    pattern: NDArray[np.uint64]
+    low: IntArray
+    high: IntArray
 
 
 @kernel
@@ -66,9 +91,7 @@ def bearing(v: FloatArray, w: FloatArray) -> float:
 
 
 @kernel
-def pair_bearings(
-    directions: FloatArray, first: NDArray[np.int32], second: NDArray[np.int32]
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+def pair_bearings(directions: FloatArray, first: Int32Array, second: Int32Array) -> tuple[BearingArray, BearingArray]:
     """Bearings (P,) of the second star of each pair at the first, and of the first at the second."""
     there, back = np.empty(len(first), np.uint16), np.empty(len(first), np.uint16)
     for p in range(len(first)):
@@ -102,178 +125,154 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
 
 
 @kernel
-def _more(
-    voter: NDArray[np.int32], place: NDArray[np.int32], roll: NDArray[np.int32], focal: FloatArray, size: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], FloatArray]:
-    """The same arrays, or longer ones where they have no room for so many votes."""
-    n = len(voter)
-    if n >= size:
-        return voter, place, roll, focal
-    more = (
-        np.empty(2 * size, np.int32),
-        np.empty((2 * size, 3), np.int32),
-        np.empty(2 * size, np.int32),
-        np.empty(2 * size),
+def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
+    """Those of the nearest stars whose separation and bearing say something."""
+    n, wide, count = len(nearest), limits.focal_range, 0
+    star, separation, spread = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    turn, slack, pattern = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.uint64)
+    low, high = np.empty(n, np.int64), np.empty(n, np.int64)
+    widest = float(pairs.separation[-1]) if len(pairs.separation) else 0.0
+    for j in nearest:
+        s = chord_angle(stars.vectors[pole], stars.vectors[j])
+        error = limits.scale * VOTE_SIGMAS * math.hypot(stars.sigma[pole], stars.sigma[j]) + ABERRATION * s
+        if s < _LEAST_ERRORS * error or s - error > widest:
+            continue
+        star[count], separation[count], spread[count] = j, s, error / s
+        turn[count] = int(bearing(stars.vectors[pole], stars.vectors[j]) + _TURN)
+        slack[count] = min(int(error / math.sin(s) * (_TURN / (2.0 * math.pi))) + 1, _TURN // 8)
+        pattern[count] = (np.uint64(1) << np.uint64(2 * slack[count] // _ROLL + 1)) - np.uint64(1)
+        low[count], high[count] = window(pairs.separation, (s - error) / (1.0 + wide), (s + error) / (1.0 - wide))
+        count += 1
+    return _Neighbours(
+        star[:count], separation[:count], spread[:count], turn[:count], slack[:count], pattern[:count], low, high
     )
-    more[0][:n], more[1][:n], more[2][:n], more[3][:n] = voter, place, roll, focal
-    return more
 
 
 @kernel
-def search_poles(
-    poles: IntArray,
-    nearest: IntArray,
-    need: int,
-    fewest: int,
+def _elected(neighbours: _Neighbours, need: int, pairs: Pairs, box: BallotBox) -> int:
+    """Count the votes for each guide star and roll, and mark the stars that have as many as needed; how many."""
+    votes, zero, one, count = box.votes, np.uint64(0), np.uint64(1), 0
+    # the count starts so high that the last vote that is needed carries beyond the third digit
+    missing = np.uint64(MOST_VOTES - need)
+    units, twos, fours = zero - (missing & one), zero - (missing >> one & one), zero - (missing >> np.uint64(2))
+    for star in range(len(votes)):
+        votes[star, 0], votes[star, 1], votes[star, 2], votes[star, 3] = units, twos, fours, zero
+    for k in range(len(neighbours.star)):
+        turn, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
+        for p in range(neighbours.low[k], neighbours.high[k]):
+            # unsigned, as no index counts from the end
+            _vote(votes, np.uint32(pairs.first[p]), _bits(box.there[p] - turn, slack, pattern))
+            _vote(votes, np.uint32(pairs.second[p]), _bits(box.back[p] - turn, slack, pattern))
+    for star in range(len(votes)):
+        box.elected[star] = votes[star, 3] != zero
+        count += box.elected[star]
+    return count
+
+
+@kernel
+def _voters(
+    pole: int,
+    neighbours: _Neighbours,
     stars: Stars,
-    sky: SkyView,
+    sky: Guides,
     pairs: Pairs,
-    bearings: tuple[NDArray[np.uint16], NDArray[np.uint16]],
+    box: BallotBox,
     limits: Limits,
-    finds: Finds,
-    count: int,
-) -> tuple[int, int, int, float]:
-    """Take observed stars for the pole one after the other.
+) -> Candidates:
+    """Votes (V, 5) for guide stars that have enough of them: the neighbour, the guide stars of pole and neighbour, the
+    vote before for the same guide star, and the roll; with ln of the focal length's factor where that is free."""
+    rows, focal, count = np.empty((64, 5), np.int32), np.empty(64), 0
+    wide = limits.focal_range > 0.0
+    for k in range(len(neighbours.star)):
+        fainter = stars.magnitude[pole] - stars.magnitude[neighbours.star[k]]
+        bearing_there, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
+        for p in range(neighbours.low[k], neighbours.high[k]):
+            for way in range(2):
+                a, turn = pairs.first[p], box.there[p] - bearing_there
+                if way == 1:
+                    a, turn = pairs.second[p], box.back[p] - bearing_there
+                if not box.elected[a] or box.votes[a, 3] & _bits(turn, slack, pattern) == 0:
+                    continue
+                b = pairs.second[p] if way == 0 else pairs.first[p]
+                if abs(fainter - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
+                    continue
+                if count == len(focal):
+                    rows, focal = grown(rows, focal)
+                rows[count, 0], rows[count, 1], rows[count, 2] = k, a, b
+                rows[count, 3], rows[count, 4] = box.head[a], turn & (_TURN - 1)
+                focal[count] = math.log(neighbours.separation[k] / pairs.separation[p]) if wide else 0.0
+                box.head[a] = count
+                count += 1
+    return Candidates(rows[:count], focal[:count])
+
+
+@kernel
+def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Array, wide: bool) -> tuple[int, int]:
+    """Neighbours' votes, its own included, that agree with a vote in roll and focal length; votes compared."""
+    rows, focal = voters.stars, voters.focal
+    k, agreeing, compared, y = rows[x, 0], 1, 0, head[rows[x, 1]]
+    while y >= 0:
+        other = rows[y, 0]
+        apart = (rows[x, 4] - rows[y, 4] + _TURN // 2) & (_TURN - 1)
+        agreeing += (
+            other != k
+            and abs(apart - _TURN // 2) <= neighbours.slack[k] + neighbours.slack[other]
+            and (not wide or abs(focal[x] - focal[y]) <= neighbours.spread[k] + neighbours.spread[other])
+        )
+        compared += 1
+        y = rows[y, 3]
+    return agreeing, compared
+
+
+@kernel
+def vote_about(
+    pole: int, nearest: IntArray, need: int, stars: Stars, sky: Guides, pairs: Pairs, box: BallotBox, limits: Limits
+) -> tuple[Candidates, float]:
+    """Guide stars that an observed star and one of its neighbours may be, by the votes of all of these.
 
     Parameters
     ----------
-    poles : (T,)
-        Observed stars.
-    nearest : (N, L)
-        The neighbours of each observed star.
+    pole : int
+        The observed star.
+    nearest : (L,)
+        Its neighbours.
     need : int
         Votes that must agree.
-    fewest : int
-        True stars without which no attitude is accepted.
-    stars, sky, pairs, limits
+    stars, sky, pairs, box, limits
         What was seen, what there is, and what may be done.
-    bearings : (P,), (P,)
-        Of `pair_bearings`.
-    finds, count
-        Hypotheses so far, added to.
 
     Returns
     -------
-    number of hypotheses, poles taken, attitudes tried, operations.
+    Pole and neighbour with their guide stars, operations.
     """
-    there, back = bearings
-    n, wide = len(stars.vectors), limits.focal_range
-    votes = np.empty((len(sky.directions), 4), np.uint64)
-    separation, members, middle = np.empty(n), np.empty(n, np.int64), np.empty(n)
-    low, high = np.empty(n, np.int64), np.empty(n, np.int64)
-    seen, slack, pattern = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.uint64)
-    spread = np.empty(n)
-    head = np.full(len(sky.directions), -1, np.int32)
-    voter, place = np.empty(0, np.int32), np.empty((0, 3), np.int32)
-    roll, focal = np.empty(0, np.int32), np.empty(0)
-    looked, hits = 0, 0
-    others, marks, marked = no_others(), no_marks(), 1.0
-    gate, density = GATE_SIGMAS * limits.scale, len(sky.directions) / (4.0 * math.pi)
-    widest = float(pairs.separation[-1]) if len(pairs.separation) else 0.0
-    work, done, tried, sure = 0.0, 0, 0, False
-    for i in poles:
-        if sure or work > limits.work:
-            break
-        done += 1
-        neighbours = 0
-        for j in nearest[i]:
-            s = chord_angle(stars.vectors[i], stars.vectors[j])
-            error = limits.scale * VOTE_SIGMAS * math.hypot(stars.sigma[i], stars.sigma[j]) + ABERRATION * s
-            if s < _LEAST_ERRORS * error or s - error > widest:
-                continue
-            separation[neighbours], members[neighbours] = s, j
-            low[neighbours], high[neighbours] = window(
-                pairs.separation, (s - error) / (1.0 + wide), (s + error) / (1.0 - wide)
-            )
-            seen[neighbours] = int(bearing(stars.vectors[i], stars.vectors[j]) + _TURN)
-            slack[neighbours] = min(int(error / math.sin(s) * (_TURN / (2.0 * math.pi))) + 1, _TURN // 8)
-            spread[neighbours] = error / s
-            rolls = 2 * slack[neighbours] // _ROLL + 1
-            pattern[neighbours] = (np.uint64(1) << np.uint64(rolls)) - np.uint64(1)
-            neighbours += 1
-        if neighbours < need:
+    found, focal, count = np.empty((16, 5), np.int32), np.empty(16), 0
+    neighbours = _neighbours(pole, nearest, stars, pairs, limits)
+    if len(neighbours.star) < need:
+        return Candidates(found[:0], focal[:0]), 0.0
+    work = 2.0 * len(sky.directions)
+    for k in range(len(neighbours.star)):
+        work += 1.5 * _VOTE_WORK * (neighbours.high[k] - neighbours.low[k])
+    if _elected(neighbours, need, pairs, box) == 0:
+        return Candidates(found[:0], focal[:0]), work
+    wide = limits.focal_range > 0.0
+    voters = _voters(pole, neighbours, stars, sky, pairs, box, limits)
+    far = median(neighbours.separation.copy())
+    for x in range(len(voters.focal)):
+        k, a, b = voters.stars[x, 0], voters.stars[x, 1], voters.stars[x, 2]
+        if neighbours.separation[k] < far or work > limits.work:
             continue
-        for digit in range(3):
-            votes[:, digit] = np.uint64(0) - np.uint64(((MOST_VOTES - need) >> digit) & 1)
-        votes[:, 3] = 0
-        for k in range(neighbours):
-            t, e, some = seen[k], slack[k], pattern[k]
-            for p in range(low[k], high[k]):
-                _vote(votes, pairs.first[p], _bits(there[p] - t, e, some))
-                _vote(votes, pairs.second[p], _bits(back[p] - t, e, some))
-            work += _VOTE_WORK * (high[k] - low[k])
-        work += 2.0 * len(sky.directions)
-        voters = 0
-        for k in range(neighbours):
-            work += 0.5 * _VOTE_WORK * (high[k] - low[k])
-            m_ij = stars.magnitude[i] - stars.magnitude[members[k]]
-            t, e, some = seen[k], slack[k], pattern[k]
-            voter, place, roll, focal = _more(voter, place, roll, focal, voters + 2 * (high[k] - low[k]))
-            for p in range(low[k], high[k]):
-                for way in range(2):
-                    a, turn = (pairs.first[p], there[p] - t) if way == 0 else (pairs.second[p], back[p] - t)
-                    if votes[a, 3] & _bits(turn, e, some) == 0:
-                        continue
-                    b = pairs.second[p] if way == 0 else pairs.first[p]
-                    if abs(m_ij - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
-                        continue
-                    place[voters, 0], place[voters, 1] = a, b
-                    voter[voters], roll[voters] = k, turn & (_TURN - 1)
-                    focal[voters] = math.log(separation[k] / pairs.separation[p]) if wide > 0.0 else 0.0
-                    place[voters, 2] = head[a]
-                    head[a] = voters
-                    voters += 1
-        middle[:neighbours] = separation[:neighbours]
-        far = median(middle[:neighbours])
-        last = -1
-        for x in range(voters):
-            k, a, b = voter[x], place[x, 0], place[x, 1]
-            if sure or work > limits.work:
-                break
-            if separation[k] < far:
-                continue
-            agreeing, y = 1, head[a]
-            while y >= 0:
-                work += 2.0
-                other = voter[y]
-                apart = (roll[x] - roll[y] + _TURN // 2) & (_TURN - 1)
-                if (
-                    other != k
-                    and abs(apart - _TURN // 2) <= slack[k] + slack[other]
-                    and (wide == 0.0 or abs(focal[x] - focal[y]) <= spread[k] + spread[other])
-                ):
-                    agreeing += 1
-                y = place[y, 2]
-            if agreeing < need:
-                continue
-            u, w = sky.directions[a], sky.directions[b]
-            j = members[k]
-            if not (fits_prior(stars.vectors[i], u, limits) and fits_prior(stars.vectors[j], w, limits)):
-                continue
-            tried += 1
-            if tried == _MANY_TRIED:
-                marks = mark_sky(sky.directions, _USUAL_LEVER * gate * median(stars.sigma.copy()))
-                marked = share_marked(marks)
-                work += 20.0 * len(sky.directions)
-            if k != last:
-                looked, last = look_beyond(i, j, i, stars, gate, others), k
-                expected = 0.0
-                for star in range(looked):
-                    expected += math.pi * others.gate2[star] * density
-                hits = min(
-                    max(least_hits(expected, limits.chance_hits), min(least_hits(expected, _RARE), fewest - 3)), looked
-                )
-            work += _CANDIDATE_WORK + (1.0 + _LOOK_WORK * marked) * looked
-            if not enough_hits(u, w, 1.0 - focal[x], others, looked, hits, sky, marks):
-                continue
-            before = count
-            count, cost = weigh_attitude(
-                attitude_of_pair(stars.vectors[i], stars.vectors[j], u, w), focal[x], stars, sky, limits, finds, count
-            )
-            work += cost
-            if count > before and finds.log_b[:count].max() > limits.sure:
-                sure = True
-        work += 3.0 * voters
-        for x in range(voters):
-            head[place[x, 0]] = -1
-    return count, done, tried, work
+        agreeing, compared = _agreeing(x, voters, neighbours, box.head, wide)
+        work += 2.0 * compared
+        j = neighbours.star[k]
+        if agreeing < need or not fits_prior(stars.vectors[pole], sky.directions[a], limits):
+            continue
+        if not fits_prior(stars.vectors[j], sky.directions[b], limits):
+            continue
+        if count == len(focal):
+            found, focal = grown(found, focal)
+        row = found[count]
+        row[0], row[1], row[2], row[3], row[4], focal[count] = pole, j, a, b, -1, voters.focal[x]
+        count += 1
+    for x in range(len(voters.focal)):
+        box.head[voters.stars[x, 1]] = -1
+    return Candidates(found[:count], focal[:count]), work + 3.0 * len(voters.focal)

@@ -21,7 +21,7 @@ from startracker.identification.hypothesis import SCALES, Bench, too_few
 from startracker.identification.kvector import KVector, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
-from startracker.identification.pyramid_kernels import Seen, search_pyramids, smart_triples
+from startracker.identification.pyramid_kernels import GuidePairs, Seen, search_pyramids, smart_triples
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
 
@@ -75,7 +75,7 @@ def pyramid(
         index = _INDEXES[pairs] = k_vector(pairs.separation_rad.astype(np.float64))
     n = min(len(observed), settings.max_stars, _MOST_TRIPLED)
     triples = smart_triples(n)
-    head = np.full(len(guide), -1, dtype=np.int64)
+    table = GuidePairs(pairs.first, pairs.second, index, np.full(len(guide), -1, dtype=np.int64))
     view = guide.view
     scales: tuple[float, ...] = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
     largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
@@ -88,10 +88,8 @@ def pyramid(
             left = min(budget, bench.left // _STEP_WORK)
             bench.cut_short = bench.cut_short or left <= 0
             while reached < stop and left > 0 and checked < _MOST_CHECKED:
-                found = search_pyramids(
-                    seen[scale], triples, reached, stop, pairs.first, pairs.second, index, view, needed, left, head
-                )
-                reached, _, finds, matrices, confirmed, after = found
+                found = search_pyramids(seen[scale], triples[:stop], reached, table, view, needed, left)
+                reached, finds, matrices, confirmed, after = found
                 bench.operations += _STEP_WORK * (left - after)
                 left = after
                 for f in range(finds):

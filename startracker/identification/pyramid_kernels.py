@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.estimation.kernels import pair_rotation, triple_product
+from startracker.estimation.directions import pair_rotation
 from startracker.identification.kvector import KVector, find_range
 from startracker.kernels import kernel
+from startracker.linalg import triple_product
 
-__all__ = ["MOST_FINDS", "Seen", "search_pyramids", "smart_triples"]
+__all__ = ["MOST_FINDS", "GuidePairs", "Seen", "search_pyramids", "smart_triples"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -119,118 +120,130 @@ def _confirming(
     return hits, steps
 
 
+class GuidePairs(NamedTuple):
+    """Guide stars (L,) of each pair in the order of their k-vector, with scratch (G,) that is −1 throughout."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    vector: KVector
+    head: IntArray
+
+
+class _Finds(NamedTuple):
+    """Confirmed triangles, best first: attitude (MOST_FINDS, 3, 3), confirming stars; and how many there are (1,)."""
+
+    matrix: FloatArray
+    confirmed: IntArray
+    found: IntArray
+
+
+@kernel
+def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArray]:
+    """Partners of each guide star over some pairs, as chains that begin at its `head`: the next link, the partner."""
+    chain, partner = np.empty(2 * (high - low), np.int64), np.empty(2 * (high - low), np.int64)
+    count = 0
+    for p in range(low, high):
+        a, b = pairs.first[p], pairs.second[p]
+        partner[count], chain[count], pairs.head[a] = b, pairs.head[a], count
+        partner[count + 1], chain[count + 1], pairs.head[b] = a, pairs.head[b], count + 1
+        count += 2
+    return chain, partner
+
+
+@kernel
+def _keep(finds: _Finds, rotation: FloatArray, hits: int) -> None:
+    """Add a confirmed triangle in its place, where there is room for it."""
+    slot = min(finds.found[0], MOST_FINDS - 1)
+    if finds.found[0] == MOST_FINDS and hits <= finds.confirmed[slot]:
+        return
+    while slot > 0 and finds.confirmed[slot - 1] < hits:
+        finds.confirmed[slot], finds.matrix[slot] = finds.confirmed[slot - 1], finds.matrix[slot - 1]
+        slot -= 1
+    finds.confirmed[slot], finds.matrix[slot] = hits, rotation
+    finds.found[0] = min(finds.found[0] + 1, MOST_FINDS)
+
+
+@kernel
+def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> FloatArray:
+    """Attitude (3, 3) of a triangle by its longest side, of i–j, i–k, j–k."""
+    one, other = 1, 2
+    if sides[0] >= max(sides[1], sides[2]):
+        one, other = 0, 1
+    elif sides[1] >= sides[2]:
+        one = 0
+    rotation: FloatArray = pair_rotation(observed, reference, one, other)
+    return rotation
+
+
+@kernel
+def _triangle(
+    seen: Seen, corners: IntArray, pairs: GuidePairs, sky: SkyView, least: int, budget: int, finds: _Finds
+) -> int:
+    """Find the triangles of guide stars that an observed one may be and that fourth stars confirm; the budget left."""
+    i, j, k = corners
+    sides = np.array([seen.separation[i, j], seen.separation[i, k], seen.separation[j, k]])
+    observed, reference, guides = np.empty((3, 3)), np.empty((3, 3)), np.empty(3, np.int64)
+    for m in range(3):
+        observed[m] = seen.vectors[corners[m]]
+    sense = triple_product(observed[0], observed[1], observed[2])
+    if abs(sense) < _SLENDEREST * max(seen.sigma[i], seen.sigma[j], seen.sigma[k]) * max(sides[0], sides[1], sides[2]):
+        return budget
+    low_ij, high_ij = find_range(pairs.vector, sides[0] - seen.tolerance[i, j], sides[0] + seen.tolerance[i, j])
+    low_ik, high_ik = find_range(pairs.vector, sides[1] - seen.tolerance[i, k], sides[1] + seen.tolerance[i, k])
+    budget -= high_ij - low_ij + high_ik - low_ik
+    chain, partner = _partners(pairs, low_ij, high_ij)
+    shortest_jk = 4.0 * math.sin(0.5 * max(sides[2] - seen.tolerance[j, k], 0.0)) ** 2
+    longest_jk = 4.0 * math.sin(0.5 * min(sides[2] + seen.tolerance[j, k], math.pi)) ** 2
+    for p in range(low_ik, high_ik):
+        for turn in range(2):
+            a, c = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
+            link = pairs.head[a]
+            while link >= 0:
+                b, link = partner[link], chain[link]
+                budget -= 1
+                chord = 0.0
+                for axis in range(3):
+                    chord += (sky.directions[b, axis] - sky.directions[c, axis]) ** 2
+                if b == c or not shortest_jk <= chord <= longest_jk:
+                    continue
+                if triple_product(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
+                    continue
+                guides[0], guides[1], guides[2] = a, b, c
+                for m in range(3):
+                    reference[m] = sky.directions[guides[m]]
+                rotation = _laid_on(observed, reference, sides)
+                hits, steps = _confirming(seen, sky, rotation, corners, guides, _MOST_CONFIRMING)
+                budget -= steps + 20
+                if hits >= least:
+                    _keep(finds, rotation, hits)
+                elif budget <= 0:
+                    break
+    for p in range(low_ij, high_ij):
+        pairs.head[pairs.first[p]] = pairs.head[pairs.second[p]] = -1
+    return budget
+
+
 @kernel
 def search_pyramids(
-    seen: Seen,
-    triples: IntArray,
-    start: int,
-    stop: int,
-    first: IntArray,
-    second: IntArray,
-    index: KVector,
-    sky: SkyView,
-    least: int,
-    budget: int,
-    head: IntArray,
-) -> tuple[int, int, int, FloatArray, IntArray, int]:
-    """Go through the triples from `start` until one has a triangle of guide stars that a fourth star confirms.
+    seen: Seen, triples: IntArray, start: int, pairs: GuidePairs, sky: SkyView, least: int, budget: int
+) -> tuple[int, int, FloatArray, IntArray, int]:
+    """Go through the triples (T, 3) from `start` until one has a triangle of guide stars that a fourth star confirms.
 
     Parameters
     ----------
-    first, second : (L,)
-        Guide stars of each pair, in the order of `index`.
     least : int
         Confirming stars that a triangle must have.
     budget : int
         Steps (pairs and triangles looked at) after which to give up.
-    head : (G,)
-        Scratch, −1 throughout; left so.
 
     Returns
     -------
-    Triple to go on from; that of the finds; finds; their attitudes (MOST_FINDS, 3, 3); confirming stars of each, most
-    first; budget left. No finds: none was confirmed up to `stop`.
+    Triple to go on from; finds; their attitudes (MOST_FINDS, 3, 3); confirming stars of each, most first; budget left.
+    No finds: none was confirmed, or the budget is used up.
     """
-    matrices = np.empty((MOST_FINDS, 3, 3))
-    confirmed = np.zeros(MOST_FINDS, np.int64)
-    corners, guides = np.empty(3, np.int64), np.empty(3, np.int64)
-    observed, reference = np.empty((3, 3)), np.empty((3, 3))
-    chain, partner = np.empty(1024, np.int64), np.empty(1024, np.int64)
-    for t in range(start, stop):
-        if budget <= 0:
-            return t, t, 0, matrices, confirmed, budget
-        corners[:] = triples[t]
-        i, j, k = corners
-        for m in range(3):
-            observed[m] = seen.vectors[corners[m]]
-        sense = triple_product(observed[0], observed[1], observed[2])
-        longest = max(seen.separation[i, j], seen.separation[i, k], seen.separation[j, k])
-        widest = max(seen.sigma[i], seen.sigma[j], seen.sigma[k])
-        if abs(sense) < _SLENDEREST * widest * longest:
-            continue
-        low_ij, high_ij = find_range(
-            index, seen.separation[i, j] - seen.tolerance[i, j], seen.separation[i, j] + seen.tolerance[i, j]
-        )
-        low_ik, high_ik = find_range(
-            index, seen.separation[i, k] - seen.tolerance[i, k], seen.separation[i, k] + seen.tolerance[i, k]
-        )
-        budget -= high_ij - low_ij + high_ik - low_ik
-        # partners of each guide star over i–j, as chains
-        if 2 * (high_ij - low_ij) > len(chain):
-            chain, partner = np.empty(4 * (high_ij - low_ij), np.int64), np.empty(4 * (high_ij - low_ij), np.int64)
-        count = 0
-        for p in range(low_ij, high_ij):
-            a, b = first[p], second[p]
-            partner[count], chain[count], head[a] = b, head[a], count
-            partner[count + 1], chain[count + 1], head[b] = a, head[b], count + 1
-            count += 2
-        shortest_jk = 2.0 * math.sin(0.5 * max(seen.separation[j, k] - seen.tolerance[j, k], 0.0))
-        longest_jk = 2.0 * math.sin(0.5 * min(seen.separation[j, k] + seen.tolerance[j, k], math.pi))
-        shortest_jk, longest_jk = shortest_jk**2, longest_jk**2
-        finds = 0
-        confirmed[:] = 0
-        for p in range(low_ik, high_ik):
-            for turn in range(2):
-                a, c = (first[p], second[p]) if turn == 0 else (second[p], first[p])
-                link = head[a]
-                while link >= 0:
-                    b = partner[link]
-                    link = chain[link]
-                    budget -= 1
-                    chord = 0.0
-                    for axis in range(3):
-                        chord += (sky.directions[b, axis] - sky.directions[c, axis]) ** 2
-                    if b == c or chord < shortest_jk or chord > longest_jk:
-                        continue
-                    if triple_product(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
-                        continue
-                    guides[0], guides[1], guides[2] = a, b, c
-                    for m in range(3):
-                        reference[m] = sky.directions[guides[m]]
-                    # laid on by its longest side
-                    if longest == seen.separation[i, j]:
-                        rotation = pair_rotation(observed, reference, 0, 1)
-                    elif longest == seen.separation[i, k]:
-                        rotation = pair_rotation(observed, reference, 0, 2)
-                    else:
-                        rotation = pair_rotation(observed, reference, 1, 2)
-                    hits, steps = _confirming(seen, sky, rotation, corners, guides, _MOST_CONFIRMING)
-                    budget -= steps + 20
-                    if hits < least:
-                        if budget <= 0:
-                            break
-                        continue
-                    slot = min(finds, MOST_FINDS - 1)
-                    if finds == MOST_FINDS and hits <= confirmed[slot]:
-                        continue
-                    while slot > 0 and confirmed[slot - 1] < hits:
-                        confirmed[slot], matrices[slot] = confirmed[slot - 1], matrices[slot - 1]
-                        slot -= 1
-                    confirmed[slot], matrices[slot] = hits, rotation
-                    finds = min(finds + 1, MOST_FINDS)
-        for p in range(low_ij, high_ij):
-            head[first[p]] = -1
-            head[second[p]] = -1
-        if finds > 0:
-            return t + 1, t, finds, matrices, confirmed, budget
-    return stop, stop, 0, matrices, confirmed, budget
+    finds = _Finds(np.empty((MOST_FINDS, 3, 3)), np.zeros(MOST_FINDS, np.int64), np.zeros(1, np.int64))
+    t = start
+    while t < len(triples) and budget > 0 and finds.found[0] == 0:
+        budget = _triangle(seen, triples[t], pairs, sky, least, budget, finds)
+        t += 1
+    return t, finds.found[0], finds.matrix, finds.confirmed, budget

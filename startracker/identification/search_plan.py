@@ -39,19 +39,22 @@ class Plan(NamedTuple):
     cut_short: bool = False
 
 
-def fewest_matches(evidence: FloatArray, excess: FloatArray, least_log_b: float) -> int:
+def crowding_price(excess: FloatArray) -> FloatArray:
+    """What ln B of 1 to n matches is less, at least, for the crowding of the points (widths, n) (`clustering_null`):
+    m of them cost no less than the m that are crowded least."""
+    return np.asarray(np.maximum(np.cumsum(np.sort(excess, axis=1), axis=1).max(axis=0), 0.0))
+
+
+def fewest_matches(evidence: FloatArray, price: FloatArray, least_log_b: float) -> int:
     """Matches from which on ln B exceeds a limit; one more than there are stars where it never does.
 
     Parameters
     ----------
-    evidence : (n + 1,)
-        Of `evidence_of_matches`.
-    excess : (widths, n)
-        ln of how crowded the points are (`clustering_null`): m of them cost no less than the m that are crowded least.
+    evidence, price : (n + 1,), (n,)
+        Of `evidence_of_matches` and `crowding_price`.
     least_log_b : float
         Limit on ln B.
     """
-    price = np.maximum(np.cumsum(np.sort(excess, axis=1), axis=1).max(axis=0), 0.0)
     enough = np.flatnonzero(evidence[1:] - price > least_log_b)
     return int(enough[0]) + 1 if len(enough) else len(evidence)
 
@@ -89,27 +92,11 @@ def evidence_of_matches(n: int, in_field: int, log_area: float, scale: float, un
     return out
 
 
-@lru_cache(maxsize=1024)
-def plan(
-    n: int,
-    fewest: int,
-    miss: float,
-    most_ns: float,
-    *,
-    pairs: float,
-    guides: int,
-    rolls: float,
-    gate: float,
-    rare: float,
-) -> Plan:
-    """Cheapest search that misses `fewest` true stars of n with a chance of at most `miss`, or what comes nearest.
+class Setting(NamedTuple):
+    """What a search by votes meets.
 
     Parameters
     ----------
-    n, fewest, miss
-        As above.
-    most_ns : float
-        What it may cost.
     pairs : float
         Guide pairs looked at for a neighbour as far away as the field is wide; in proportion for others.
     guides : int
@@ -121,21 +108,49 @@ def plan(
     rare : float
         Chance with which so many others may be hit that an attitude is verified.
     """
+
+    pairs: float
+    guides: int
+    rolls: float
+    gate: float
+    rare: float
+
+
+@lru_cache(maxsize=1024)
+def plan(n: int, fewest: int, miss: float, most_ns: float, setting: Setting, multiples: tuple[float, ...]) -> Plan:
+    """Cheapest search that misses `fewest` true stars of n with a chance of at most `miss`.
+
+    Where that takes more than it may cost, the one that misses the multiples of so many least often on average.
+
+    Parameters
+    ----------
+    n, fewest, miss
+        As above.
+    most_ns : float
+        What it may cost.
+    setting : Setting
+    multiples : tuple of float
+        The first is 1.
+    """
+    pairs, guides, rolls, gate, rare = setting
     neighbours = np.array([count for count in _NEIGHBOURS if count < n - 1] + [n - 1])[:, None]
     votes = np.arange(2, min(fewest - 1, MOST_VOTES) + 1)[None, :]
-    hit = bdtrc(np.minimum(votes - 1, neighbours), neighbours, (fewest - 1) / (n - 1)) * (votes <= neighbours)
+    true = np.minimum(np.ceil(fewest * np.array(multiples)), n)[:, None, None]
+    hits = bdtrc(np.minimum(votes - 1, neighbours), neighbours, (true - 1.0) / (n - 1)) * (votes <= neighbours)
+    hit = hits[0]
     # the L nearest of n on a square lie within a circle of L/n of its area, at 2/3 of its radius on average
     looked = pairs * neighbours * (2.0 / 3.0) * np.sqrt(neighbours / n / math.pi)
     by_chance = pdtrc(votes - 1, 2.0 * looked * rolls / (ROLLS * guides)) * ROLLS * guides * votes
     each = _PAIR_NS * looked + _CANDIDATE_NS * by_chance + _STAR_NS * guides
     enough = np.ceil(n * (1.0 - miss ** (1.0 / fewest)) / np.maximum(hit, 1e-9))
     poles = np.minimum(np.minimum(enough, most_ns // each), n)
-    missed = np.maximum((1.0 - poles / n * hit) ** fewest, miss)
     # the others are about half a field's width from the pair, which errs by a long lever
     others = (n - 2) * gate * (1.5 + 0.5 * n * math.pi / neighbours)
-    hopeless = _poisson_quantile(1.0 - rare, others) + 1 > fewest - 2
-    order = np.lexsort([(poles * each).ravel(), missed.ravel(), (hopeless | (hit == 0.0)).ravel()])
-    row, column = np.unravel_index(order[0], missed.shape)
+    hopeless = (_poisson_quantile(1.0 - rare, others) + 1 > true - 2) | (hits == 0.0)
+    missed = np.maximum((1.0 - poles / n * hits) ** true, miss)
+    certain = np.where(hopeless, 1.0, missed).mean(axis=0)
+    order = np.lexsort([(poles * each).ravel(), missed.mean(axis=0).ravel(), certain.ravel()])
+    row, column = np.unravel_index(order[0], each.shape)
     cut_short = bool(poles[row, column] < min(enough[row, column], n))
     return Plan(int(poles[row, column]), int(neighbours[row, 0]), int(votes[0, column]), cut_short)
 

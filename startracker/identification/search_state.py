@@ -1,4 +1,4 @@
-"""What a search for triangles is given and what it finds, as kernels take it."""
+"""What a search is given and what it finds, as kernels take it."""
 
 from __future__ import annotations
 
@@ -33,6 +33,13 @@ class Pairs(NamedTuple):
     separation: NDArray[np.float32]
 
 
+class Guides(NamedTuple):
+    """Guide stars: unit vectors (G, 3), V (G,)."""
+
+    directions: FloatArray
+    v_mag: FloatArray
+
+
 class Limits(NamedTuple):
     """What a search may do.
 
@@ -45,34 +52,35 @@ class Limits(NamedTuple):
     magnitude_tolerance : float
         Between the brightness differences of two stars observed and catalogued.
     chance_hits : float
-        How often chance may pass a triangle on to verification.
-    sure : float
-        ln B above which the search ends.
+        How often chance may pass a candidate on to verification.
     work : float
         Operations after which it ends.
     prior : (3, 3)
         Attitude known beforehand.
     prior_cosine : float
-        Of the largest angle between a guide star and where the prior puts it; −2: no prior.
+        Of the largest angle between a guide star and its position by the prior; −2: no prior.
     """
 
     scale: float
     focal_range: float
     magnitude_tolerance: float
     chance_hits: float
-    sure: float
     work: float
     prior: FloatArray
     prior_cosine: float
 
 
-class Finds(NamedTuple):
-    """Verified hypotheses, H at most: ln B (H,), attitude (H, 3, 3), ln focal factor, scale, guide stars in the field
-    (H,) each, and the guide star of each observed star or −1 (H, N)."""
+class Candidates(NamedTuple):
+    """Pairs of observed stars with the guide stars that they may be.
 
-    log_b: FloatArray
-    matrix: FloatArray
+    Parameters
+    ----------
+    stars : int32 (K, 5)
+        The two observed stars, their guide stars, and the observed star that confirms nothing as it made the candidate,
+        or −1.
+    focal : (K,)
+        ln of the focal length's factor, observed over assumed.
+    """
+
+    stars: NDArray[np.int32]
     focal: FloatArray
-    scale: FloatArray
-    in_field: IntArray
-    guide: IntArray

@@ -1,13 +1,9 @@
-"""Kernel that checks an attitude against every observed star: match, refit, weigh.
-
-The fit is Gauss–Newton in the rotation vector δ (and ε = Δ ln f, where the focal length is free): with b the observed
-and p = R g the predicted unit vectors, b − p = δ × p − ε ∂b/∂ln f. For a pinhole ∂b/∂ln f = b_z (e_z − b_z b), of
-length sin θ cos θ.
-"""
+"""Kernel that checks an attitude against every observed star: match, refit by `estimation.directions`, weigh."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +11,12 @@ from numpy.typing import NDArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.identification.bayes_factor import WEIGHINGS, log_bayes_factor, log_magnitude_ratios
+from startracker.estimation.directions import normal_equations
+from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
 from startracker.kernels import kernel
+from startracker.linalg import solve, turned
 from startracker.sorting import sort
 
 FloatArray = NDArray[np.float64]
@@ -33,54 +31,7 @@ OVERHEAD = 10_000
 _NARROWING = 3.0
 _NARROWEST = 0.8
 _ROUNDS = 5
-
-
-@kernel
-def focal_slopes(vectors: FloatArray) -> FloatArray:
-    """∂b/∂ln f (N, 3) of unit vectors (N, 3) in the frame of a pinhole camera."""
-    out = np.empty_like(vectors)
-    for i in range(len(vectors)):
-        z = vectors[i, 2]
-        out[i, 0], out[i, 1], out[i, 2] = -z * z * vectors[i, 0], -z * z * vectors[i, 1], z * (1.0 - z * z)
-    return out
-
-
-@kernel
-def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
-    """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle == 0.0:
-        return matrix.copy()
-    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
-    out = np.empty((3, 3))
-    for k in range(3):
-        p, q, r = matrix[0, k], matrix[1, k], matrix[2, k]
-        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
-        out[0, k] = p + s * u + c * (y * w - z * v)
-        out[1, k] = q + s * v + c * (z * u - x * w)
-        out[2, k] = r + s * w + c * (x * v - y * u)
-    return out
-
-
-@kernel
-def solve_symmetric(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solution (n,) of a small positive definite system by Gaussian elimination; NaN where there is none."""
-    n = len(right)
-    a, x = matrix.copy(), right.copy()
-    for i in range(n):
-        if not a[i, i] > 1e-300:
-            x[:] = np.nan
-            return x
-        for j in range(i + 1, n):
-            factor = a[j, i] / a[i, i]
-            for k in range(i, n):
-                a[j, k] -= factor * a[i, k]
-            x[j] -= factor * x[i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= a[i, k] * x[k]
-        x[i] /= a[i, i]
-    return x
+_RAN_AWAY_RAD = 0.2
 
 
 @kernel
@@ -153,39 +104,53 @@ def match_nearest(
     return count
 
 
-@kernel
-def fit_step(
-    observed: FloatArray, slopes: FloatArray, predicted: FloatArray, index: IntArray, sigma: FloatArray, unknowns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (unknowns, unknowns) and right-hand side of one Gauss–Newton step over the matched stars."""
-    normal = np.zeros((unknowns, unknowns))
-    right = np.zeros(unknowns)
-    for i in range(len(observed)):
-        if index[i] < 0:
-            continue
-        w = 1.0 / sigma[i] ** 2
-        px, py, pz = predicted[index[i], 0], predicted[index[i], 1], predicted[index[i], 2]
-        ex, ey, ez = observed[i, 0] - px, observed[i, 1] - py, observed[i, 2] - pz
-        normal[0, 0] += w * (1.0 - px * px)
-        normal[1, 1] += w * (1.0 - py * py)
-        normal[2, 2] += w * (1.0 - pz * pz)
-        normal[0, 1] -= w * px * py
-        normal[0, 2] -= w * px * pz
-        normal[1, 2] -= w * py * pz
-        right[0] += w * (py * ez - pz * ey)
-        right[1] += w * (pz * ex - px * ez)
-        right[2] += w * (px * ey - py * ex)
-        if unknowns == 4:
-            dx, dy, dz = slopes[i, 0], slopes[i, 1], slopes[i, 2]
-            normal[0, 3] -= w * (py * dz - pz * dy)
-            normal[1, 3] -= w * (pz * dx - px * dz)
-            normal[2, 3] -= w * (px * dy - py * dx)
-            normal[3, 3] += w * (dx * dx + dy * dy + dz * dz)
-            right[3] -= w * (dx * ex + dy * ey + dz * ez)
-    for i in range(unknowns):
-        for j in range(i):
-            normal[i, j] = normal[j, i]
-    return normal, right
+class Verified(NamedTuple):
+    """An attitude as all stars see it.
+
+    Parameters
+    ----------
+    log_b : float
+        ln B; −inf: fewer than three stars agree.
+    matrix : (3, 3)
+        ICRS to camera.
+    focal, scale : float
+        ln of the focal length's factor, multiple of the stated errors that fits best.
+    in_field : int
+        Guide stars in the field.
+    guide_of : (N,)
+        Guide star of each observed star or −1.
+    operations : int
+        Stars compared with guide stars, and terms of the Bayes factor.
+    """
+
+    log_b: float
+    matrix: FloatArray
+    focal: float
+    scale: float
+    in_field: int
+    guide_of: IntArray
+    operations: int
+
+
+class _Field(NamedTuple):
+    """Guide stars of a field: number, direction (K, 3), magnitude, direction in the camera (K, 3)."""
+
+    guide: IntArray
+    reference: FloatArray
+    v_mag: FloatArray
+    predicted: FloatArray
+
+
+class _Match(NamedTuple):
+    """The observed directions (N, 3) at the focal length of the moment, the position in the field of each one's guide
+    star or −1, the distance to it, the gate, and the index before; with (K,) scratch."""
+
+    observed: FloatArray
+    guide: IntArray
+    distance: FloatArray
+    gate: FloatArray
+    last: IntArray
+    owner: IntArray
 
 
 @kernel
@@ -198,9 +163,98 @@ def _same(one: IntArray, other: IntArray) -> bool:
 
 
 @kernel
+def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
+    guide = guides_in_field(matrix, sky, most)
+    reference, v_mag = np.empty((len(guide), 3)), np.empty(len(guide))
+    for k in range(len(guide)):
+        for axis in range(3):
+            reference[k, axis] = sky.directions[guide[k], axis]
+        v_mag[k] = sky.v_mag[guide[k]]
+    return _Field(guide, reference, v_mag, np.empty((len(guide), 3)))
+
+
+@kernel
+def _predict(matrix: FloatArray, field: _Field) -> None:
+    for k in range(len(field.guide)):
+        x, y, z = field.reference[k, 0], field.reference[k, 1], field.reference[k, 2]
+        for axis in range(3):
+            field.predicted[k, axis] = matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z
+
+
+@kernel
+def _refocus(stars: Stars, focal: float, observed: FloatArray) -> None:
+    for i in range(len(observed)):
+        for axis in range(3):
+            observed[i, axis] = stars.vectors[i, axis] + focal * stars.slopes[i, axis]
+
+
+@kernel
+def _settle(
+    matrix: FloatArray,
+    focal: float,
+    stars: Stars,
+    field: _Field,
+    match: _Match,
+    step: float,
+    widen: float,
+    unknowns: int,
+) -> tuple[int, FloatArray, float, int]:
+    """Match and refit at `step` times the stated errors until the match stands still, its first gate `widen` times as
+    wide. Stars that agree (0: the fit ran away), attitude, ln of the focal length's factor, rounds."""
+    index, last, observed, sigma, count = match.guide, match.last, match.observed, stars.sigma, 0
+    for i in range(len(last)):
+        last[i] = -2
+    for round_ in range(_ROUNDS):
+        _predict(matrix, field)
+        for i in range(len(sigma)):
+            match.gate[i] = GATE_SIGMAS * step * sigma[i] * (widen if round_ == 0 else 1.0)
+        count = match_nearest(observed, field.predicted, match.gate, index, match.distance, match.owner)
+        if count < 3 or _same(index, last):
+            return count, matrix, focal, round_ + 1
+        for i in range(len(last)):
+            last[i] = index[i]
+        normal, right = normal_equations(observed, stars.slopes, field.predicted, index, sigma, unknowns)
+        for i in range(unknowns):
+            right[i] /= step * step
+            for j in range(unknowns):
+                normal[i, j] /= step * step
+        if unknowns == 4:
+            normal[3, 3] += 1.0 / FOCAL_SIGMA**2
+            right[3] -= focal / FOCAL_SIGMA**2
+        change = solve(normal, right)
+        if not math.isfinite(change[0]) or abs(change[0]) + abs(change[1]) + abs(change[2]) > _RAN_AWAY_RAD:
+            return 0, matrix, focal, round_ + 1
+        matrix = turned(matrix, change[0], change[1], change[2])
+        if unknowns == 4:
+            focal += change[3]
+            _refocus(stars, focal, observed)
+    return count, matrix, focal, _ROUNDS
+
+
+@kernel
+def _weigh(
+    matrix: FloatArray, stars: Stars, field: _Field, match: _Match, area: float, unknowns: int
+) -> tuple[float, float]:
+    """ln B of a match by the last fit's own residuals, and the multiple of the stated errors that explains it best."""
+    observed, index, distance = match.observed, match.guide, match.distance
+    _predict(matrix, field)
+    for i in range(len(index)):
+        if index[i] >= 0:
+            square = 0.0
+            for axis in range(3):
+                square += (observed[i, axis] - field.predicted[index[i], axis]) ** 2
+            distance[i] = math.sqrt(square)
+    information, _ = normal_equations(observed, stars.slopes, field.predicted, index, stars.sigma, unknowns)
+    ratios = log_magnitude_ratios(stars.magnitude, index, field.v_mag)
+    matched = Matched(distance, index, stars.sigma, ratios)
+    value, fitting = log_bayes_factor(matched, information, len(field.guide), area, FOCAL_SIGMA, stars.counts)
+    return value - clustering_price(stars.excess, index), fitting
+
+
+@kernel
 def verify_attitude(
     matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
-) -> tuple[float, FloatArray, float, float, int, IntArray, int]:
+) -> Verified:
     """Match, refit until it stands still, weigh; at `scale` times the stated errors, then at narrower gates.
 
     Parameters
@@ -214,113 +268,41 @@ def verify_attitude(
         Of the first gate, which is 4.5 times this times the stated errors.
     free_focal : bool
         Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` beforehand.
-
-    Returns
-    -------
-    ln B (−inf: fewer than three stars agree), attitude (3, 3), ln of the focal length's factor, multiple of the stated
-    errors that fits best, guide stars in the field, guide star of each observed star or −1 (N,), operations (stars
-    compared with guide stars, and terms of the Bayes factor).
     """
-    vectors, slopes, sigma = stars.vectors, stars.slopes, stars.sigma
-    n, operations = len(vectors), OVERHEAD
-    unknowns = 4 if free_focal else 3
-    field = guides_in_field(matrix, sky, 2 * n + MOST_EXTRA)
-    best, best_matrix, best_focal, best_scale = -math.inf, matrix, 0.0, scale
-    best_index = np.full(n, -1, np.int64)
-    if len(field) < 3:
-        return best, best_matrix, best_focal, best_scale, len(field), best_index, operations
-    reference = np.empty((len(field), 3))
-    v_mag = np.empty(len(field))
-    for k in range(len(field)):
-        for axis in range(3):
-            reference[k, axis] = sky.directions[field[k], axis]
-        v_mag[k] = sky.v_mag[field[k]]
-    predicted = np.empty((len(field), 3))
-    observed = vectors.copy()
-    index, last, weighed = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -2, np.int64)
-    distance = np.empty(n)
-    owner = np.empty(len(field), np.int64)
-    gate = np.empty(n)
-    current = matrix
-    if focal != 0.0:
-        observed += focal * slopes
-    step = scale
+    n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
+    field = _field_at(matrix, sky, 2 * n + MOST_EXTRA)
+    guides, weighed, guide_of = len(field.guide), np.empty(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        weighed[i], guide_of[i] = -2, -1
+    best = Verified(-math.inf, matrix, 0.0, scale, guides, guide_of, 0)
+    if guides < 3:
+        return Verified(best.log_b, matrix, 0.0, scale, guides, guide_of, operations)
+    match = _Match(
+        np.empty((n, 3)),
+        np.empty(n, np.int64),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n, np.int64),
+        np.empty(guides, np.int64),
+    )
+    _refocus(stars, focal, match.observed)
+    step, widen = scale, 2.0  # a first match from few stars' attitude may be off by more far away from them
     while True:
-        last[:] = -2
-        count = 0
-        for round_ in range(_ROUNDS):
-            for k in range(len(field)):
-                for axis in range(3):
-                    predicted[k, axis] = (
-                        current[axis, 0] * reference[k, 0]
-                        + current[axis, 1] * reference[k, 1]
-                        + current[axis, 2] * reference[k, 2]
-                    )
-            # a first match from few stars' attitude may be off by more far away from them
-            widen = 2.0 if round_ == 0 and step == scale else 1.0
-            for i in range(n):
-                gate[i] = GATE_SIGMAS * step * sigma[i] * widen
-            count = match_nearest(observed, predicted, gate, index, distance, owner)
-            operations += n * len(field)
-            if count < 3:
-                break
-            if _same(index, last):
-                break
-            for i in range(n):
-                last[i] = index[i]
-            normal, right = fit_step(observed, slopes, predicted, index, sigma, unknowns)
-            normal /= step * step
-            right /= step * step
-            if free_focal:
-                normal[3, 3] += 1.0 / FOCAL_SIGMA**2
-                right[3] -= focal / FOCAL_SIGMA**2
-            change = solve_symmetric(normal, right)
-            if not math.isfinite(change[0]) or abs(change[0]) + abs(change[1]) + abs(change[2]) > 0.2:
-                count = 0
-                break
-            current = turned(current, change[0], change[1], change[2])
-            if free_focal:
-                focal += change[3]
-                for i in range(n):
-                    for axis in range(3):
-                        observed[i, axis] = vectors[i, axis] + focal * slopes[i, axis]
+        count, matrix, focal, rounds = _settle(matrix, focal, stars, field, match, step, widen, unknowns)
+        operations += rounds * n * guides
         if count < 3:
             break
-        if not free_focal and _same(index, weighed):  # a narrower gate that drops none changes nothing
-            if step <= _NARROWEST:
-                break
-            step = max(step / _NARROWING, _NARROWEST)
-            continue
-        for i in range(n):
-            weighed[i] = index[i]
-        # the last fit's own residuals
-        for k in range(len(field)):
-            for axis in range(3):
-                predicted[k, axis] = (
-                    current[axis, 0] * reference[k, 0]
-                    + current[axis, 1] * reference[k, 1]
-                    + current[axis, 2] * reference[k, 2]
-                )
-        for i in range(n):
-            if index[i] >= 0:
-                k = index[i]
-                distance[i] = math.sqrt(
-                    (observed[i, 0] - predicted[k, 0]) ** 2
-                    + (observed[i, 1] - predicted[k, 1]) ** 2
-                    + (observed[i, 2] - predicted[k, 2]) ** 2
-                )
-        information, _ = fit_step(observed, slopes, predicted, index, sigma, unknowns)
-        ratios = log_magnitude_ratios(stars.magnitude, index, v_mag)
-        value, fitting = log_bayes_factor(
-            distance, index, sigma, information, ratios, len(field), sky.area, FOCAL_SIGMA, stars.counts
-        )
-        value -= clustering_price(stars.excess, index)
-        operations += WEIGHINGS * count * len(field)
-        if value > best:
-            best, best_matrix, best_focal, best_scale = value, current, focal, fitting
+        # a narrower gate that drops none changes nothing
+        if free_focal or not _same(match.guide, weighed):
             for i in range(n):
-                best_index[i] = field[index[i]] if index[i] >= 0 else -1
+                weighed[i] = match.guide[i]
+            value, fitting = _weigh(matrix, stars, field, match, sky.area, unknowns)
+            operations += WEIGHINGS * count * guides
+            if value > best.log_b:
+                for i in range(n):
+                    guide_of[i] = field.guide[match.guide[i]] if match.guide[i] >= 0 else -1
+                best = Verified(value, matrix, focal, fitting, guides, guide_of, 0)
         if step <= _NARROWEST:
             break
-        step = max(step / _NARROWING, _NARROWEST)
-    return best, best_matrix, best_focal, best_scale, len(field), best_index, operations
+        step, widen = max(step / _NARROWING, _NARROWEST), 1.0
+    return Verified(best.log_b, best.matrix, best.focal, best.scale, guides, guide_of, operations)

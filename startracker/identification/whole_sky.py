@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import os
-import tempfile
-import zipfile
 import zlib
 
 import numpy as np
@@ -44,22 +40,10 @@ def quad_index(catalog: str | StarCatalog) -> QuadIndex:
     stars = all_stars(catalog)
     # the stars' number and places are part of the name: another edition of the catalogue is another index
     mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
-    file = cache.folder() / f"{_CACHE_KEY}-{mark:08x}.npz"
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            return unpack_quads(stored, stars.directions)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass
-    codes, quads, _ = build_quads(stars.directions)
-    packed = pack_quads(codes, quads)
-    temporary = ""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".tmp", delete=False) as stream:
-            temporary = stream.name
-            np.savez(stream, allow_pickle=False, **packed)
-        os.replace(temporary, file)
-    except OSError:  # the cache only saves time
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-    return unpack_quads(packed, stars.directions)
+    key = f"{_CACHE_KEY}-{mark:08x}"
+    stored = cache.load_arrays(key)
+    if stored is None or not {"codes", "low", "high"} <= stored.keys():
+        codes, quads, _ = build_quads(stars.directions)
+        stored = pack_quads(codes, quads)
+        cache.store_arrays(key, stored)
+    return unpack_quads(stored, stars.directions)

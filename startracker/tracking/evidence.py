@@ -7,30 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.identification.verification import turned
 from startracker.kernels import kernel
+from startracker.linalg import inverse, transform, turned
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-@kernel
-def determinant_3(m: FloatArray) -> float:
-    """Determinant of a (3, 3) matrix."""
-    value: float = (
-        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
-        + m[0, 1] * (m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2])
-        + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
-    )
-    return value
-
-
-@kernel
-def turn_places(turn: FloatArray, places: FloatArray, out: FloatArray) -> None:
-    """Turned directions (K, 3), written to `out`."""
-    for k in range(len(places)):
-        for i in range(3):
-            out[k, i] = turn[i, 0] * places[k, 0] + turn[i, 1] * places[k, 1] + turn[i, 2] * places[k, 2]
 
 
 @kernel
@@ -75,9 +56,8 @@ def log_evidence(
     sigma: FloatArray,
     places: FloatArray,
     index: IntArray,
-    covariance: FloatArray,
     precision: FloatArray,
-    delta: FloatArray,
+    turn: FloatArray,
     information: FloatArray,
     area: float,
 ) -> float:
@@ -86,7 +66,7 @@ def log_evidence(
     if len(seen) == 0:
         return -math.inf
     moved = np.empty_like(places)
-    turn_places(turned(np.eye(3), -delta[0], -delta[1], -delta[2]), places, moved)
+    transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
     gain = np.empty(len(seen))
     for m in range(len(seen)):
         i = seen[m]
@@ -97,7 +77,7 @@ def log_evidence(
     prior = 0.0
     for r in range(3):
         for c in range(3):
-            prior += delta[r] * precision[r, c] * delta[c]
-    narrowing = math.log(determinant_3(precision + information) / determinant_3(precision))
+            prior += turn[r] * precision[r, c] * turn[c]
+    narrowing: float = inverse(precision + information, 3)[1] - inverse(precision, 3)[1]
     matches: float = log_assignments(gain[order], index[seen[order]], len(observed), len(places))
-    return matches - 0.5 * prior - 0.5 * narrowing
+    return matches - 0.5 * (prior + narrowing)

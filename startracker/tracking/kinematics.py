@@ -11,7 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.estimation.directions import normal_equations
 from startracker.kernels import kernel
+from startracker.linalg import factorise, transform
 
 FloatArray = NDArray[np.float64]
 
@@ -159,17 +161,13 @@ def correct(
 @kernel
 def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
     """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN where that is not positive."""
-    lower, out = np.zeros((3, 3)), np.empty(3)
-    for i in range(3):
-        left = vector[i]
-        for j in range(i + 1):
-            value = spread[i, j]
-            for k in range(j):
-                value -= lower[i, k] * lower[j, k]
-            lower[i, j] = math.sqrt(value) if i == j else value / lower[j, j]
-            if j < i:
-                left -= lower[i, j] * out[j]
-        out[i] = left / lower[i, i]
+    out = np.full(3, np.nan)
+    if factorise(spread, 3):
+        for i in range(3):
+            out[i] = vector[i]
+            for j in range(i):
+                out[i] -= spread[i, j] * out[j]
+            out[i] /= spread[i, i]
     return out
 
 
@@ -199,20 +197,9 @@ def vector_measurement(
             [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-    information, right = np.zeros((3, 3)), np.zeros(3)
-    p = np.empty(3)
-    for k in range(len(observed)):
-        weight = 1.0 / sigma[k] ** 2
-        for i in range(3):
-            p[i] = matrix[i, 0] * reference[k, 0] + matrix[i, 1] * reference[k, 1] + matrix[i, 2] * reference[k, 2]
-        b = observed[k]
-        for i in range(3):
-            information[i, i] += weight
-            for j in range(3):
-                information[i, j] -= weight * p[i] * p[j]
-        right[0] += weight * (b[1] * p[2] - b[2] * p[1])
-        right[1] += weight * (b[2] * p[0] - b[0] * p[2])
-        right[2] += weight * (b[0] * p[1] - b[1] * p[0])
+    predicted = np.empty_like(reference)
+    transform(matrix, reference, predicted)
+    information, right = normal_equations(observed, observed, predicted, np.arange(len(observed)), sigma, 3)
     values, vectors = np.linalg.eigh(information)
     first = 0
     while values[first] <= BLIND * values[2]:
@@ -224,5 +211,5 @@ def vector_measurement(
         noise[k, k] = 1.0 / value
         for i in range(3):
             axes[k, i] = vectors[i, first + k]
-            innovation[k] += axes[k, i] * (right[i] / value + delta[i])
+            innovation[k] += axes[k, i] * (delta[i] - right[i] / value)
     return axes, innovation, noise

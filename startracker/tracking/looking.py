@@ -20,7 +20,7 @@ from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 
-__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px"]
+__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px", "window_half"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -145,18 +145,10 @@ def streak_px(tracker: StarTracker, rate_rad_s: FloatArray, exposure_s: float) -
     return float(turn * exposure_s / tracker.camera.pixel_rad)
 
 
-def look(
-    image: ArrayLike,
-    tracker: StarTracker,
-    expected: Expected,
-    covariance: FloatArray,
-    streak_px: float,
-    largest_half: int,
-    factor: float,
-    saturation_dn: float | None,
-    gain_e_per_dn: float | None,
-) -> Seen | None:
-    """Star candidates in windows about the expected stars, found and measured by the tracker's own methods.
+def window_half(
+    tracker: StarTracker, expected: Expected, covariance: FloatArray, streak_px: float, largest_half: int
+) -> int | None:
+    """Half side of the windows about the expected stars; None where windows will not do.
 
     Parameters
     ----------
@@ -166,6 +158,33 @@ def look(
         Length of a star's image; above 10 px windows will not do.
     largest_half : int
         Half side of the largest window, the streak left out.
+    """
+    camera, spread = tracker.camera, spreads(expected.places, covariance).covariance
+    wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad
+    half = math.ceil(_WINDOW_SIGMAS * wide) + tracker.centroid.window_px // 2 + _SKIRT_PX
+    reach = half + math.ceil(0.5 * streak_px)
+    share = len(expected.places) * (2 * reach + 1) ** 2 / (camera.width * camera.height)
+    return None if streak_px > _LONGEST_STREAK_PX or half > largest_half or share > _LARGEST_SHARE else reach
+
+
+def look(
+    image: ArrayLike,
+    tracker: StarTracker,
+    expected: Expected,
+    half: int | None,
+    streak_px: float,
+    factor: float,
+    saturation_dn: float | None,
+    gain_e_per_dn: float | None,
+) -> Seen | None:
+    """Star candidates in windows about the expected stars, found and measured by the tracker's own methods.
+
+    Parameters
+    ----------
+    half : int, optional
+        See `window_half`.
+    streak_px : float
+        Length of a star's image.
     factor : float
         Ratio of real to stated centroid errors.
 
@@ -173,19 +192,9 @@ def look(
     -------
     Seen, or None where windows will not do.
     """
-    camera = tracker.camera
-    pixels = plain(image)
-    if pixels is None or pixels.shape != (camera.height, camera.width) or streak_px > _LONGEST_STREAK_PX:
+    camera, pixels = tracker.camera, plain(image)
+    if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
         return None
-    spread = spreads(expected.places, covariance)[2]
-    wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad
-    room = tracker.centroid.window_px // 2
-    half = math.ceil(_WINDOW_SIGMAS * wide) + room + _SKIRT_PX
-    reach = half + math.ceil(0.5 * streak_px)
-    share = len(expected.places) * (2 * reach + 1) ** 2 / (camera.width * camera.height)
-    if half > largest_half or share > _LARGEST_SHARE:
-        return None
-    half = reach
     centre = camera.project(expected.places)
     centre = np.rint(centre[np.isfinite(centre).all(axis=1)])
     centre = centre[camera.contains(centre)]
@@ -206,7 +215,8 @@ def look(
         return None
     xy = to_image(found.xy, x, y, half, columns)
     # a star cut off by the image's border is whole on the mosaic's background
-    rows = first_of_each(xy, camera.width, camera.height, float(room), SAME_STAR_PX)
+    room = float(tracker.centroid.window_px // 2)
+    rows = first_of_each(xy, camera.width, camera.height, room, SAME_STAR_PX)
     variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0
     stated = np.sqrt(variance + (tracker.guide.catalog.position_sigma_rad / camera.pixel_rad) ** 2)
     seen = Seen(

@@ -8,6 +8,7 @@ u and v = p × u that is (−v·δ, u·δ), whose covariance is what P gives plu
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
-from startracker.identification.verification import turned
+from startracker.estimation.directions import fit_turn
 from startracker.kernels import kernel
-from startracker.tracking.evidence import log_evidence, turn_places
+from startracker.linalg import cross, inverse, transform, turned
+from startracker.tracking.evidence import log_evidence
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -87,6 +89,22 @@ def expected_stars(
     return index[:count], seen[:count], places[:count]
 
 
+class Spread(NamedTuple):
+    """Unit vectors u, v (K, 3) across predicted directions, and the stars' covariance along them (K, 3: uu, uv, vv)."""
+
+    u: FloatArray
+    v: FloatArray
+    covariance: FloatArray
+
+
+class Match(NamedTuple):
+    """Predicted star of each observed one or −1, squared Mahalanobis distance (N,); observed star of each (K,)."""
+
+    partner: IntArray
+    distance2: FloatArray
+    owner: IntArray
+
+
 @kernel
 def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
     """Two unit vectors across a unit vector p, written to u and v = p × u."""
@@ -96,14 +114,12 @@ def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
     else:
         length = math.sqrt(p[0] ** 2 + p[2] ** 2)
         u[0], u[1], u[2] = -p[2] / length, 0.0, p[0] / length
-    v[0] = p[1] * u[2] - p[2] * u[1]
-    v[1] = p[2] * u[0] - p[0] * u[2]
-    v[2] = p[0] * u[1] - p[1] * u[0]
+    v[0], v[1], v[2] = cross(p, u)
 
 
 @kernel
-def spreads(places: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tangents u, v (K, 3) of predicted directions, and the covariance (K, 3: uu, uv, vv) of the stars across them."""
+def spreads(places: FloatArray, covariance: FloatArray) -> Spread:
+    """How predicted directions (K, 3) scatter with the covariance (3, 3) of the attitude."""
     k = len(places)
     us, vs, out = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3))
     for n in range(k):
@@ -116,53 +132,44 @@ def spreads(places: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Flo
                 vv += vs[n, i] * covariance[i, j] * vs[n, j]
         # along u the star moves by −v·δ, along v by u·δ
         out[n, 0], out[n, 1], out[n, 2] = vv, -uv, uu
-    return us, vs, out
+    return Spread(us, vs, out)
+
+
+@kernel
+def _apart(observed: FloatArray, place: FloatArray, spread: Spread, k: int, s2: float) -> tuple[float, float, float]:
+    """Squared Mahalanobis distance of a star of variance `s2` from the predicted one `k`, and its way along u and v."""
+    x, y, z = observed[0] - place[0], observed[1] - place[1], observed[2] - place[2]
+    a = spread.u[k, 0] * x + spread.u[k, 1] * y + spread.u[k, 2] * z
+    b = spread.v[k, 0] * x + spread.v[k, 1] * y + spread.v[k, 2] * z
+    uu, uv, vv = spread.covariance[k, 0] + s2, spread.covariance[k, 1], spread.covariance[k, 2] + s2
+    return (a * a * vv - 2.0 * a * b * uv + b * b * uu) / (uu * vv - uv * uv), a, b
 
 
 @kernel
 def match_gated(
-    observed: FloatArray,
-    sigma: FloatArray,
-    places: FloatArray,
-    us: FloatArray,
-    vs: FloatArray,
-    spread: FloatArray,
-    gate2: float,
-    index: IntArray,
-    distance2: FloatArray,
-    owner: IntArray,
+    observed: FloatArray, sigma: FloatArray, places: FloatArray, spread: Spread, gate2: float, match: Match
 ) -> int:
     """Nearest predicted star of each observed one by Mahalanobis distance, each used once; how many have one.
 
-    `index` (N,) gets the predicted star or −1, `distance2` (N,) the squared distance; `owner` (K,) is scratch. Where
-    two observed stars claim one predicted star the nearer keeps it.
+    Written to `match`. Where two observed stars claim one predicted star the nearer keeps it.
     """
+    index, distance2, owner = match
     owner[:] = -1
-    count = 0
-    largest = 0.0
+    count, largest = 0, 0.0
     for k in range(len(places)):
-        largest = max(largest, spread[k, 0] + spread[k, 2])
+        largest = max(largest, spread.covariance[k, 0] + spread.covariance[k, 2])
     for i in range(len(observed)):
         index[i], distance2[i] = -1, np.inf
         s2 = sigma[i] ** 2
         reach2 = gate2 * (largest + s2)
         best, at = gate2, -1
         for k in range(len(places)):
-            x = observed[i, 0] - places[k, 0]
-            far = x * x
+            far = 0.0
+            for axis in range(3):
+                far += (observed[i, axis] - places[k, axis]) ** 2
             if far > reach2:
                 continue
-            y = observed[i, 1] - places[k, 1]
-            far += y * y
-            if far > reach2:
-                continue
-            z = observed[i, 2] - places[k, 2]
-            if far + z * z > reach2:
-                continue
-            a = us[k, 0] * x + us[k, 1] * y + us[k, 2] * z
-            b = vs[k, 0] * x + vs[k, 1] * y + vs[k, 2] * z
-            uu, uv, vv = spread[k, 0] + s2, spread[k, 1], spread[k, 2] + s2
-            d2 = (a * a * vv - 2.0 * a * b * uv + b * b * uu) / (uu * vv - uv * uv)
+            d2, _, _ = _apart(observed[i], places[k], spread, k, s2)
             if d2 < best:
                 best, at = d2, k
         if at < 0:
@@ -176,64 +183,6 @@ def match_gated(
         owner[at], index[i], distance2[i] = i, at, best
         count += 1
     return count
-
-
-@kernel
-def inverse_3(m: FloatArray) -> FloatArray:
-    """Inverse of a symmetric (3, 3) matrix."""
-    out = np.empty((3, 3))
-    out[0, 0] = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    out[0, 1] = m[0, 2] * m[2, 1] - m[0, 1] * m[2, 2]
-    out[0, 2] = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    out[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]
-    out[1, 2] = m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]
-    out[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
-    out /= m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0]
-    return out
-
-
-@kernel
-def _fit(
-    observed: FloatArray,
-    sigma: FloatArray,
-    places: FloatArray,
-    index: IntArray,
-    precision: FloatArray,
-    delta: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Most probable error (3,), its covariance (3, 3), and the stars' own information, from matched stars."""
-    moved = np.empty_like(places)
-    information = np.zeros((3, 3))
-    covariance = precision
-    for _ in range(3):
-        turn_places(turned(np.eye(3), -delta[0], -delta[1], -delta[2]), places, moved)
-        information = np.zeros((3, 3))
-        right = np.zeros(3)
-        for i in range(len(observed)):
-            if index[i] < 0:
-                continue
-            p, b, w = moved[index[i]], observed[i], 1.0 / sigma[i] ** 2
-            for r in range(3):
-                information[r, r] += w
-                for c in range(3):
-                    information[r, c] -= w * p[r] * p[c]
-            right[0] += w * (b[1] * p[2] - b[2] * p[1])
-            right[1] += w * (b[2] * p[0] - b[0] * p[2])
-            right[2] += w * (b[0] * p[1] - b[1] * p[0])
-        covariance = inverse_3(information + precision)
-        largest = 0.0
-        step = np.zeros(3)
-        for r in range(3):
-            for c in range(3):
-                pull = precision[c, 0] * delta[0] + precision[c, 1] * delta[1] + precision[c, 2] * delta[2]
-                step[r] += covariance[r, c] * (right[c] - pull)
-            largest = max(largest, abs(step[r]))
-        for r in range(3):
-            delta[r] += step[r]
-        if largest < 1e-9:
-            break
-    return delta, covariance, information
 
 
 @kernel
@@ -255,10 +204,8 @@ def track(
     ----------
     observed, sigma : (N, 3), (N,)
         Directions and their standard errors on one axis, rad.
-    places : (K, 3)
-        Predicted directions, brightest first, camera frame.
-    covariance : (3, 3)
-        Of the predicted attitude, rad².
+    places, covariance : (K, 3), (3, 3)
+        Predicted directions, brightest first, camera frame; covariance of the predicted attitude, rad².
     area : float
         Solid angle in which stars were looked for, sr.
 
@@ -268,116 +215,93 @@ def track(
     (−inf where nothing matches).
     """
     n, k = len(observed), len(places)
-    index = np.full(n, -1, np.int64)
-    delta = np.zeros(3)
+    match = Match(np.full(n, -1), np.full(n, np.inf), np.full(k, -1))
+    turn, moved = np.zeros(3), places.copy()
+    nothing = match.partner, np.zeros(3), covariance, -math.inf
     if n == 0 or k == 0:
-        return index, delta, covariance, -math.inf
-    distance2 = np.empty(n)
-    owner = np.empty(k, np.int64)
-    precision = inverse_3(covariance)
-    us, vs, spread = spreads(places, covariance)
-    count = match_gated(observed, sigma, places, us, vs, spread, GATE2, index, distance2, owner)
-    if count == 0:
-        return index, delta, covariance, -math.inf
-    widest = 0.0
-    for j in range(k):
-        widest = max(widest, spread[j, 0] + spread[j, 2])
-    smallest = np.min(sigma)
+        return nothing
+    precision, _ = inverse(covariance, 3)
+    spread, smallest = spreads(places, covariance), np.min(sigma)
+    if match_gated(observed, sigma, places, spread, GATE2, match) == 0:
+        return nothing
     # a gate that the prediction rather than the centroid makes wide may hold the wrong star
-    if widest > _TIGHT2 * smallest**2:
-        delta = _consensus(observed, sigma, places, covariance, us, vs, spread)
-    moved = np.empty_like(places)
-    last = np.full(n, -2, np.int64)
-    posterior = covariance
-    if widest <= _TIGHT2 * smallest**2:
-        delta, posterior, _ = _fit(observed, sigma, places, index, precision, delta)
+    if np.max(spread.covariance[:, 0] + spread.covariance[:, 2]) > _TIGHT2 * smallest**2:
+        turn = _consensus(observed, sigma, places, covariance, spread)
+        posterior, _ = inverse(precision + np.eye(3) / (4.0 * smallest**2), 3)
     else:
-        posterior = inverse_3(precision + np.eye(3) / (4.0 * smallest**2))
-    information = np.zeros((3, 3))
+        turn, posterior, _ = fit_turn(observed, sigma, places, match.partner, precision, turn)
+    last, information = np.full(n, -2), precision
     for round_ in range(_ROUNDS):
-        turn_places(turned(np.eye(3), -delta[0], -delta[1], -delta[2]), places, moved)
-        us, vs, spread = spreads(moved, posterior)
-        gate2 = GATE2 if round_ == 0 else KEEP2
-        count = match_gated(observed, sigma, moved, us, vs, spread, gate2, index, distance2, owner)
-        if count == 0:
-            return index, delta, covariance, -math.inf
+        transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
+        spread = spreads(moved, posterior)
+        if match_gated(observed, sigma, moved, spread, GATE2 if round_ == 0 else KEEP2, match) == 0:
+            return match.partner, -turn, covariance, -math.inf
         same = True
         for i in range(n):
-            if index[i] != last[i]:
-                same = False
-                break
-        delta, posterior, information = _fit(observed, sigma, places, index, precision, delta)
+            same = same and match.partner[i] == last[i]
+            last[i] = match.partner[i]
+        turn, posterior, information = fit_turn(observed, sigma, places, match.partner, precision, turn)
         if same:
             break
-        last[:] = index
-    return (
-        index,
-        delta,
-        posterior,
-        log_evidence(observed, sigma, places, index, covariance, precision, delta, information, area),
-    )
+    evidence = log_evidence(observed, sigma, places, match.partner, precision, turn, information, area)
+    return match.partner, -turn, posterior, evidence
 
 
 @kernel
 def _consensus(
-    observed: FloatArray,
-    sigma: FloatArray,
-    places: FloatArray,
-    covariance: FloatArray,
-    us: FloatArray,
-    vs: FloatArray,
-    spread: FloatArray,
+    observed: FloatArray, sigma: FloatArray, places: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:
     """The rotation (3,), of those that one pair of stars within its gate proposes, under which the most stars fit."""
     n, k = len(observed), len(places)
-    moved = np.empty_like(places)
-    index, distance2, owner = np.empty(n, np.int64), np.empty(n), np.empty(k, np.int64)
-    best_delta = np.zeros(3)
-    best = -np.inf
-    starts = 0
-    delta, left = np.empty(3), np.empty((3, 3))
-    cu, cv = np.empty(3), np.empty(3)
+    moved, match = np.empty_like(places), Match(np.empty(n, np.int64), np.empty(n), np.empty(k, np.int64))
+    best_turn, best, starts = np.zeros(3), -np.inf, 0
+    turn, left = np.empty(3), np.empty((3, 3))
     for j in range(k):
         for i in range(n):
-            e0 = observed[i, 0] - places[j, 0]
-            e1 = observed[i, 1] - places[j, 1]
-            e2 = observed[i, 2] - places[j, 2]
-            a = us[j, 0] * e0 + us[j, 1] * e1 + us[j, 2] * e2
-            b = vs[j, 0] * e0 + vs[j, 1] * e1 + vs[j, 2] * e2
             s2 = sigma[i] ** 2
-            uu, uv, vv = spread[j, 0] + s2, spread[j, 1], spread[j, 2] + s2
-            determinant = uu * vv - uv * uv
-            d2 = (a * a * vv - 2.0 * a * b * uv + b * b * uu) / determinant
-            if d2 > GATE2 or e0 * e0 + e1 * e1 + e2 * e2 > 1.0:
+            d2, a, b = _apart(observed[i], places[j], spread, j, s2)
+            cosine = observed[i, 0] * places[j, 0] + observed[i, 1] * places[j, 1] + observed[i, 2] * places[j, 2]
+            if d2 > GATE2 or cosine < 0.5:
                 continue
             starts += 1
             if starts > _MOST_STARTS:
-                return best_delta
-            # Kalman update with this star alone: H = (−v, u)
-            for r in range(3):
-                cu[r], cv[r] = 0.0, 0.0
-                for c in range(3):
-                    cu[r] -= covariance[r, c] * vs[j, c]
-                    cv[r] += covariance[r, c] * us[j, c]
-            for r in range(3):
-                gain_a = (cu[r] * vv - cv[r] * uv) / determinant
-                gain_b = (cv[r] * uu - cu[r] * uv) / determinant
-                delta[r] = gain_a * a + gain_b * b
-                for c in range(3):
-                    left[r, c] = covariance[r, c] - gain_a * cu[c] - gain_b * cv[c]
-            turn_places(turned(np.eye(3), -delta[0], -delta[1], -delta[2]), places, moved)
-            u2, v2, after = spreads(moved, left)
-            count = match_gated(observed, sigma, moved, u2, v2, after, GATE2, index, distance2, owner)
+                return best_turn
+            _turn_of_one(covariance, spread, j, s2, (a, b), turn, left)
+            transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
+            after = spreads(moved, left)
+            count = match_gated(observed, sigma, moved, after, GATE2, match)
             # a wide gate is easily met: what a match is worth falls with the logarithm of its area
-            score = 0.0
+            score = 1e-3 * count
             for m in range(n):
-                if index[m] >= 0:
-                    q = index[m]
-                    w2 = sigma[m] ** 2
-                    room = (after[q, 0] + w2) * (after[q, 2] + w2) - after[q, 1] ** 2
-                    score += max(0.0, -0.5 * distance2[m] - 0.5 * math.log(room / (w2 * w2)) + 0.5 * GATE2)
-            score += 1e-3 * count
+                if match.partner[m] >= 0:
+                    room, w2 = after.covariance[match.partner[m]], sigma[m] ** 2
+                    area = (room[0] + w2) * (room[2] + w2) - room[1] ** 2
+                    score += max(0.0, -0.5 * match.distance2[m] - 0.5 * math.log(area / (w2 * w2)) + 0.5 * GATE2)
             if score > best:
-                best = score
-                best_delta = delta.copy()
-    return best_delta
+                best, best_turn = score, turn.copy()
+    return best_turn
+
+
+@kernel
+def _turn_of_one(
+    covariance: FloatArray,
+    spread: Spread,
+    k: int,
+    s2: float,
+    away: tuple[float, float],
+    turn: FloatArray,
+    left: FloatArray,
+) -> None:
+    """Kalman update with one star that is `away` from the predicted one along u and v: the rotation vector (3,) and the
+    covariance (3, 3) after it, written to `turn` and `left`. H = (v, −u)."""
+    uu, uv, vv = spread.covariance[k, 0] + s2, spread.covariance[k, 1], spread.covariance[k, 2] + s2
+    determinant, cu, cv = uu * vv - uv * uv, np.zeros(3), np.zeros(3)
+    for r in range(3):
+        for c in range(3):
+            cu[r] += covariance[r, c] * spread.v[k, c]
+            cv[r] -= covariance[r, c] * spread.u[k, c]
+    for r in range(3):
+        gain_a, gain_b = (cu[r] * vv - cv[r] * uv) / determinant, (cv[r] * uu - cu[r] * uv) / determinant
+        turn[r] = gain_a * away[0] + gain_b * away[1]
+        for c in range(3):
+            left[r, c] = covariance[r, c] - gain_a * cu[c] - gain_b * cv[c]

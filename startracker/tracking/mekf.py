@@ -154,7 +154,7 @@ class Mekf:
         block = np.asarray(covariance, dtype=float)
         if block.shape != (3, 3) or not (np.isfinite(block).all() and (np.linalg.eigvalsh(block) > 0).all()):
             raise InputError("an attitude's covariance must be 3×3, finite and positive definite")
-        self._quat = np.array(attitude.quat)
+        self._quat, self._matrix_of = np.array(attitude.quat), np.empty(0)
         noise = self.noise
         usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
         sigma = usual if second_sigma_rad_s is None else second_sigma_rad_s
@@ -171,6 +171,7 @@ class Mekf:
         twin.noise, twin.has_gyro = self.noise, self.has_gyro
         twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never changed
         twin._rate, twin._bias, twin._scale = self._rate, self._bias, self._scale
+        twin._matrix_of = np.empty(0)
         twin.noise_factor = self.noise_factor
         return twin
 
@@ -185,9 +186,16 @@ class Mekf:
         return Attitude(self._quat)
 
     @property
+    def quat(self) -> FloatArray:
+        """The attitude as a quaternion (4,), scalar last."""
+        return self._quat
+
+    @property
     def matrix(self) -> FloatArray:
         """The attitude as a matrix (3, 3)."""
-        return quat_to_matrix(self._quat)
+        if self._matrix_of is not self._quat:  # which every step replaces
+            self._matrix_of, self._matrix = self._quat, quat_to_matrix(self._quat)
+        return self._matrix
 
     @property
     def covariance(self) -> FloatArray:

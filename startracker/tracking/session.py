@@ -26,7 +26,7 @@ from startracker.solution import Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
-from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look, plain, streak_px
+from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look, plain, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.repeats import FrameMemory, list_key
 from startracker.tracking.scatter import Scatter
@@ -183,17 +183,11 @@ class TrackingSession:
     def _update_image(self, image: ArrayLike, told: dict[str, Any], clock: Clock) -> Solution:
         expected = self._expect(told["observer"])
         if expected is not None and self._filter is not None:
-            seen = look(
-                image,
-                self.tracker,
-                expected,
-                self._filter.attitude_covariance,
-                streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s),
-                self.settings.max_window_px,
-                self._scatter.factor,
-                told["saturation_dn"],
-                told["gain_e_per_dn"],
-            )
+            length = streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s)
+            covariance, largest = self._filter.attitude_covariance, self.settings.max_window_px
+            half = window_half(self.tracker, expected, covariance, length, largest)
+            detector = told["saturation_dn"], told["gain_e_per_dn"]
+            seen = look(image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if self._accepts(followed):

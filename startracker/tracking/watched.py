@@ -48,7 +48,7 @@ class WatchedFilter:
         """Whether the frame's stars are those of the catalogue, without aberration: it is then in all attitudes alike,
         no noise to the filter, and comes on top of what the filter says of its error."""
         self._window = InnovationWindow()
-        self._solved: tuple[float, Attitude] | None = None
+        self._solved: tuple[float, FloatArray] | None = None
 
     def begin(self, attitude: Attitude, covariance: ArrayLike, rate_rad_s: ArrayLike | None = None) -> None:
         """Begin from an attitude that is known."""
@@ -161,7 +161,7 @@ class WatchedFilter:
     def mark_solved(self, now_s: float) -> None:
         """Remember when the attitude was last known from a frame."""
         assert self.mekf is not None
-        self._solved = now_s, self.mekf.attitude
+        self._solved = now_s, self.mekf.quat
 
     def _learn(self, innovation: Innovation | None) -> None:
         assert self.mekf is not None
@@ -187,7 +187,7 @@ class WatchedFilter:
             if isinstance(self.noise, GyroNoise):
                 second = max(self.noise.bias_sigma_rad_s, self.mekf.attitude.angle_to(attitude) / step_s)
             else:
-                second = max(self.noise.rate_sigma_rad_s, before.angle_to(attitude) / step_s)
+                second = max(self.noise.rate_sigma_rad_s, Attitude(before).angle_to(attitude) / step_s)
         if not self.mekf.has_gyro:  # else the rate is what was measured
             rate = np.zeros(3)
         self._window.restart()

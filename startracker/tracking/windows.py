@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.kernels import kernel
+from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -17,6 +18,28 @@ _SIGMA_OF_MAD = 1.4826
 _GAP_PX = 3
 _NOISE_FREE = 1e-5
 """Noise ascribed to windows that have none, as a share of the brightest star's height."""
+
+
+@kernel
+def _background(image: NDArray[Any], x: int, y: int, half: int, rim: FloatArray) -> tuple[float, float]:
+    """Level and noise of a window's rim, whose pixels are read into `rim`; zeros where it has none."""
+    count = 0
+    for j in range(-half, half + 1):
+        for i in range(-half, half + 1):
+            if max(abs(i), abs(j)) < half - 1:
+                continue
+            row, column = y + j, x + i
+            if 0 <= row < image.shape[0] and 0 <= column < image.shape[1]:
+                value = float(image[row, column])
+                if np.isfinite(value):
+                    rim[count] = value
+                    count += 1
+    if count == 0:
+        return 0.0, 0.0
+    level = median(rim[:count])
+    for n in range(count):
+        rim[n] = abs(rim[n] - level)
+    return level, _SIGMA_OF_MAD * median(rim[:count])
 
 
 @kernel
@@ -55,21 +78,8 @@ def lay_out(
     levels, noises = np.zeros(len(x)), np.zeros(len(x))
     rim = np.empty(8 * side)
     for m in range(len(x)):
-        count = 0
-        for j in range(-half, half + 1):
-            for i in range(-half, half + 1):
-                if max(abs(i), abs(j)) < half - 1:
-                    continue
-                row, column = y[m] + j, x[m] + i
-                if 0 <= row < image.shape[0] and 0 <= column < image.shape[1]:
-                    value = float(image[row, column])
-                    if np.isfinite(value):
-                        rim[count] = value
-                        count += 1
-        if count:
-            levels[m] = np.median(rim[:count])
-            noises[m] = _SIGMA_OF_MAD * np.median(np.abs(rim[:count] - levels[m]))
-    common = np.median(noises)
+        levels[m], noises[m] = _background(image, x[m], y[m], half, rim)
+    common = median(noises.copy())
     top = common
     for m in range(len(x)):
         if 0 <= y[m] < image.shape[0] and 0 <= x[m] < image.shape[1] and np.isfinite(float(image[y[m], x[m]])):

@@ -211,7 +211,7 @@ def test_shipped_sequences(name):
 def test_contradictions_are_told():
     with pytest.raises(InputError, match="order of time"):
         small("sequence.rates=[{at_s: 3}, {at_s: 3, yaw_deg_s: 1}]")
-    with pytest.raises(InputError, match="more than 170° a step"):
+    with pytest.raises(InputError, match="more than 170° per step"):
         small("sequence.slew.turn_deg=[0, 0, 90]", "sequence.slew.max_rate_deg_s=400")
     with pytest.raises(InputError, match="DE421"):
         small("sequence.start_s=1e10")

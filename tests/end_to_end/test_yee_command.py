@@ -96,7 +96,7 @@ def test_no_answer_is_exit_status_1(tmp_path, centroids, capsys):
 
 def test_three_stars_alone(tmp_path, centroids):
     picture = analyse(vega())
-    at = picture.catalog.places([7001, 6872, 6903])
+    at = picture.catalog.indices([7001, 6872, 6903])
     xy = picture.plate.image_xy(picture.catalog.sky_deg[at])
     asked = [
         *centroids(xy),

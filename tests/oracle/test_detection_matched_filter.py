@@ -32,8 +32,8 @@ def filter_image(image, background, sigma):
     """The whole filtered image above the level, and the excess of its noise."""
     half = filter_half(sigma)
     level = background.level_plane
-    filtered = np.array([filtered_at(image, level, half, x, y) for y, x in np.ndindex(image.shape)])
-    filtered = filtered.reshape(image.shape)
+    y, x = np.indices(image.shape).reshape(2, -1)
+    filtered = filtered_at(image, level, half, x, y)[0].reshape(image.shape)
     return filtered, search_filtered(image, background, half, 5.0)[2]
 
 

@@ -11,7 +11,14 @@ import math
 import numpy as np
 import pytest
 
-from simulator.theses.greyling1995.guide_stars import guide_stars, lines, zone, zone_counts, zone_size_deg
+from simulator.theses.greyling1995.guide_stars import (
+    ZONE_HEIGHT_DEG,
+    ZONE_WIDTH_DEG,
+    guide_stars,
+    lines,
+    zone,
+    zone_counts,
+)
 from simulator.theses.greyling1995.guide_stars import section as guide_section
 from simulator.theses.greyling1995.identification import (
     draw_field,
@@ -86,7 +93,7 @@ def test_the_dimmer_of_a_close_pair_goes():
 
 
 def test_zones():
-    assert zone_size_deg() == (46.0, 16.0)
+    assert (ZONE_WIDTH_DEG, ZONE_HEIGHT_DEG) == (46.0, 16.0)
     stars, pairs = zone_counts()
     catalog = guide_stars(6.5)
     ra, dec = np.degrees(catalog.ra_rad), np.degrees(catalog.dec_rad)

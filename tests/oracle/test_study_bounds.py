@@ -15,7 +15,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.trials.bounds import (
     attitude_bound_deg,
-    fisher_of_place,
+    fisher_of_position,
     matched_sources,
     pixel_slopes,
     star_information,
@@ -106,7 +106,7 @@ def gaussian_fisher(sigma, flux, noise, phase=(0.2, -0.3)):
     ]
     share, right, left, below, above = image
     variance = flux * share + noise**2
-    return fisher_of_place(share, (right - left) / (2 * h), (below - above) / (2 * h), np.array([flux]), variance)[0]
+    return fisher_of_position(share, (right - left) / (2 * h), (below - above) / (2 * h), np.array([flux]), variance)[0]
 
 
 def test_a_star_cut_off_knows_its_place_less_well_for_its_unknown_flux():
@@ -122,7 +122,7 @@ def test_a_star_cut_off_knows_its_place_less_well_for_its_unknown_flux():
     slope_x, slope_y = (right - left) / (2 * h), (below - above) / (2 * h)
     parts = np.stack([flux * slope_x, flux * slope_y, share])[:, 0, :, : half + 1].reshape(3, -1)
     full = (parts / variance[0, :, : half + 1].ravel()) @ parts.T
-    found = fisher_of_place(share, slope_x, slope_y, np.array([flux]), variance)[0]
+    found = fisher_of_position(share, slope_x, slope_y, np.array([flux]), variance)[0]
     assert np.linalg.inv(found) == pytest.approx(np.linalg.inv(full)[:2, :2], rel=1e-9)
     assert found[0, 0] < 0.9 * full[0, 0]  # else the flux would not matter here
 

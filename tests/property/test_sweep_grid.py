@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simulator.checks import NAME_CHECKS
 from simulator.scenario import ScenarioError
 from simulator.scenario.document import Table
-from simulator.scenario.errors import Place
+from simulator.scenario.errors import Location
 from simulator.scenario.grid import grid, latin_hypercube, overrides, parse_swept_keys
 from simulator.scenario.overrides import apply_overrides
 from startracker.errors import InputError
@@ -108,7 +108,7 @@ def test_values_survive_the_way_through_overrides(pair):
 
     axis = one(f"{path}={yaml_value(value)}")
     problems = []
-    tree = apply_overrides(Table(Place("")), overrides([axis], [axis.values[0]]), problems)
+    tree = apply_overrides(Table(Location("")), overrides([axis], [axis.values[0]]), problems)
     section, key = path.split(".")
     assert not problems
     assert tree.plain()[section][key] == value

@@ -17,7 +17,7 @@ from startracker import Attitude, Camera, StarTracker
 from startracker.constants import ARCSEC_RAD
 from startracker.estimation import wahba_svd
 from startracker.observer import Observer
-from startracker.refine import refine
+from startracker.refine import Measured, refine
 
 DIFFRACTION = ("optics.psf.model=diffraction", "optics.psf.sigma_px=null")
 ROLLING = ("detector.kind=cmos", "detector.shutter=rolling")
@@ -97,7 +97,8 @@ def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, tol
         seen = xy[chosen] + sigma[:, None] * rng.normal(size=(stars, 2))
         pairs = np.stack([np.arange(stars), index[chosen]], axis=1)
         variance = sigma**2 if known else None
-        found = refine(pairs, seen, variance, tracker.camera, tracker.guide.seen_by(told), wahba_svd, observer=told)
+        guide, measured = tracker.guide.seen_by(told), Measured(seen, variance_px2=variance)
+        found = refine(pairs, measured, tracker.camera, guide, wahba_svd, observer=told)
         error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
         nees.append(error @ np.linalg.solve(found.covariance, error))
     return np.array(nees)
@@ -200,7 +201,8 @@ def test_stars_that_agree_by_chance_do_not_leave_out_the_others(tracker):
         seen = xy[chosen] + 0.015 * rng.normal(size=(16, 2))
         seen[:, 0] += rng.choice([-0.1, 0.1], 16)
         pairs = np.stack([np.arange(16), index[chosen]], axis=1)
-        found = refine(pairs, seen, np.full(16, 0.015**2), tracker.camera, guide, wahba_svd, observer=observer)
+        measured = Measured(seen, variance_px2=np.full(16, 0.015**2))
+        found = refine(pairs, measured, tracker.camera, guide, wahba_svd, observer=observer)
         assert np.mean(found.used) > 0.8
         error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
         nees.append(error @ np.linalg.solve(found.covariance, error))

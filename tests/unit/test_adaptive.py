@@ -10,13 +10,14 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification import Observed, Prior, adaptive
-from startracker.identification.adaptive import _no_finds, first_triangles, nearest_stars
+from startracker.identification.adaptive import first_triangles, nearest_stars
 from startracker.identification.bayes_factor import count_table
+from startracker.identification.other_stars import least_hits
 from startracker.identification.pairs import separation
-from startracker.identification.search_state import Limits, Pairs, Stars
-from startracker.identification.triangles import PAIR_SIGMAS, least_hits, search_triangles
-from startracker.identification.verification import focal_slopes
+from startracker.identification.search_state import Guides, Limits, Pairs, Stars
+from startracker.identification.triangles import PAIR_SIGMAS, triangles_alike
 from startracker.settings import AdaptiveSettings
 from startracker.solution import Status
 
@@ -81,14 +82,16 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     sigma = np.full(3, 0.005)
     unknown, even = np.full(3, np.nan), np.zeros((1, 3))
     stars = Stars(vectors, focal_slopes(vectors), sigma, unknown, count_table(3, 20), even)
-    limits = Limits(1.0, focal_range, 99.0, 0.5, 1e9, 1e12, np.eye(3), -2.0)
+    limits = Limits(1.0, focal_range, 99.0, 0.5, 1e12, np.eye(3), -2.0)
     pairs = Pairs(near.first, near.second, near.separation_rad)
-    _, looked, found, operations = search_triangles(
-        np.array([[0, 1, 2]]), stars, sky.view, pairs, limits, _no_finds(3), 0
-    )
+    head = np.full(len(sky), -1, np.int32)
+    directions = Guides(sky.directions, sky.v_mag)
+    candidates, operations = triangles_alike(np.array([[0, 1, 2]]), stars, directions, pairs, limits, head)
+    found = len(candidates.focal)
     tolerance = PAIR_SIGMAS * math.hypot(0.005, 0.005)
     expected = brute_force(vectors, sky.directions[sky.pattern], tolerance, focal_range)
-    assert looked == 1
+    assert sorted(candidates.stars[0, [0, 1, 4]]) == [0, 1, 2]
+    assert (head == -1).all()
     assert operations > 0.0
     assert expected > 0
     # the windows of a free focal length are those of the range itself: a few at its rim may be either way
@@ -108,7 +111,7 @@ def test_nearest_stars_are_those_of_a_tree():
     from scipy.spatial import cKDTree
 
     vectors = CAMERA.unproject(np.random.default_rng(2).uniform(0, 511, (40, 2)))
-    assert np.array_equal(nearest_stars(vectors, 7), cKDTree(vectors).query(vectors, 8)[1][:, 1:])
+    assert np.array_equal(nearest_stars(vectors)[:, :7], cKDTree(vectors).query(vectors, 8)[1][:, 1:])
 
 
 def test_least_hits_are_the_poisson_tails():
@@ -197,7 +200,7 @@ def test_a_field_that_fits_as_stated_is_not_searched_to_the_end(monkeypatch):
     """Few true stars among many false ones: the long search for a rival changes nothing but the time."""
     guide = GuideDatabase.build(load_catalog("hipparcos"), Camera.from_fov(10.0, 512, 512), 6.0)
     rng = np.random.default_rng(5)
-    module = sys.modules[_no_finds.__module__]
+    module = sys.modules[first_triangles.__module__]
     patient = 0
     for _ in range(200):
         matrix = Attitude(rng.normal(size=4)).as_matrix()

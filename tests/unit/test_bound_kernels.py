@@ -82,7 +82,7 @@ def test_fisher_matrices_are_those_of_matrix_products():
     variance[0, :, 4:] = np.inf  # pixels that tell nothing
     variance[1, 2, 2] = share[1, 2, 2] = slope_x[1, 2, 2] = slope_y[1, 2, 2] = 0.0
     variance[2], share[2] = np.inf, 0.0
-    found = bounds.fisher_of_place(share, slope_x, slope_y, flux, variance)
+    found = bounds.fisher_of_position(share, slope_x, slope_y, flux, variance)
     for n in range(6):
         used = variance[n] > 0.0
         parts = np.array([flux[n] * slope_x[n][used], flux[n] * slope_y[n][used], share[n][used]])

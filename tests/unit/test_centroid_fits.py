@@ -226,7 +226,7 @@ def test_light_in_pixels_is_the_interpolated_table(tilt, axes):
     places = zip(first[0] + i * psf.oversampling, first[1] + j * psf.oversampling, strict=True)
     expected = np.array([interpolated(psf.table, psf.oversampling, *at, weights, 0) for at in places]).T
     out = np.empty((3, len(i)))
-    fill_window(psf.samples, 32 - x, 10 - y, 19, 16, out, np.empty((4, 19)))
+    fill_window(psf.samples, 32 - x, 10 - y, 19, 16, out, np.empty((6, 19)))
     np.testing.assert_allclose(out, expected, rtol=1e-11, atol=1e-18)
     assert (expected[0] > 0).sum() in range(50, 130)
     assert (expected == 0.0).all(axis=0).any()
@@ -237,26 +237,28 @@ def test_light_in_pixels_is_the_interpolated_table(tilt, axes):
 def test_model_of_stars_in_pixels(weigh, stars):
     random = np.random.default_rng(5)
     shares, flux = random.uniform(-0.1, 0.4, (3 * stars, 56)), np.array([900.0, 500.0])[:stars]
-    signal, dark, rows = random.normal(20, 5, 56), random.uniform(4, 9, 56), random.uniform(5, 50, (4, 56))
-    kept, expected = rows[0].copy(), shares * np.repeat(flux, 3)[:, None] * np.tile([1, -1, -1], stars)[:, None]
+    signal, dark, rows = random.normal(20, 5, 56), random.uniform(4, 9, 56), random.uniform(5, 50, (3, 56))
+    kept, expected = rows[2].copy(), shares * np.repeat(flux, 3)[:, None] * np.tile([1, -1, -1], stars)[:, None]
     total = expected[::3].sum(axis=0)
     light = np.maximum(total, 0.0)
     variance = dark + 0.5 * light + (0.01 * light) ** 2 if weigh else kept
     chi2 = weigh_pixels(shares, flux, signal, dark, (0.5, 0.01), weigh, rows)
     np.testing.assert_allclose(shares, expected, rtol=1e-12)
-    np.testing.assert_allclose(rows[:3], [variance, 1.0 / variance, signal - total], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(rows, [1.0 / variance, signal - total, variance], rtol=1e-12, atol=1e-12)
     assert chi2 == pytest.approx(((signal - total) ** 2 / variance).sum(), rel=1e-12)
 
 
 def test_normal_equations_against_matrix_products():
     random = np.random.default_rng(8)
     slopes, weights, residuals = random.normal(size=(6, 49)), random.uniform(0.1, 2, 49), random.normal(size=49)
-    normal, right, count, eps = np.zeros((6, 6)), np.empty(6), 42, 49 * np.finfo(float).eps
-    normal_equations(slopes, weights, residuals, count, normal, right, np.empty(49))
-    rows, weighted = slopes[:, :count], (slopes * weights)[:, :count]
+    normal, right, eps = np.zeros((6, 6)), np.empty(6), 49 * np.finfo(float).eps
+    weights, residuals = weights[:42], residuals[:42]
+    normal_equations(slopes, weights, residuals, normal, right)
+    rows = slopes[:, :42]
+    weighted = rows * weights
     # sums of n terms in any two orders are within n roundings of the sum of the terms' sizes
-    assert (np.abs(right - weighted @ residuals[:count]) <= eps * (np.abs(weighted) @ np.abs(residuals[:count]))).all()
-    assert (np.abs(normal - np.tril(weighted @ rows.T)) <= eps * (np.abs(weighted) @ np.abs(rows).T)).all()
+    assert (np.abs(right - weighted @ residuals) <= eps * (np.abs(weighted) @ np.abs(residuals))).all()
+    assert (np.abs(np.tril(normal - weighted @ rows.T)) <= eps * (np.abs(weighted) @ np.abs(rows).T)).all()
 
 
 def test_stars_alone():

@@ -11,7 +11,7 @@ from simulator.build import build_camera
 from simulator.checks import load_scenario
 from simulator.study.coverage.boresights import whole_sky
 from simulator.study.design.files import write_design
-from simulator.study.design.search import PARAMETERS, changed, design, predict, verify
+from simulator.study.design.search import PARAMETERS, Trade, changed, design, predict, verify
 from startracker.errors import InputError
 
 SMALL = ["detector.width=256", "detector.height=256", "optics.focal_length_mm=8", "optics.aperture_mm=6"]
@@ -24,7 +24,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def result(scenario):
-    return design(scenario, "optics.aperture_mm", 1.0, 20.0, steps=5, count=600, least_availability=0.99)
+    return design(scenario, Trade("optics.aperture_mm", 1.0, 20.0, steps=5, count=600, least_availability=0.99))
 
 
 def meets(scenario, point, specification):
@@ -82,7 +82,7 @@ def test_the_field_is_the_one_asked_for(scenario, projection):
 
 
 def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):
-    none = design(scenario, "detector.exposure_s", 1e-5, 1e-4, steps=2, count=100)
+    none = design(scenario, Trade("detector.exposure_s", 1e-5, 1e-4, steps=2, count=100))
     assert none.best is None
     write_design(none, None, tmp_path)
     told = json.loads((tmp_path / "design.json").read_text())
@@ -93,7 +93,7 @@ def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):
 
 
 def test_a_run_of_the_answer_stands_beside_its_prediction(scenario):
-    found = design(scenario, "optics.aperture_mm", 5.0, 6.0, steps=2, count=300, least_availability=0.5)
+    found = design(scenario, Trade("optics.aperture_mm", 5.0, 6.0, steps=2, count=300, least_availability=0.5))
     checked = verify(scenario, found, 24)
     assert checked.solved >= 20
     # 3σ from 24 trials scatters by 3/√(2·24) = 43 % at k = 3; the sky's poorest fields weigh most, so a factor of two
@@ -113,9 +113,11 @@ def test_wrong_numbers_are_told(scenario):
     ):
         arguments = {"parameter": "detector.exposure_s", "low": 0.01, "high": 0.1, "steps": 2, "count": 10} | wrong
         if "170" in words:
-            points = design(scenario, **arguments).points
+            points = design(scenario, Trade(**arguments)).points
             assert words in points[-1].impossible
             continue
         with pytest.raises(InputError, match=words):
-            design(scenario, **arguments)
-    assert np.isfinite(design(scenario, "detector.exposure_s", 0.05, 0.1, steps=2, count=50).points[0].stars_mean)
+            design(scenario, Trade(**arguments))
+    assert np.isfinite(
+        design(scenario, Trade("detector.exposure_s", 0.05, 0.1, steps=2, count=50)).points[0].stars_mean
+    )

@@ -10,15 +10,15 @@ from startracker.detection.background import Background, estimate
 from startracker.detection.cosmic_rays import peak_share
 from startracker.detection.forms import are_long, brightest_first, is_halo, measure_forms
 from startracker.detection.matched import filter_half, matched_kernel, quantiles
-from startracker.detection.objects import row_edges, row_marks
+from startracker.detection.objects import find_runs
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
 from startracker.detection.sources import SOURCE
 from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.detection.surroundings import is_clutter, ring_pixels, ring_space
+from startracker.detection.surroundings import find_clutter
 from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
-from startracker.detection.values import as_image, as_pixels, is_value, whole_range
+from startracker.detection.values import as_image, as_pixels, is_value
 
 
 def rng(*key):
@@ -118,12 +118,12 @@ def test_whole_step(values, step):
 
 @pytest.mark.parametrize("width", [1, 7, 64, 65, 200])
 @pytest.mark.parametrize("density", [0.0, 0.03, 0.5, 1.0])
-def test_edges_of_marked_pixels(width, density):
-    marks, edges = row_marks(width), np.empty(width + 2, np.int64)
-    marks[:width] = rng(9, width).random(width) < density
-    count = row_edges(marks, width, edges)
-    expected = np.flatnonzero(np.diff(np.concatenate([[0], marks[:width].astype(int), [0]])))
-    assert edges[:count].tolist() == expected.tolist()
+def test_runs_are_the_marked_pixels(width, density):
+    marked = rng(9, width).random((7, width)) < density
+    runs = find_runs(marked.astype(np.float32), np.zeros(marked.shape, np.float32), np.ones_like(marked), 0.5)
+    padded = np.pad(marked.astype(int), ((0, 0), (1, 1)))
+    starts, ends = (np.argwhere(np.diff(padded, axis=1) == step) for step in (1, -1))
+    assert runs.tolist() == np.column_stack([starts, ends[:, 1]]).tolist()
 
 
 def test_quantiles_equal_numpy():
@@ -171,9 +171,7 @@ def test_clutter_against_its_definition(missing):
         median = np.sort(image[ring])[ring.sum() // 2]
         fourth = np.sort(tops)[4] - median
         expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
-    rings = ring_pixels()
-    space = ring_space(UNFILTERED, rings[0])
-    found = [is_clutter(image, level, UNFILTERED, x[n], y[n], radius[n], *rings, 4.0, 2.0, space) for n in range(80)]
+    found = find_clutter(image, level, UNFILTERED, x, y, radius, 4.0, 2.0)
     assert np.array_equal(found, expected)
     assert 5 < expected.sum() < 75
 
@@ -246,12 +244,6 @@ def test_images_of_integers_stay_integers():
     assert not is_value(np.nan)
 
 
-@pytest.mark.parametrize("level", [0.0, 300.0, 330.5, 1e9])
-def test_range_of_integers(level):
-    image = whole_frame()
-    assert whole_range(image, level) == (image.min(), image.max(), np.count_nonzero(image >= level))
-
-
 def test_integers_give_what_floats_give():
     image = whole_frame()
     whole, floats = estimate(image, 32), estimate(image.astype(np.float32), 32)
@@ -304,19 +296,16 @@ def test_runs_above_a_higher_threshold_are_those_of_a_search_for_it(width):
     np.testing.assert_allclose(higher[1], signal[above], atol=1e-5)  # 50 products of float32 numbers below 8
 
 
-def test_brightest_first_is_a_sort_by_flux_then_place():
+@pytest.mark.parametrize("step", [1e-9, 3000.0])
+def test_brightest_first_is_a_sort_by_flux_then_position(step):
     table = a_table()
-    table["flux"] = np.round(table["flux"] / 3000) * 1000 - 1000
+    table["flux"] = np.round(table["flux"] / step) * step
     table["y_peak"] %= 3
-    fits = (table["pixels"] >= 5) & (table["pixels"] <= 30)
-    good = np.flatnonzero(fits & (table["flux"] > 0))
-    order = good[np.lexsort((table["x_peak"][good], table["y_peak"][good], -table["flux"][good]))]
-    index, small, large, dark = brightest_first(table, 5, 30)
-    assert index.tolist() == order.tolist()
-    assert len(np.unique(table["flux"][order])) < len(order)
-    counts = (table["pixels"] < 5).sum(), (table["pixels"] > 30).sum(), (fits & (table["flux"] <= 0)).sum()
-    assert (small, large, dark) == counts
-    assert min(counts) > 0
+    order = np.lexsort((table["x_peak"], table["y_peak"], -table["flux"]))
+    ranked = brightest_first(table[::-1].copy())
+    for column in ("flux", "y_peak", "x_peak"):
+        assert np.array_equal(ranked[column], table[column][order])
+    assert (len(np.unique(table["flux"])) < len(order)) == (step > 1.0)
 
 
 @pytest.mark.parametrize("needed", [1, 3, 9])

@@ -81,7 +81,7 @@ def test_no_turn_at_all(method, angle):
 @pytest.mark.parametrize("method", ["quest", "esoq2"])
 def test_before_the_last_newton_step_the_closed_forms_are_right_already(method, monkeypatch):
     # all over the sphere nothing is lost: the step on the rotation must not be what makes the answer right
-    kernel = getattr(wahba_module, f"_{method}_rotation").py_func
+    kernel = getattr(wahba_module, f"_{method}_rotation")
     globals_ = dict(kernel.__globals__, _finish=lambda matrix, *_: matrix)
     bare = type(kernel)(kernel.__code__, globals_)
     rng = np.random.default_rng(14)

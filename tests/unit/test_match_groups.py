@@ -13,7 +13,16 @@ from startracker.catalog.stars import StarCatalog
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification import METHODS, Observed, Prior, match_groups
 from startracker.identification.hypothesis import nearest_unique
-from startracker.identification.match_kernels import collect, group_sizes, mark, popcount, validate
+from startracker.identification.match_kernels import (
+    Groups,
+    Shapes,
+    Windows,
+    collect,
+    group_sizes,
+    mark,
+    popcount,
+    validate,
+)
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
 from startracker.settings import MatchGroupSettings
 from startracker.solution import Status
@@ -86,7 +95,8 @@ def test_mark_and_collect_are_their_plain_twins(seed, restricted):
                 support.setdefault((i[p], a), []).append((j[p], b))
                 support.setdefault((j[p], b), []).append((i[p], a))
     partners = np.zeros((n, g), np.uint64)
-    mark(*args, magnitude, v, tolerance, allowed, partners)
+    marked = Windows(*args, magnitude, v, tolerance, allowed)
+    mark(marked, partners)
     sizes = group_sizes(partners)
     for o in range(n):
         for s in range(g):
@@ -96,7 +106,7 @@ def test_mark_and_collect_are_their_plain_twins(seed, restricted):
     group = np.full((n, g), -1)
     for number, (o, s) in enumerate(kept):
         group[o, s] = number
-    start, members = collect(*args, magnitude, v, tolerance, allowed, group, len(kept))
+    start, members = collect(marked, group, len(kept))
     for number, couple in enumerate(kept):
         found = sorted(divmod(int(code), g) for code in members[start[number] : start[number + 1]])
         assert found == sorted((int(o), int(s)) for o, s in support[couple] if (o, s) in kept)
@@ -132,7 +142,8 @@ def run_validate(vectors, directions, couples, tolerance=1e-5):
     members = np.array([o * len(directions) + g for o, g in couples[1:]])
     kernel_obs, kernel_guide = (np.array([x]) for x in couples[0])
     start = np.array([0, len(members)])
-    return validate(kernel_obs, kernel_guide, start, members, vectors, directions, low, high, mirror, 3)
+    groups = Groups(kernel_obs, kernel_guide, start, members)
+    return validate(groups, Shapes(vectors, directions, low, high, mirror), 3)
 
 
 def test_validation_keeps_the_members_that_support_each_other(guide):

@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation.directions import focal_slopes
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.marked_sky import is_marked, mark_sky, no_marks
 from startracker.identification.other_stars import enough_hits, look_beyond, no_others
 from startracker.identification.search_state import Stars
-from startracker.identification.verification import focal_slopes
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,17 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.adaptive import _no_finds, nearest_stars
+from startracker.estimation.directions import focal_slopes
+from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
-from startracker.identification.hypothesis import kernel_stars, verify
+from startracker.identification.candidate_search import Effort, Verifier
+from startracker.identification.hypothesis import Bench, kernel_stars, verify
 from startracker.identification.observed import Observed
 from startracker.identification.pairs import separation
-from startracker.identification.pole_votes import VOTE_SIGMAS, pair_bearings, search_poles
-from startracker.identification.search_plan import evidence_of_matches, fewest_matches, plan
-from startracker.identification.search_state import Limits, Pairs, Stars
-from startracker.identification.verification import focal_slopes
+from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
+from startracker.identification.search_plan import Setting, crowding_price, evidence_of_matches, fewest_matches, plan
+from startracker.identification.search_state import Guides, Limits, Pairs, Stars
+from startracker.settings import AdaptiveSettings
 
 CAMERA = Camera.from_fov(20.0, 512, 512)
 SIGMA = 0.15 * CAMERA.pixel_rad
@@ -29,14 +31,16 @@ def guide():
     return GuideDatabase.build(load_catalog("hipparcos"), CAMERA, 4.5)
 
 
-def searched(guide, stars, limits, nearest, need, fewest):
+def searched(guide, stars, limits, nearest, need):
+    """Candidates about each pole, and the operations."""
     near = guide.pairs_within(10.0)  # of any length
-    pairs, n = Pairs(near.first, near.second, near.separation_rad), len(stars.vectors)
-    bearings, finds = pair_bearings(guide.directions, near.first, near.second), _no_finds(n)
-    found = search_poles(
-        np.arange(len(nearest)), nearest, need, fewest, stars, guide.view, pairs, bearings, limits, finds, 0
-    )
-    return found, finds
+    pairs = Pairs(near.first, near.second, near.separation_rad)
+    there, back = pair_bearings(guide.directions, near.first, near.second)
+    g, sky = len(guide), Guides(guide.directions, guide.v_mag)
+    box = BallotBox(there, back, np.empty((g, 4), np.uint64), np.empty(g, np.bool_), np.full(g, -1, np.int32))
+    found = [vote_about(k, row, need, stars, sky, pairs, box, limits) for k, row in enumerate(nearest)]
+    assert (box.head == -1).all()
+    return [candidates for candidates, _ in found], sum(work for _, work in found)
 
 
 def turn_from_north(v, w):
@@ -66,8 +70,8 @@ def test_two_votes_are_the_triangles_of_brute_force(seed):
     vectors = corners / np.linalg.norm(corners, axis=1, keepdims=True)
     sigma = np.full(3, 0.008)
     stars = Stars(vectors, focal_slopes(vectors), sigma, np.full(3, np.nan), count_table(3, 20), np.zeros((1, 3)))
-    limits = Limits(1.0, 0.0, 99.0, 0.5, 1e9, 1e12, np.eye(3), -2.0)
-    (_, looked, tried, operations), _ = searched(sky, stars, limits, np.array([[1, 2]]), 2, 3)
+    limits = Limits(1.0, 0.0, 99.0, 0.5, 1e12, np.eye(3), -2.0)
+    (candidates,), operations = searched(sky, stars, limits, np.array([[1, 2]]), 2)
     real = separation(sky.directions[:, None], sky.directions[None, :])
     sides = [float(separation(vectors[0], vectors[k])) for k in (1, 2)]
     error = [VOTE_SIGMAS * math.hypot(0.008, 0.008) + 1.02e-4 * side for side in sides]
@@ -84,10 +88,9 @@ def test_two_votes_are_the_triangles_of_brute_force(seed):
             apart = np.abs((rolls[far][:, None] - rolls[1 - far][None, :] + math.pi) % (2.0 * math.pi) - math.pi)
             slack = sum(error[k] / math.sin(sides[k]) for k in (0, 1))
             expected += int((apart <= slack).any(axis=1).sum())
-    assert looked == 1
     assert operations > 0.0
     assert expected > 20
-    assert abs(tried - expected) <= 0.02 * expected + 1  # bearings are rounded
+    assert abs(len(candidates.focal) - expected) <= 0.02 * expected + 1  # bearings are rounded
 
 
 TILT = Attitude.from_radec_roll(10.0, 20.0, 30.0).as_matrix()
@@ -102,12 +105,17 @@ def test_votes_alone_find_a_field_among_as_many_false_stars(guide, factor):
     rng = np.random.default_rng(4)
     xy = np.concatenate([rng.uniform(0.0, 511.0, xy.shape), xy + 0.1 * rng.standard_normal(xy.shape)])
     observed = Observed(CAMERA.unproject(xy), None, np.full(len(xy), SIGMA))
-    limits = Limits(2.2, 0.025 if factor != 1.0 else 0.0, 2.0, 0.01, 60.0, 1e12, np.eye(3), -2.0)
-    nearest = nearest_stars(observed.vectors, len(xy) - 1)
-    (count, _, _, _), finds = searched(guide, kernel_stars(observed, guide), limits, nearest, 4, 6)
-    best = int(np.argmax(finds.log_b[:count]))
-    guides = finds.guide[best]
-    assert math.exp(finds.focal[best]) == pytest.approx(factor, abs=2e-3)
+    limits = Limits(2.2, 0.025 if factor != 1.0 else 0.0, 2.0, 0.01, 1e12, np.eye(3), -2.0)
+    stars = kernel_stars(observed, guide)
+    bench = Bench(AdaptiveSettings(), None, len(xy))
+    verifier = Verifier(bench, guide, stars)
+    candidates, _ = searched(guide, stars, limits, nearest_stars(observed.vectors), 4)
+    for found in candidates:
+        verifier.take(found, Effort(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
+    best = bench.standing[0]
+    assert best.focal == pytest.approx(factor, abs=2e-3)
+    guides = np.full(len(xy), -1)
+    guides[best.pairs[:, 0]] = best.pairs[:, 1]
     assert (guides[len(index) :] == index).mean() > 0.9  # a false star may be the nearer one
 
 
@@ -132,22 +140,26 @@ def test_fewest_matches_are_those_of_whole_fields(guide):
                 break
     in_field = round(len(guide) * guide.solid_angle_sr / (4.0 * math.pi))
     evidence = evidence_of_matches(20, in_field, math.log(guide.solid_angle_sr / SIGMA**2), 0.4, 3)
-    expected = fewest_matches(evidence, np.zeros((1, 20)), math.log(largest_density(20)) - math.log(1e-7))
+    expected = fewest_matches(evidence, np.zeros(20), math.log(largest_density(20)) - math.log(1e-7))
     assert len(enough) >= 15
     assert abs(expected - np.median(enough)) <= 1.0
 
 
 def test_crowded_points_need_more_matches():
     evidence = evidence_of_matches(20, 30, 15.0, 0.4, 3)
-    assert fewest_matches(evidence, np.zeros((1, 20)), 12.0) < fewest_matches(evidence, np.full((1, 20), 5.0), 12.0)
-    assert fewest_matches(evidence, np.full((1, 20), 50.0), 12.0) == 21
+    even, crowded, clump = (crowding_price(np.full((1, 20), excess)) for excess in (0.0, 5.0, 50.0))
+    assert fewest_matches(evidence, even, 12.0) < fewest_matches(evidence, crowded, 12.0)
+    assert fewest_matches(evidence, clump, 12.0) == 21
+
+
+SETTING = Setting(pairs=3e3, guides=8800, rolls=1.1, gate=1e-4, rare=0.02)
 
 
 @pytest.mark.parametrize(("n", "fewest"), [(8, 5), (15, 6), (40, 7)])
 def test_a_plan_misses_as_seldom_as_it_says(n, fewest):
     """Simulated: stars are true at random, and so are the neighbours of each."""
     miss = 0.02
-    planned = plan(n, fewest, miss, 1e9, pairs=3e3, guides=8800, rolls=1.1, gate=1e-4, rare=0.02)
+    planned = plan(n, fewest, miss, 1e9, SETTING, (1.0,))
     rng = np.random.default_rng(n)
     missed, trials = 0, 4000
     for _ in range(trials):
@@ -162,7 +174,16 @@ def test_a_plan_misses_as_seldom_as_it_says(n, fewest):
 
 
 def test_a_plan_keeps_to_what_it_may_cost():
-    free = plan(40, 7, 0.0025, 1e9, pairs=3e3, guides=8800, rolls=1.1, gate=1e-4, rare=0.02)
-    bound = plan(40, 7, 0.0025, 1e6, pairs=3e3, guides=8800, rolls=1.1, gate=1e-4, rare=0.02)
-    none = plan(40, 7, 0.0025, 1e3, pairs=3e3, guides=8800, rolls=1.1, gate=1e-4, rare=0.02)
+    free = plan(40, 7, 0.0025, 1e9, SETTING, (1.0,))
+    bound = plan(40, 7, 0.0025, 1e6, SETTING, (1.0,))
+    none = plan(40, 7, 0.0025, 1e3, SETTING, (1.0,))
     assert none.poles == 0 < bound.poles < free.poles <= 40
+
+
+def test_a_plan_that_cannot_find_the_fewest_looks_for_more():
+    crowded, most = SETTING._replace(gate=5.8e-4), (1.0, 2.0, 4.0)
+    fewest = plan(120, 4, 0.0025, 33e6, crowded, (1.0,))
+    assert fewest.cut_short
+    assert plan(120, 4, 0.0025, 33e6, crowded, most).poles > 10 * fewest.poles
+    # where the fewest are found, so are more
+    assert plan(15, 6, 0.02, 1e9, SETTING, most) == plan(15, 6, 0.02, 1e9, SETTING, (1.0,))

@@ -21,7 +21,7 @@ UNPHYSICAL = [
     ),
     (
         ["detector.full_well_e=10", "detector.read_noise_e=20"],
-        "detector.full_well_e: 10 e⁻ is less than the read noise of 20 e⁻; no signal could be told from it",
+        "detector.full_well_e: 10 e⁻ is less than the read noise of 20 e⁻; no signal could be distinguished from it",
     ),
     (["orbit.altitude_km=-5"], "orbit.altitude_km: -5 km is inside the Earth; use 150 km or more"),
     (

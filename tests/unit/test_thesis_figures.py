@@ -42,14 +42,9 @@ def test_values_colours_and_texts_are_filled_in(drawn):
     assert ax.get_legend() is not None
 
 
-def test_calls_are_repeated_in_their_styles_and_left_out(drawn):
-    plan = {
-        "draw": [
-            {"axhline": ["$y"], "each": "lines", "styles": [{"color": "ORANGE"}, {"color": "GREEN"}]},
-            {"axvline": [1], "when": "none"},
-        ]
-    }
-    (ax,) = drawn(plan, lines=[{"y": 1}, {"y": 2}, {"y": 3}], none=[])
+def test_calls_are_repeated_in_their_styles(drawn):
+    plan = {"draw": [{"axhline": ["$y"], "each": "lines", "styles": [{"color": "ORANGE"}, {"color": "GREEN"}]}]}
+    (ax,) = drawn(plan, lines=[{"y": 1}, {"y": 2}, {"y": 3}])
     assert [line.get_color() for line in ax.lines] == [ORANGE, GREEN, ORANGE]
 
 
@@ -69,7 +64,7 @@ def test_a_value_that_is_not_there_is_an_error(drawn):
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parts[-3]}-{file.stem}")
 def test_every_figure_has_what_a_figure_needs(file):
     for plan in read_yaml(str(file.relative_to(ROOT).with_suffix(""))).values():
-        assert plan.keys() <= {"size", "grid", "axes", "suptitle", "panels", "every", "figure_legend", *_PANEL}
+        assert plan.keys() <= {"size", "grid", "axes", "suptitle", "panels", "every", "figure_legend", "with", *_PANEL}
         for panel in [*plan.get("panels", [plan]), plan.get("every", {})]:
             for call in panel.get("draw", []):
                 method = next(iter(call))
@@ -77,4 +72,4 @@ def test_every_figure_has_what_a_figure_needs(file):
                 assert known or method in ("circle", "rectangle"), method
 
 
-_PANEL = ("draw", "set", "legend", "projection", "each", "when")
+_PANEL = ("draw", "set", "legend", "projection", "each")

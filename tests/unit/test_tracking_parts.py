@@ -14,8 +14,8 @@ from startracker.observer import Observer
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
-from startracker.tracking.looking import Sky, look
-from startracker.tracking.matching import match_gated, spreads, track
+from startracker.tracking.looking import Sky, look, window_half
+from startracker.tracking.matching import Match, match_gated, spreads, track
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
 
@@ -66,12 +66,11 @@ def test_match_uses_no_star_twice_and_the_nearer_wins():
     places = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
     places /= np.linalg.norm(places, axis=1, keepdims=True)
     seen = places[[0, 0, 1]] + np.array([[3e-4, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
-    us, vs, spread = spreads(places, np.eye(3) * 1e-12)
-    index, distance2, owner = np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64)
-    count = match_gated(seen, np.full(3, 1e-4), places, us, vs, spread, 18.4, index, distance2, owner)
+    match = Match(np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64))
+    count = match_gated(seen, np.full(3, 1e-4), places, spreads(places, np.eye(3) * 1e-12), 18.4, match)
     assert count == 2
-    assert list(index) == [-1, 0, 1]
-    assert distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
+    assert list(match.partner) == [-1, 0, 1]
+    assert match.distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
 
 
 def test_match_follows_the_common_rotation_not_the_nearest_star(tracker):
@@ -142,7 +141,8 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     image = rng.normal(100.0, 3.0, size=(256, 256))
     for x, y in centre:
         image += 900.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 0.9**2))
-    seen = look(image.astype(np.float32), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    half = window_half(tracker, expected, np.eye(3) * 1e-9, 0.0, 20)
+    seen = look(image.astype(np.float32), tracker, expected, half, 0.0, 1.0, None, 1.0)
     inside = CAMERA.contains(centre, -8.0)
     apart = [np.sort(np.hypot(*(centre - c).T))[1] > 12.0 for c in centre]
     found = [np.hypot(*(seen.xy - c).T).min() for c in centre[inside & apart]]
@@ -150,9 +150,10 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     # 900 over 3: some 0.01 px, plus what the widths measured on few stars leave
     assert max(found) < 0.06
     assert seen.windows == CAMERA.contains(np.rint(centre)).sum()
-    assert look(image, tracker, expected, np.eye(3) * 1e-2, 0.0, 20, 1.0, None, 1.0) is None  # windows too large
-    assert look(image[:10], tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0) is None
-    swapped = look(image.astype(">f4"), tracker, expected, np.eye(3) * 1e-9, 0.0, 20, 1.0, None, 1.0)
+    assert window_half(tracker, expected, np.eye(3) * 1e-2, 0.0, 20) is None  # windows too large
+    assert look(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
+    assert look(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
+    swapped = look(image.astype(">f4"), tracker, expected, half, 0.0, 1.0, None, 1.0)
     np.testing.assert_allclose(swapped.xy, seen.xy)
 
 

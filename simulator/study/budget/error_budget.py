@@ -189,11 +189,11 @@ def _errors_of_runs(
     done: list[_Run] = []
     for k, keys in enumerate(changes):
 
-        def told(finished: int, _: int, before: int = k * trials) -> None:
+        def report(finished: int, _: int, before: int = k * trials) -> None:
             if progress:
                 progress(before + finished, len(changes) * trials)
 
-        found = run_trials(scenario.changed(keys), trials, workers=workers, progress=told)
+        found = run_trials(scenario.changed(keys), trials, workers=workers, progress=report)
         if found.interrupted:
             break
         done.append(_errors(found.table))

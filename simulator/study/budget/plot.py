@@ -20,7 +20,7 @@ _COLOURS = {
     "rate": "#cc79a7",
     "bias": "#56b4e9",
     "": "#777777",
-}  # Okabe & Ito 2008: told apart by all eyes
+}  # Okabe & Ito 2008: distinguished by all eyes
 
 _PANELS = (
     ("across the boresight (rms of x and y)", ("cross_x", "cross_y")),
@@ -38,9 +38,9 @@ def budget_figure(budget: Budget) -> Figure:
     rows = [*effects, *budget.classes]
     figure = Figure(figsize=(9.5, 1.9 + 0.27 * len(rows)), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    places = np.arange(len(rows)) + np.array([0.6 if k >= len(effects) else 0.0 for k in range(len(rows))])
+    positions = np.arange(len(rows)) + np.array([0.6 if k >= len(effects) else 0.0 for k in range(len(rows))])
     for ax, (title, axes) in zip(panels, _PANELS, strict=True):
-        _bars(ax, rows, places, axes)
+        _bars(ax, rows, positions, axes)
         everything = math.sqrt(sum(budget.rms_deg[axis] ** 2 for axis in axes) / len(axes)) * 3600
         ax.axvline(everything, color="#444444", linestyle=":")
         lines = f"dotted: all on, {everything:.3g}″"
@@ -53,7 +53,7 @@ def budget_figure(budget: Budget) -> Figure:
         ax.set_xlabel("added to the rms error, in square [arcsec]")
         ax.grid(axis="x", alpha=0.3)
         ax.set_axisbelow(True)
-    panels[0].set_yticks(places, [row.name for row in rows])
+    panels[0].set_yticks(positions, [row.name for row in rows])
     panels[0].invert_yaxis()
     if rows:
         from simulator.study.budget.effects import CLASSES
@@ -65,14 +65,14 @@ def budget_figure(budget: Budget) -> Figure:
     return figure
 
 
-def _bars(ax: Axes, rows: list[Contribution], places: np.ndarray, axes: tuple[str, ...]) -> None:
-    for row, place in zip(rows, places, strict=True):
+def _bars(ax: Axes, rows: list[Contribution], positions: np.ndarray, axes: tuple[str, ...]) -> None:
+    for row, position in zip(rows, positions, strict=True):
         value = _root(np.mean([row.added_deg2[axis] for axis in axes]))
-        ax.barh(place, value, height=0.72, color=_COLOURS[row.kind])
+        ax.barh(position, value, height=0.72, color=_COLOURS[row.kind])
         ends = [row.interval_deg2[axis] for axis in axes]
         low, high = [v[0] for v in ends if v[0] is not None], [v[1] for v in ends if v[1] is not None]
         if len(low) == len(high) == len(axes):
-            ax.plot([_root(np.mean(low)), _root(np.mean(high))], [place, place], color="#222222", linewidth=1.2)
+            ax.plot([_root(np.mean(low)), _root(np.mean(high))], [position, position], color="#222222", linewidth=1.2)
 
 
 def _root(square_deg2: float | np.floating) -> float:

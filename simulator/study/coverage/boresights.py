@@ -198,7 +198,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
 
 
 def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a place, or spins."""
+    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a direction, or spins."""
     steady = scenario.model_copy(update={"pointing": replace(scenario.pointing, error_deg=0.0, jitter=NO_JITTER)})
     scenes = build_scenes(steady)
     scenes.plan(t_s)

@@ -113,7 +113,7 @@ def accumulate_information(
     nadir: FloatArray,
     limb_cosine: FloatArray,
 ) -> tuple[IntArray, FloatArray]:
-    """Stars in the field, and what they tell of the attitude: F = Σ wᵢ (I − bᵢ bᵢᵀ) in camera axes, rad⁻².
+    """Stars in the field, and their information on the attitude: F = Σ wᵢ (I − bᵢ bᵢᵀ) in camera axes, rad⁻².
 
     Shuster & Oh 1981 (J. Guidance and Control 4, 70), eq. 94: the inverse of F is the covariance of the optimal
     attitude where wᵢ = 1/σᵢ², σᵢ the error of a direction along each of its two axes.

@@ -1,4 +1,4 @@
-"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well placed.
+"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well centred.
 
 The star's image (PSF, smear, pixels) and the noise of its pixels give the signal-to-noise ratio of the detection and
 the Cramér–Rao bound of the centroid. Left out: stray light, ghosts, jitter, cosmic rays, hot pixels, errors of the
@@ -24,7 +24,7 @@ from simulator.scenario import Scenario
 from simulator.sky.background import sky_brightness_s10
 from simulator.sky.photometry import Photometer
 from simulator.study.coverage.boresights import sky_grid
-from simulator.study.trials.bounds import fisher_of_place, image_slopes, mean_dark_e, pixel_variance_e2
+from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
@@ -33,7 +33,7 @@ __all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "no
 
 FloatArray = NDArray[np.float64]
 
-_PLACES = 16
+_POSITIONS = 16
 """Places in the field, each at another phase within its pixel, over which images and bounds are averaged."""
 
 _HALF_WIDTHS, _LEAST_HALF = 4.0, 4
@@ -166,13 +166,13 @@ def centroid_bound_px(
     detector: DetectorParameters,
     exposure_s: float,
 ) -> FloatArray:
-    """Cramér–Rao bound (P, 2) of a star's place along columns and rows, pixels: the inverse of
-    `simulator.study.trials.bounds.fisher_of_place`, infinite where saturation leaves nothing.
+    """Cramér–Rao bound (P, 2) of a star's position along columns and rows, pixels: the inverse of
+    `simulator.study.trials.bounds.fisher_of_position`, infinite where saturation leaves nothing.
 
     Parameters
     ----------
     images : three (P, M, M) arrays
-        Share of the light in each pixel for P places, and its slopes (`simulator.study.trials.bounds.image_slopes`).
+        Share of the light in each pixel for P positions, and its slopes (`simulator.study.trials.bounds.image_slopes`).
     electrons : float
         Electrons of the star.
     pixel : Pixel
@@ -184,7 +184,7 @@ def centroid_bound_px(
     light = pixel.sky_e + signal
     variance = pixel_variance_e2(light, pixel.dark_e, signal, detector, exposure_s)
     variance = np.where(light + pixel.dark_e < pixel.top_e, variance, np.inf)
-    information = fisher_of_place(*images, np.full(len(signal), electrons), variance)
+    information = fisher_of_position(*images, np.full(len(signal), electrons), variance)
     xx, yy, xy = information[:, 0, 0], information[:, 1, 1], information[:, 0, 1]
     determinant = xx * yy - xy * xy
     known = determinant > 1e-12 * xx * yy
@@ -193,19 +193,19 @@ def centroid_bound_px(
 
 
 def _images(plane: FocalPlane, rate_rad_s: FloatArray, exposure_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Smeared images (P, H, W) of a star at places spread over the field, and their derivatives along x and y."""
+    """Smeared images (P, H, W) of a star at positions spread over the field, and their derivatives along x and y."""
     camera = plane.camera
-    k = np.arange(_PLACES)
+    k = np.arange(_POSITIONS)
     # at the rms distance from the centre, so that a roll draws streaks of the rms length
-    azimuth = 2.0 * math.pi * k / _PLACES
+    azimuth = 2.0 * math.pi * k / _POSITIONS
     x = 0.5 * (camera.width - 1) + camera.width / math.sqrt(6.0) * np.cos(azimuth)
     y = 0.5 * (camera.height - 1) + camera.height / math.sqrt(6.0) * np.sin(azimuth)
-    places = np.stack([np.floor(x) + (k + 0.5) / _PLACES, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
+    positions = np.stack([np.floor(x) + (k + 0.5) / _POSITIONS, np.floor(y) + (k * 0.618034) % 1.0], axis=1)
     psf = plane.psfs.psf(_B_V)
-    paths, weights = star_paths(camera, camera.unproject(places), rate_rad_s, exposure_s, psf.feature_px)
+    paths, weights = star_paths(camera, camera.unproject(positions), rate_rad_s, exposure_s, psf.feature_px)
     if not np.isfinite(paths).all():
         raise InputError("the lens model gives no direction at the rms distance from the centre of the image")
-    local = paths - np.rint(places)[:, None, :]
+    local = paths - np.rint(positions)[:, None, :]
     sigma = max(psf.sigma_px, psf.sigma_y_px)
     half = max(_LEAST_HALF, psf.core_half_px, math.ceil(_HALF_WIDTHS * sigma)) + math.ceil(float(np.abs(local).max()))
     return image_slopes(psf, local, weights, half)

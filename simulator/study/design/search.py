@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,12 +34,12 @@ from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.voxels import voxel_grid
 from startracker.errors import InputError
 
-__all__ = ["PARAMETERS", "Design", "Point", "Verification", "design", "predict", "verify"]
+__all__ = ["PARAMETERS", "Design", "Point", "Trade", "Verification", "design", "predict", "verify"]
 
 FloatArray = NDArray[np.float64]
 
 Progress = Callable[[int], None]
-"""Called with the number of values reckoned."""
+"""Called with the number of values computed."""
 
 _TOLERANCE = 0.005
 """The value is found to this share of itself."""
@@ -189,73 +189,75 @@ def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
     )
 
 
-def design(
-    scenario: Scenario,
-    parameter: str,
-    low: float,
-    high: float,
-    *,
-    steps: int = 12,
-    least_stars: int = 5,
-    least_availability: float = 0.999,
-    count: int = 5000,
-    path: bool = False,
-    progress: Progress | None = None,
-) -> Design:
+@dataclass(frozen=True)
+class Trade:
+    """What is varied, and what the smallest value of it has to give."""
+
+    parameter: str
+    """A key of `PARAMETERS`."""
+    low: float
+    high: float
+    """Range searched, in the parameter's unit."""
+    steps: int = 12
+    """Values of the table, at equal ratios, at least 2."""
+    least_stars: int = 5
+    """Stars an attitude needs to count as available."""
+    least_availability: float = 0.999
+    """Share of the sky (or of the time along the path) that must have them, 0 to 1."""
+    count: int = 5000
+    """Attitudes."""
+    path: bool = False
+    """Along the mission's path in place of the whole sky."""
+
+    def check(self) -> None:
+        """Raise `InputError` for an unknown parameter or numbers that cannot be."""
+        if self.parameter not in PARAMETERS:
+            known = ", ".join(PARAMETERS)
+            raise InputError(f"--over: there is no parameter {self.parameter!r} to design; there are {known}")
+        if not (math.isfinite(self.high) and 0.0 < self.low < self.high):
+            raise InputError(f"--from and --to: must be 0 < from < to, not {self.low:g} and {self.high:g}")
+        if self.steps < 2:
+            raise InputError(f"--steps: must be at least 2, not {self.steps}")
+        if self.least_stars < 1:
+            raise InputError(f"--stars: must be at least 1, not {self.least_stars}")
+        if not 0.0 <= self.least_availability <= 1.0:
+            raise InputError(f"--availability: must be from 0 to 1, not {self.least_availability:g}")
+
+
+def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -> Design:
     """The smallest value of a parameter that meets the specification and the availability.
 
-    The values low … high are tried at equal ratios; between the first that meets everything and the one before it the
-    limit is found by halving, to 0.5 %.
+    Between the first value of the table that meets everything and the one before it the limit is found by halving, to
+    0.5 %.
 
     Parameters
     ----------
     scenario : Scenario
         Everything else, the specification included.
-    parameter : str
-        A key of `PARAMETERS`.
-    low, high : float
-        Range searched, in the parameter's unit.
-    steps : int
-        Values of the table, at least 2.
-    least_stars : int
-        Stars an attitude needs to count as available.
-    least_availability : float
-        Share of the sky (or of the time along the path) that must have them, 0 to 1.
-    count : int
-        Attitudes.
-    path : bool
-        Along the mission's path in place of the whole sky.
+    trade : Trade
+        Parameter, range and conditions.
     progress : callable, optional
-        Told after every value.
+        Called after every value.
 
     Raises
     ------
     InputError
         For an unknown parameter or numbers that cannot be.
     """
-    if parameter not in PARAMETERS:
-        raise InputError(f"--over: there is no parameter {parameter!r} to design; there are {', '.join(PARAMETERS)}")
-    if not (math.isfinite(high) and 0.0 < low < high):
-        raise InputError(f"--from and --to: must be 0 < from < to, not {low:g} and {high:g}")
-    if steps < 2:
-        raise InputError(f"--steps: must be at least 2, not {steps}")
-    if least_stars < 1:
-        raise InputError(f"--stars: must be at least 1, not {least_stars}")
-    if not 0.0 <= least_availability <= 1.0:
-        raise InputError(f"--availability: must be from 0 to 1, not {least_availability:g}")
-    looks = along_path(scenario, count) if path else whole_sky(count)
+    trade.check()
+    looks = along_path(scenario, trade.count) if trade.path else whole_sky(trade.count)
     specification = {axis: float(getattr(scenario.specification, f"{axis}_deg")) for axis in BODY_AXES}
     points: dict[float, Point] = {}
 
-    def reckon(value: float) -> Point:
+    def computed(value: float) -> Point:
         if value not in points:
-            points[value] = _point(scenario, parameter, value, looks, least_stars, least_availability, specification)
+            points[value] = _point(scenario, trade, value, looks, specification)
             if progress:
                 progress(len(points))
         return points[value]
 
-    grid = [float(f"{value:.6g}") for value in np.geomspace(low, high, steps)]
-    met = [reckon(value).met for value in grid]
+    grid = [float(f"{value:.6g}") for value in np.geomspace(trade.low, trade.high, trade.steps)]
+    met = [computed(value).met for value in grid]
     best = None
     if any(met):
         first = met.index(True)
@@ -264,15 +266,15 @@ def design(
             fails = grid[first - 1]
             while best.value - fails > _TOLERANCE * best.value:
                 middle = float(f"{math.sqrt(fails * best.value):.6g}")
-                point = reckon(middle)
+                point = computed(middle)
                 best, fails = (point, fails) if point.met else (best, middle)
     return Design(
         name=scenario.name,
-        parameter=parameter,
+        parameter=trade.parameter,
         over=looks.kind,
         attitudes=len(looks),
-        least_stars=least_stars,
-        least_availability=least_availability,
+        least_stars=trade.least_stars,
+        least_availability=trade.least_availability,
         specification_deg=specification,
         points=tuple(points[value] for value in sorted(points)),
         best=best,
@@ -329,26 +331,18 @@ def _contradictions(summary: Mapping[str, Any], result: Design) -> Iterator[str]
             yield f"3σ {axis} is {deg_text(three_sigma)} where {deg_text(limit)} is specified"
 
 
-def _point(
-    scenario: Scenario,
-    parameter: str,
-    value: float,
-    looks: Boresights,
-    least_stars: int,
-    least_availability: float,
-    specification: dict[str, float],
-) -> Point:
+def _point(scenario: Scenario, trade: Trade, value: float, looks: Boresights, specification: dict[str, float]) -> Point:
     try:
-        chosen = changed(scenario, parameter, value)
+        chosen = changed(scenario, trade.parameter, value)
     except InputError as error:
         return Point(value, impossible=str(error))
-    point = predict(chosen, looks, least_stars)
+    point = predict(chosen, looks, trade.least_stars)
     accurate = all(
         (reached := point.three_sigma_deg.get(axis)) is not None and reached <= limit
         for axis, limit in specification.items()
     )
-    met = accurate and point.availability is not None and point.availability >= least_availability
-    return Point(**(asdict(point) | {"value": value, "met": met}))
+    met = accurate and point.availability is not None and point.availability >= trade.least_availability
+    return replace(point, value=value, met=met)
 
 
 def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
@@ -356,5 +350,5 @@ def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
     try:
         return scenario.changed(keys)
     except ValidationError as error:
-        told = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
-        raise InputError("; ".join(" ".join(text.split()) for text in told)) from error
+        reasons = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
+        raise InputError("; ".join(" ".join(text.split()) for text in reasons)) from error

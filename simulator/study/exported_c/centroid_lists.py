@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 __all__ = ["KINDS", "ListKind", "centroid_list", "list_text"]
 
 FloatArray = NDArray[np.float64]
+
+NOISE_PX = 0.3
+"""Standard deviation of each coordinate."""
+
 ListKind = Literal["field", "false_stars", "few", "duplicates", "format_edge"]
 KINDS: tuple[ListKind, ...] = ("field", "false_stars", "few", "duplicates", "format_edge")
 
@@ -23,7 +27,6 @@ def centroid_list(
     rng: np.random.Generator,
     kind: ListKind = "field",
     max_stars: int = 12,
-    noise_px: float = 0.3,
 ) -> FloatArray:
     """Centroids (N, 2) of one field near a star picked at random, at a random roll.
 
@@ -44,8 +47,6 @@ def centroid_list(
         beyond.
     max_stars : int
         Of the field, the brightest.
-    noise_px : float
-        Standard deviation of each coordinate.
     """
     half = np.array(size_px) / 2.0
     focal = half / np.tan(np.radians(fov_deg) / 2.0)
@@ -59,7 +60,7 @@ def centroid_list(
     points = np.stack([directions[ahead] @ x, directions[ahead] @ y], axis=1) / depth[ahead, None] * focal
     inside = (np.abs(points) < half).all(axis=1)
     seen = points[inside][np.argsort(v_mag[ahead][inside], kind="stable")][:max_stars]
-    xy = seen + rng.normal(0.0, noise_px, seen.shape)
+    xy = seen + rng.normal(0.0, NOISE_PX, seen.shape)
     if kind == "false_stars":
         count = int(rng.integers(1, 4))
         xy = np.insert(xy, rng.integers(0, len(xy) + 1, count), rng.uniform(-half, half, (count, 2)), axis=0)

@@ -92,7 +92,7 @@ def content_of(
 
 
 def angle_text(value_deg: float | None) -> str:
-    """Angle for people, with the digits that tell it from the ends of its interval even after many trials."""
+    """Angle for people, with the digits that distinguish it from the ends of its interval even after many trials."""
     if value_deg is None or not math.isfinite(value_deg):
         return "–"
     if abs(value_deg) >= 0.1:
@@ -111,7 +111,7 @@ def interval_text(interval: Any, text: Callable[[float | None], str] = angle_tex
 
 
 def percent_text(share: float | None) -> str:
-    """A share in percent, with the digits that tell it from 0 and 100."""
+    """A share in percent, with the digits that distinguish it from 0 and 100."""
     if share is None:
         return "–"
     away = min(share, 1.0 - share)
@@ -344,8 +344,8 @@ def _added_across(entry: Mapping[str, Any]) -> float:
     return sum(math.copysign(rms * rms, rms) for rms in added)
 
 
-def _largest(budget: Mapping[str, Any] | None, most: int = 3) -> str:
-    """The effects that add most across the boresight, as shares of the mean square error; those that surely add."""
+def _largest(budget: Mapping[str, Any] | None) -> str:
+    """The three largest effects across the boresight with an interval above 0, as shares of the mean square error."""
     if budget is None:
         return ""
     whole = sum(budget["rms_deg"][axis] ** 2 for axis in CAMERA_AXES[:2])
@@ -354,4 +354,4 @@ def _largest(budget: Mapping[str, Any] | None, most: int = 3) -> str:
         for entry in budget["effects"]
         if all((entry["axes"][axis]["added_rms_interval95_deg"][0] or 0.0) > 0.0 for axis in CAMERA_AXES[:2])
     ]
-    return ", ".join(f"{name} {100 * share:.0f} %" for share, name in sorted(sure, reverse=True)[:most])
+    return ", ".join(f"{name} {100 * share:.0f} %" for share, name in sorted(sure, reverse=True)[:3])

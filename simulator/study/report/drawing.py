@@ -13,12 +13,12 @@ from startracker.errors import BoresightError
 
 __all__ = ["drawn_apart"]
 
-Told = TypeVar("Told")
+Content = TypeVar("Content")
 Page = TypeVar("Page", str, bytes)
 
 
-def drawn_apart(draw: Callable[[Told], Page], told: Told) -> Page:
-    """What `draw` makes of what it is told, a report, say, in a process that ends with it.
+def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:
+    """What `draw` makes of its content, a report, say, in a process that ends with it.
 
     Raises
     ------
@@ -27,7 +27,9 @@ def drawn_apart(draw: Callable[[Told], Page], told: Told) -> Page:
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-m", "simulator.study.report.drawing"]
-    done = subprocess.run(command, input=pickle.dumps((draw, told)), capture_output=True, env=environment, check=False)
+    done = subprocess.run(
+        command, input=pickle.dumps((draw, content)), capture_output=True, env=environment, check=False
+    )
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {done.returncode}"]
         raise BoresightError(f"the report could not be drawn: {lines[-1]}")

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, Binned, error_against
-from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
+from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, STUDY_STYLE, VERMILION, Panel, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from startracker.catalog.stars import StarCatalog
 
@@ -146,6 +147,15 @@ def draw_histogram(columns: Columns, axis: str, specified_deg: float | None, ax:
         ax.plot([], [], " ", label=f"{outside} beyond the plot")
     ax.set_ylim(0, ax.get_ylim()[1] * 1.45)
     ax.legend(loc="upper left", ncols=2, columnspacing=1.0, handlelength=1.5)
+
+
+def error_histograms(columns: Columns, specification_deg: Mapping[str, float]) -> Figure:
+    """Histograms of the errors about the body and the camera axes in one picture."""
+    figure, grid = new_figure(STUDY_STYLE, 2, 3, (11, 6))
+    for ax, (axis, (name, _)) in zip(grid.ravel(), TITLES.items(), strict=True):
+        draw_histogram(columns, axis, specification_deg.get(axis), ax)
+        ax.set_title(name)
+    return figure
 
 
 def draw_against(columns: Columns, name: str, label: str, ax: Axes) -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A report, told and drawn but not yet set in type."""
+    """A report, its text and its figures, but not yet set in type."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
@@ -100,7 +100,6 @@ def report_html(
     columns: Mapping[str, NDArray[Any]],
     *,
     runner: TrialRunner | None = None,
-    budget: Mapping[str, Any] | None = None,
 ) -> str:
     """`build_report` and `html_of` in one: the page alone, drawn apart."""
-    return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner, budget=budget))
+    return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner))

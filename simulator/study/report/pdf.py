@@ -215,11 +215,11 @@ class _Paper:
 
     @staticmethod
     def _draw(sheet: Figure, panel: Panel, left: float, top: float, width: float, height: float) -> None:
-        """Axes in their place on the sheet, with room about them for their labels, in letters of the sheet's size."""
+        """Axes at their position on the sheet, with room for their labels, in letters of the sheet's size."""
         from matplotlib import rc_context
 
         before, below = 0.52, 0.58 if panel.wide else 0.4
-        place = (left + before, HEIGHT_IN - top - height + below, width - before - 0.05, height - below - 0.05)
+        box = (left + before, HEIGHT_IN - top - height + below, width - before - 0.05, height - below - 0.05)
         with rc_context({"font.size": 7.0, "legend.fontsize": 6.0}):
-            x, y, w, h = place
+            x, y, w, h = box
             panel.draw(sheet.add_axes((x / WIDTH_IN, y / HEIGHT_IN, w / WIDTH_IN, h / HEIGHT_IN)))

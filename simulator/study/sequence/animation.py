@@ -187,16 +187,16 @@ def mp4_bytes(views: list[FrameView], columns: Columns, name: str, program: str)
 def _marks(draw: ImageDraw.ImageDraw, view: FrameView, corner: tuple[int, int]) -> None:
     """Windows as squares, matched stars as circles."""
 
-    def place(xy: NDArray[np.float64]) -> tuple[float, float]:
+    def position(xy: NDArray[np.float64]) -> tuple[float, float]:
         x, y = (xy + 0.5) / view.factor - 0.5
         return corner[0] + float(x), corner[1] + float(y)
 
     half = max(view.window_half_px / view.factor, 3.0)
     for xy in view.window_xy:
-        x, y = place(xy)
+        x, y = position(xy)
         draw.rectangle((x - half, y - half, x + half, y + half), outline=_WINDOW)
     for xy in view.matched_xy:
-        x, y = place(xy)
+        x, y = position(xy)
         draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=_MATCHED)
 
 

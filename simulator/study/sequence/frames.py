@@ -26,6 +26,7 @@ from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
     attitude_errors_deg,
     build_tracker,
+    in_field,
     misidentified,
     normalised_error_squared,
 )
@@ -45,10 +46,10 @@ NO_FRAME = "no_frame"
 """Status of a frame that did not come."""
 LEAST_PRIOR_DEG = 0.1
 _LEAST_WALK = 1e-6
-"""Least disturbance, rad/s/√s, that the filter is told of: a body that drifts freely."""
+"""Least disturbance, rad/s/√s, given to the filter: a body that drifts freely."""
 _FEWEST_FOR_WALK = 8
 _LAG_MARGIN = 3.0
-"""A steady acceleration is no white noise; told of this many times as much, the filter lags by less than its σ."""
+"""A steady acceleration is no white noise; given this many times as much, the filter lags by less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ class SequenceRunner:
         return hold(self._pointing, nominal, rng)
 
     def _noise(self) -> GyroNoise | RateNoise:
-        """What the filter is told of the motion and of the gyro."""
+        """The noise of the motion and of the gyro, as the filter is given it."""
         section = self.scenario.sequence
         walk = section.rate_walk_deg_s_sqrt_s
         if walk == "auto":
@@ -332,12 +333,10 @@ class SequenceRunner:
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
-        sources = truth.sources
-        inside = frame.camera.contains(sources.xy)
-        star = sources.kind == "star"
+        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         return {
-            "stars_in_field": int(np.sum(inside & star & (sources.v_mag <= self.scenario.tracker.magnitude_limit))),
-            "bodies_in_field": int(np.sum(inside & ~star)),
+            "stars_in_field": stars,
+            "bodies_in_field": bodies,
             "excluded": ", ".join(truth.excluded),
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
         }
@@ -356,8 +355,8 @@ class SequenceRunner:
             errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
-            strangers = misidentified(truth, solution) if self.same_catalog else 0
-            row["single_wrong"] = self._is_wrong(truth, solution, strangers, nees, error_deg)
+            wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
+            row["single_wrong"] = self._is_wrong(truth, solution, wrong_stars, nees, error_deg)
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row

@@ -1,7 +1,7 @@
 """A sequence under the sensor's own rules of operation: the camera exposed as they say, and what they leave behind.
 
 `startracker.tracking.operation` decides from the images alone; here are the exposures that it asks for, the columns
-and the summary, and the truth that the map of blemishes and the magnitudes are held against.
+and the summary, and the truth that the map of defective pixels and the magnitudes are held against.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ class OperatedCamera:
         good = np.isfinite(read) & np.isfinite(b_v) & ~saturated_near(frame.image, stars.xy, frame.saturation_dn)
         return np.stack([b_v[good], (read - stars.v_mag)[good]], axis=1)
 
-    def truth_of_blemishes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Pixels that are blemished beyond doubt, and such that may be taken for it, (H, W).
+    def true_defects(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Pixels that are defective beyond doubt, and such that may be classified so, (H, W).
 
         By the mean dark signal at the longest exposure: over its median by twice `blemish_sigma` times the noise of a
         pixel (the spread of the ordinary dark signal with it), or by half as much. Dead pixels read the offset, as an
@@ -143,13 +143,13 @@ class OperatedCamera:
 
 
 def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]], step_s: float) -> dict[str, Any]:
-    """How often each rule acted, the exposures, the map of blemishes against the truth, and the magnitudes' errors.
+    """How often each rule acted, the exposures, the map of defective pixels and the magnitudes against the truth.
 
     The colour's slope is that of a straight line through all errors, magnitudes a magnitude of B − V: what one relation
     for all stars leaves. Without it the errors have the standard deviation ``std_without_colour``.
     """
     status, rule = columns["status"], columns["rule"]
-    surely, maybe = camera.truth_of_blemishes()
+    certain, maybe = camera.true_defects()
     mapped = camera.rules.blemishes
     exposures = columns["exposure_s"]
     return {
@@ -160,8 +160,8 @@ def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]]
         "exposure_s": {"first": float(exposures[0]), "shortest": float(exposures.min()), "last": float(exposures[-1])},
         "blemishes": {
             "mapped": int(mapped.sum()),
-            "certain": int(surely.sum()),
-            "certain_mapped": int(np.sum(surely & mapped)),
+            "certain": int(certain.sum()),
+            "certain_mapped": int(np.sum(certain & mapped)),
             "sound_mapped": int(np.sum(mapped & ~maybe)),
         },
         "magnitudes": _magnitudes(camera.colours),

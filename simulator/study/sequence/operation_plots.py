@@ -1,4 +1,4 @@
-"""Plots of the rules of operation: the exposure and where each rule acted, the map of blemishes, the magnitudes."""
+"""Plots of the rules of operation: exposure, where each rule acted, the map of defective pixels, magnitudes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def operation_panels(columns: Columns) -> list[Panel]:
     """Panels of a sequence under the rules of operation."""
     return [
         Panel("Exposure", "Exposure of each frame, and where a rule acted.", lambda ax: _exposure(ax, columns)),
-        Panel("Blemished pixels", "Pixels in the map.", lambda ax: _blemishes(ax, columns), 2.2),
+        Panel("Defective pixels", "Pixels in the map.", lambda ax: _defects(ax, columns), 2.2),
         Panel(
             "Magnitudes",
             "Magnitude read from the image minus the catalogue's: mean of each frame, and its spread (rms).",
@@ -53,7 +53,7 @@ def _exposure(ax: Axes, columns: Columns) -> None:
     _time(ax, t)
 
 
-def _blemishes(ax: Axes, columns: Columns) -> None:
+def _defects(ax: Axes, columns: Columns) -> None:
     t = columns["elapsed_s"]
     ax.step(t, columns["blemished_px"], where="mid", color=BLUE, linewidth=1.2)
     ax.set_ylim(bottom=0, top=1.2 * max(1, int(columns["blemished_px"].max())))

@@ -82,7 +82,7 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def effective_number(values: FloatArray) -> float:
-    """Number of independent values that tell as much of the mean as these correlated ones.
+    """Number of independent values that say as much of the mean as these correlated ones.
 
     N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
     7, 473: the initial positive sequence); between 1 and N.
@@ -103,18 +103,18 @@ def effective_number(values: FloatArray) -> float:
     return float(np.clip(n / total, 1.0, n))
 
 
-def nees_test(nees: FloatArray, freedom: int = 3) -> dict[str, Any]:
+def nees_test(nees: FloatArray) -> dict[str, Any]:
     """Mean of the normalised estimation error squared and the bounds that hold 95 % of such means.
 
-    e P⁻¹ e of a consistent filter is χ² of `freedom`; the mean of N independent ones is χ²(N · freedom)/N (Bar-Shalom,
-    Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4). Successive errors
-    of a filter hang together; for N the effective number is taken.
+    e P⁻¹ e of a consistent filter is χ² of 3 degrees of freedom; the mean of N independent ones is χ²(3 N)/N
+    (Bar-Shalom, Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
+    Successive errors of a filter are correlated; for N the effective number is taken.
     """
     nees = nees[np.isfinite(nees)]
     if not len(nees):
         return {"mean": None, "effective_frames": 0.0, "bounds95": None, "within": None}
     n = effective_number(nees)
-    low, high = (float(chdtri(freedom * n, p)) / n for p in (0.975, 0.025))
+    low, high = (float(chdtri(3 * n, p)) / n for p in (0.975, 0.025))
     mean = float(nees.mean())
     return {"mean": mean, "effective_frames": n, "bounds95": [low, high], "within": low <= mean <= high}
 

@@ -1,7 +1,7 @@
 """Several runs beside each other: what differs in their scenarios, and what that does to the errors.
 
 Runs of one seed share their trials (same times, attitudes and random streams), so they are also compared trial by
-trial: the ratio of their rms errors over the trials that both solved is far surer than the two intervals suggest.
+trial: the ratio of their rms errors over the trials that both solved is more certain than the two intervals suggest.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from simulator.study.trials.columns import Columns
 from startracker.errors import InputError
 
 IGNORED = ("name", "description")
-"""Keys that tell nothing of what was simulated."""
+"""Keys that say nothing of what was simulated."""
 
 MAX_RUNS = 200
 

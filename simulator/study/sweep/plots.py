@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_CURVES = 6
-"""More curves than this in one panel cannot be told apart: the points are then drawn, and their pooled rms."""
+"""More curves than this in one panel cannot be distinguished: the points are then drawn, and their pooled rms."""
 
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, "#CC79A7", "#444444")
 _MARKERS = "osD^vP"
@@ -64,23 +64,23 @@ def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
     axis = next(a for a in table["swept"] if a["path"] == path)
     others = [a["path"] for a in table["swept"] if a["path"] != path]
     done = [p for p in table["points"] if "statistics" in p]
-    place = _places(axis, table["points"])
+    position = _position_along(axis, table["points"])
     families: dict[tuple[Any, ...], list[Point]] = {}
     for point in done:
         families.setdefault(tuple(point["values"][other] for other in others), []).append(point)
     curves = table["kind"] == "grid" and len(families) <= MAX_CURVES
     figure, panels = figure_of_panels()
-    refused = _refused_everywhere(table["points"], path, place)
+    refused = _refused_everywhere(table["points"], path, position)
     for ax, (name, title, scale) in zip(panels.ravel(), _quantities(), strict=True):
         if curves:
             for n, (values, points) in enumerate(families.items()):
-                x, y, low, high = _series(points, path, place, name, scale)
+                x, y, low, high = _series(points, path, position, name, scale)
                 label = ", ".join(f"{o.rpartition('.')[2]} {_text(v)}" for o, v in zip(others, values, strict=True))
                 colour, marker = _COLOURS[n % len(_COLOURS)], _MARKERS[n % len(_MARKERS)]
                 ax.plot(x, y, f"{marker}-", color=colour, markersize=4, linewidth=1.2, label=label or "rms")
                 ax.errorbar(x, y, _bars(y, low, high), fmt="none", ecolor=colour, elinewidth=1, capsize=2.5)
         else:
-            x, y, low, high = _series(done, path, place, name, scale)
+            x, y, low, high = _series(done, path, position, name, scale)
             ax.errorbar(x, y, _bars(y, low, high), fmt="o", color=BLUE, markersize=3, elinewidth=0.6, alpha=0.45,
                         label="a point of the sweep")  # fmt: skip
             if table["kind"] == "grid":
@@ -106,7 +106,7 @@ def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
         "Root mean square error (left scale) and 3σ, three times it (right scale); dashed: the 3σ specified. "
         "Bars: 95 % intervals, by bootstrap, and Wilson's for the share identified. "
         + ("" if curves else "The other keys differ from point to point. ")
-        + "All points saw the same skies and draws, so differences between them are surer than the bars suggest."
+        + "All points saw the same skies and draws, so differences between them are more certain than the bars suggest."
     )
 
 
@@ -171,16 +171,16 @@ def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _places(axis: dict[str, Any], points: list[Point]) -> Any:
-    """Function from a value to its place along the axis: itself, or its position among the names."""
+def _position_along(axis: dict[str, Any], points: list[Point]) -> Any:
+    """Function from a value to its position along the axis: itself, or its number among the names."""
     if axis["numeric"]:
         return float
     names = list(dict.fromkeys(axis["values"] or [p["values"][axis["path"]] for p in points]))
     return lambda value: float(names.index(value))
 
 
-def _series(points: list[Point], path: str, place: Any, name: str, scale: float) -> tuple[NDArray[np.float64], ...]:
-    """Place, value and ends of the interval of every point that has the statistic, by place; NaN for no interval."""
+def _series(points: list[Point], path: str, position: Any, name: str, scale: float) -> tuple[NDArray[np.float64], ...]:
+    """Position, value and interval of every point that has the statistic, by position; NaN for no interval."""
     low, high = f"{name}_rms_low_deg", f"{name}_rms_high_deg"
     if name not in AXES:
         low, high = f"{name}_low", f"{name}_high"
@@ -189,7 +189,7 @@ def _series(points: list[Point], path: str, place: Any, name: str, scale: float)
         s = point["statistics"]
         if s[_column(name)] is not None:
             ends = [np.nan if s.get(key) is None else s[key] for key in (low, high)]
-            rows.append([place(point["values"][path]), s[_column(name)] * scale, ends[0] * scale, ends[1] * scale])
+            rows.append([position(point["values"][path]), s[_column(name)] * scale, ends[0] * scale, ends[1] * scale])
     data = np.array(sorted(rows), dtype=float).reshape(-1, 4)
     return tuple(data.T)
 
@@ -199,16 +199,16 @@ def _bars(y: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.flo
     return np.nan_to_num(np.maximum(np.stack([y - low, high - y]), 0.0))
 
 
-def _refused_everywhere(points: list[Point], path: str, place: Any) -> list[float]:
-    """Places at which no point can be."""
-    possible = {place(p["values"][path]) for p in points if p["status"] != "refused"}
-    return sorted({place(p["values"][path]) for p in points} - possible)
+def _refused_everywhere(points: list[Point], path: str, position: Any) -> list[float]:
+    """Positions at which no point can be."""
+    possible = {position(p["values"][path]) for p in points if p["status"] != "refused"}
+    return sorted({position(p["values"][path]) for p in points} - possible)
 
 
 def _pooled(
     x: NDArray[np.float64], y: NDArray[np.float64], squares: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean, or root mean square, of all points at each place."""
+    """Mean, or root mean square, of all points at each position."""
     values = np.unique(x)
     power = 2.0 if squares else 1.0
     return values, np.array([np.mean(y[x == value] ** power) ** (1.0 / power) for value in values])

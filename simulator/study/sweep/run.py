@@ -2,8 +2,8 @@
 
 Every point is a run of the engine with the same seed: trial i meets the same times, attitudes, stars and noise draws at
 every point (common random numbers; Law 2015, *Simulation Modeling and Analysis*, section 11.2), so that a difference
-between points is far surer than either point by itself. Finished points are kept one file each in ``points/`` until all
-are done; a kill costs the point under way at most.
+between points is more certain than either point by itself. Finished points are kept one file each in ``points/`` until
+all are done; a kill costs the point under way at most.
 """
 
 from __future__ import annotations
@@ -159,7 +159,9 @@ def plan_sweep(
             points.append(Point(index, row, None, "; ".join(p.message for p in error.problems)))
     plan = Plan(swept, tuple(points), kind)
     if not plan.runnable:
-        load_scenario(path, set_values, trials=trials, seed=seed)  # a mistake of the file itself is told by its line
+        load_scenario(
+            path, set_values, trials=trials, seed=seed
+        )  # a mistake of the file itself is reported with its line
         raise InputError(f"--over: none of the {len(points)} points can be; the first: {points[0].refused}")
     return plan
 
@@ -209,7 +211,7 @@ def run_sweep(
     force : bool
         Compute everything again, and replace what stands in `out`, whatever it is.
     progress : callable, optional
-        Told of every block of trials.
+        Called for every block of trials.
 
     Raises
     ------
@@ -297,9 +299,9 @@ def _run_points(plan: Plan, kept: Path, state: _State, where: Where, progress: P
             if attempt == MAX_ROUNDS:
                 raise BoresightError(f"{state.notes[-1]}: damaged {MAX_ROUNDS} times; is the disk failing?")
             for point in todo:
-                told = _shifted(progress, done, total, point)
+                report = _shifted(progress, done, total, point)
                 try:
-                    trials = _run_point(point, pool, where.dask, told)
+                    trials = _run_point(point, pool, where.dask, report)
                 except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
                     state.interrupted = True
                     break
@@ -328,7 +330,7 @@ def _run_point(
     try:
         if dask is None:
             return run_trials(scenario, scenario.study.trials, workers=pool, progress=progress)
-        TrialRunner(scenario)  # what cannot be is told here; a cluster that is not there is another matter
+        TrialRunner(scenario)  # what cannot be is reported here; a cluster that is not there is another matter
     except InputError as error:
         return " ".join(str(error).split())
     return run_trials(scenario, scenario.study.trials, dask=dask, progress=progress)

@@ -1,8 +1,8 @@
 """What limits it: the Cramér–Rao bound of every trial, from the truth.
 
-No unbiased estimator of a star's place does better than the inverse of its Fisher matrix, none of the attitude better
-than what these places tell of it. Both follow from what really was: the star's image, its electrons, and the noise of
-each pixel about it.
+No unbiased estimator of a star's position does better than the inverse of its Fisher matrix, none of the attitude
+better than these positions determine it. Both follow from what really was: the star's image, its electrons, and the
+noise of each pixel about it.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Wells(NamedTuple):
 def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
     """Cramér–Rao bound of the attitude of one frame: least standard deviation about x, y, z of the camera, degrees.
 
-    P = [Σ Jᵢᵀ Fᵢ Jᵢ]⁻¹ with the Fisher matrix Fᵢ (2, 2) of each star's place (`star_information`) and Jᵢ = ∂(x, y)/∂θ
-    (2, 3), the slopes of its pixel against the camera's rotation vector. For equal errors σᵢ on both axes of a star and
-    pixels of equal size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster & Oh 1981, J. Guidance & Control 4, 70); but
-    unlike that it holds away from the axis too, where a pixel of a pinhole spans a smaller angle.
+    P = [Σ Jᵢᵀ Fᵢ Jᵢ]⁻¹ with the Fisher matrix Fᵢ (2, 2) of each star's position (`star_information`) and
+    Jᵢ = ∂(x, y)/∂θ (2, 3), the slopes of its pixel against the camera's rotation vector. For equal errors σᵢ on both
+    axes of a star and pixels of equal size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster & Oh 1981, J. Guidance & Control
+    4, 70); but unlike that it holds away from the axis too, where a pixel of a pinhole spans a smaller angle.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
 
 @kernel
 def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray, is_star: BoolArray) -> IntArray:
-    """Kernel: rows (N,) of the brightest stars within `SAME_STAR_PX` of each place (N, 2), −1 where there is none."""
+    """Kernel: rows (N,) of the brightest star within `SAME_STAR_PX` of each position (N, 2); −1: none."""
     best = np.empty(len(xy), np.int64)
     for n in range(len(xy)):
         best[n], most = -1, 0.0
@@ -113,15 +113,15 @@ def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
-    """Fisher matrices (N, 2, 2), px⁻², of the places of stars at mid-exposure, their flux unknown too.
+    """Fisher matrices (N, 2, 2), px⁻², of the positions of stars at mid-exposure, their flux unknown too.
 
     With the mean μ = F p(x, y) of the pixels about a star, F_ab = Σ ∂_a μ ∂_b μ / v over x, y and F, and F eliminated
-    (Schur's complement), as its value tells nothing of the place that is not in these sums (Winick 1986, J. Opt. Soc.
-    Am. A 3, 1809; King 1983, PASP 95, 163). p is the scenario's own PSF, pixel-integrated and drawn out along the
+    (Schur's complement), as its value says nothing of the position that is not in these sums (Winick 1986, J. Opt. Soc.
+    Am. A 3, 1809; King 1983, PASP 95, 163). p is the scenario's own PSF, pixel-integrated and trailed along the
     star's path over the exposure; slopes are central differences of 0.02 px. The background counts as known: the
     tracker has it from thousands of pixels. v is the variance of a pixel (`pixel_variance_e2`), to which neighbours add
     their shot noise. Jitter is left out, which blurs further: without it the bound is lower, and still a bound.
-    Saturated pixels tell nothing.
+    Saturated pixels hold no information.
 
     Parameters
     ----------
@@ -174,11 +174,11 @@ def _about_stars(
     return out
 
 
-def fisher_of_place(
+def fisher_of_position(
     share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> FloatArray:
-    """Fisher matrices (N, 2, 2) of places from images of unit flux, their slopes, and variances (N, M, M); pixels of
-    infinite variance tell nothing."""
+    """Fisher matrices (N, 2, 2) of positions from images of unit flux, their slopes, and variances (N, M, M); pixels of
+    infinite variance hold no information."""
     out = np.empty((len(flux), 2, 2))
     _fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
     return out
@@ -188,13 +188,13 @@ def fisher_of_place(
 def _fisher(
     out: FloatArray, share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> None:
-    """Kernel of `fisher_of_place`."""
+    """Kernel of `fisher_of_position`."""
     for n in range(len(flux)):
         xx = xy = yy = xf = yf = ff = 0.0
         for j in range(share.shape[1]):
             for i in range(share.shape[2]):
                 x, y, f = flux[n] * slope_x[n, j, i], flux[n] * slope_y[n, j, i], share[n, j, i]
-                if f == 0.0 and x == 0.0 and y == 0.0:  # a pixel that neither varies nor changes tells nothing
+                if f == 0.0 and x == 0.0 and y == 0.0:  # a pixel that neither varies nor changes holds no information
                     continue
                 weight = 1.0 / variance[n, j, i] if variance[n, j, i] > 0.0 else np.inf
                 xx += x * weight * x
@@ -285,7 +285,7 @@ def pixel_variance_e2(
     mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorParameters, exposure_s: float
 ) -> FloatArray:
     """Variance of pixels, photo-electrons²: shot noise of light and dark current, reset and read noise, the converter's
-    rounding (g²/12), and what is fixed in the device but not told to the tracker: the response of a pixel (PRNU) times
+    rounding (g²/12), and what is fixed in the device but not known to the tracker: the response of a pixel (PRNU) times
     the star's light in it, and DSNU times the mean dark current. Behind an intensifier shot noise grows by the excess
     noise factor, all else is divided by the gain; what its phosphor blurs is left out: the bound stays one.
 
@@ -345,7 +345,7 @@ def _variances_about(
     centres: FloatArray,
     noise: tuple[float, float, float, float],
 ) -> None:
-    """Kernel: variances (N, M, M) of the pixels about stars in the place of their light; infinite off the image and
+    """Kernel: variances (N, M, M) of the pixels about stars in the array of their light; infinite off the image and
     where charge overflows. A single dark pixel stands for all."""
     height, width = mean_e.shape
     uneven = wells.dark_e_s.size > 1

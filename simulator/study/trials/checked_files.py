@@ -58,10 +58,10 @@ def fault_of(path: Path, checksum: str | None = None) -> str:
 
 def set_aside(path: Path, fault: str, results: Path) -> str:
     """Move a damaged file to `DAMAGED_FOLDER` of the folder of the results; a sentence that says so."""
-    told = f"{path}: {fault}"
+    sentence = f"{path}: {fault}"
     if path.exists():
         with contextlib.suppress(OSError):  # on a failing disk
             aside = make_folder(results / DAMAGED_FOLDER)
             os.replace(path, aside / path.name)
-            told += f"; set aside in {aside}"
-    return f"{told}; its trials are computed again"
+            sentence += f"; set aside in {aside}"
+    return f"{sentence}; its trials are computed again"

@@ -40,7 +40,7 @@ def run_on_cluster(
     ----------
     scenario : Scenario
         Sent with every block; a worker builds what its trials share once. Files that it names must be at the same
-        place on every machine.
+        path on every machine.
     blocks : Blocks
         What is left to run.
     address : str

@@ -89,7 +89,7 @@ def run_trials(
     force : bool
         Discard what an unfinished run left in `folder`.
     progress : callable, optional
-        Told after every block.
+        Called after every block.
 
     Raises
     ------
@@ -110,19 +110,13 @@ def run_trials(
     with stop_on_signal() as stop:
         for _ in range(MAX_ROUNDS):
             blocks = Blocks(store.missing(trials), processes)
-            done = trials - blocks.left
             if progress:
-                progress(done, trials)
+                progress(trials - blocks.left, trials)
             here = dask is None and blocks.workers == 1
             if here and blocks and runner is None:
                 runner = TrialRunner(scenario)
             found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, workers, stop)
-            with contextlib.closing(found) as results:
-                for result in results:
-                    store.put(result.block, result.table)
-                    done += len(result.block)
-                    if progress:
-                        progress(done, trials)
+            _keep(store, found, trials - blocks.left, trials, progress)
             if store.check() or stop.is_set():
                 break
         else:
@@ -133,6 +127,18 @@ def run_trials(
         finished = trials - sum(map(len, store.missing(trials)))
         interrupted = stop.is_set() and finished < trials
     return Trials(store, finished, min(taken_over, finished), trials, interrupted, blocks.workers, runner)
+
+
+def _keep(
+    store: PartStore, found: Generator[Result, None, None], done: int, trials: int, progress: Progress | None
+) -> None:
+    """Keep blocks as they come."""
+    with contextlib.closing(found) as results:
+        for result in results:
+            store.put(result.block, result.table)
+            done += len(result.block)
+            if progress:
+                progress(done, trials)
 
 
 def _run_elsewhere(

@@ -310,14 +310,14 @@ def nothing_lost() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        reason = str(error).removesuffix("; choose another place")
+        reason = str(error).removesuffix("; choose another path")
         raise InputError(
             f"{reason}; the finished trials are kept: make room there and run again with --resume"
         ) from error
 
 
 def discard_parts(folder: Path) -> None:
-    """Remove the blocks of a finished run, once its results stand in their place."""
+    """Remove the blocks of a finished run, once its results have replaced them."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
 
 

@@ -45,7 +45,7 @@ class WorkerPool:
         self.close()
 
     def submit(self, scenario: Scenario, key: str, block: range) -> Future[Result]:
-        """Have a block run by the next process that is free; `key` tells scenarios apart."""
+        """Have a block run by the next process that is free; `key` distinguishes scenarios."""
         if self._executor is None:
             self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=_start_worker)
         return self._executor.submit(_run_block, scenario, key, block)
@@ -123,7 +123,7 @@ def _run_block(scenario: Scenario, key: str, block: range) -> Result:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed tells nobody, and its workers would wait for more blocks for ever."""
+    """A parent that is killed sends no message, and its workers would wait for more blocks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

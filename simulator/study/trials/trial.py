@@ -13,7 +13,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.kernels import clock
@@ -70,29 +70,28 @@ def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude)
     return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
 
 
-def misidentified(truth: FrameTruth, solution: Solution, tolerance_px: float = 3.0) -> int:
-    """Number of matched stars with no true star of that number within `tolerance_px` of the centroid.
+def misidentified(truth: FrameTruth, solution: Solution) -> int:
+    """Number of matched stars with no true star of that number within `SAME_STAR_PX` of the centroid.
 
     A merged double carries the number of its brighter star, whose true position is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
     star, source = np.nonzero((stars.catalog_id[:, None] == sources.id) & sources.is_star)
     offset = sources.image_xy[source] - stars.xy[star]
-    known = star[np.hypot(offset[:, 0], offset[:, 1]) <= tolerance_px]
+    known = star[np.hypot(offset[:, 0], offset[:, 1]) <= SAME_STAR_PX]
     return len(stars.xy) - len(set(known.tolist()))
 
 
-def _in_field(sources: TrueSources, width: int, height: int, limit: float) -> tuple[int, int]:
+def in_field(camera: Camera, sources: TrueSources, limit: float) -> tuple[int, int]:
     """Numbers of stars down to a magnitude, and of bodies, that are on the image."""
-    x, y = sources.xy.T
-    inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+    inside = camera.contains(sources.xy)
     star = inside & sources.is_star
     return int((star & (sources.v_mag <= limit)).sum()), int(inside.sum() - star.sum())
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
     """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
-    where the covariance tells the truth (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
+    where the covariance is right (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
     if covariance_rad2 is None or not np.isfinite(error_deg).all():
         return math.nan
     error = np.radians(error_deg)
@@ -172,11 +171,10 @@ class TrialRunner:
         row |= zip(_BOUND, bound_deg.tolist(), strict=True)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
-        strangers = misidentified(truth, solution) if self.same_catalog else 0
-        row["wrong"] = is_wrong(strangers, row["nees"], error_deg, bound_deg)
+        wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
+        row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, bound_deg)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
-        camera, limit = frame.camera, float(scenario.tracker.magnitude_limit)
-        stars, bodies = _in_field(sources, camera.width, camera.height, limit)
+        stars, bodies = in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         residuals = fitted.residual_px.ravel()
         row |= {
             "stars_in_field": stars,
@@ -184,7 +182,7 @@ class TrialRunner:
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_used": len(fitted),
-            "stars_misidentified": strangers,
+            "stars_misidentified": wrong_stars,
             "residual_rms_px": math.sqrt(float(residuals @ residuals) / len(residuals)) if len(residuals) else math.nan,
             "rate_deg_s": math.degrees(math.hypot(*truth.rate_camera_rad_s.tolist())),
         }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +10,9 @@ from scipy.optimize import minimize_scalar
 
 from simulator.optics import airy
 from simulator.optics.psf import SIGMA_PER_RING
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.centroid.bias import moment_bias
 
 FIRST_DARK_RING, SECOND_DARK_RING = airy.FIRST_RING * np.pi, 7.015586669815619
@@ -26,6 +25,9 @@ OFFSETS: FloatArray = np.arange(11.0) * 0.05
 """Offsets of Table 4.1, detector lengths."""
 
 THESIS_SIGMA, THESIS_FIT_SIGMA = 1.23, 1.3497
+
+_ROWS, _COLUMNS = np.mgrid[-2:3, -2:3].astype(float)
+"""Of each pixel of a window of 5 × 5, from its middle."""
 
 CRITERIA: dict[str, Callable[[FloatArray], float]] = {
     "range of the error (max − min)": lambda e: float(np.ptp(e)),
@@ -56,38 +58,27 @@ def _least(function: Callable[[float], float], low: float, high: float) -> float
     return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
 
 
-def pixel_grid(side_px: int = 5) -> tuple[FloatArray, FloatArray]:
-    """Column and row (side, side) of each pixel of a window, from its middle."""
-    n = side_px // 2
-    rows, columns = np.mgrid[-n : n + 1, -n : n + 1].astype(float)
-    return columns, rows
-
-
 def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) -> FloatArray:
     """Offset less first moment over 5 × 5 point samples of an Airy pattern whose first dark ring is `ring_px` out."""
-    columns, rows = pixel_grid()
     out = []
     for offset in np.atleast_1d(np.asarray(offset_px, dtype=float)):
-        samples = airy_pattern(np.hypot(columns - offset, rows) * FIRST_DARK_RING / ring_px)
-        out.append(offset - float((samples * columns).sum() / samples.sum()))
+        samples = airy_pattern(np.hypot(_COLUMNS - offset, _ROWS) * FIRST_DARK_RING / ring_px)
+        out.append(offset - float((samples * _COLUMNS).sum() / samples.sum()))
     return np.array(out)
 
 
-def sigma_of_bias(ring_px: float = FIRST_DARK_RING) -> float:
+def sigma_of_bias() -> float:
     """σ of the point-sampled Gaussian whose centroid bias is nearest, in least squares over `OFFSETS`, to the Airy
     pattern's."""
-    truth = airy_bias(OFFSETS, ring_px)
-    scale = ring_px / FIRST_DARK_RING
+    truth = airy_bias(OFFSETS)
     return _least(
-        lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()),
-        0.7 * scale,
-        1.6 * scale,
+        lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()), 0.7, 1.6
     )
 
 
 def spread(sigma_px: float) -> FloatArray:
     """Intensity (5, 5) at the pixels' centres of a star in the middle of one, relative to the middle."""
-    return gaussian(np.hypot(*pixel_grid()), sigma_px)
+    return gaussian(np.hypot(_COLUMNS, _ROWS), sigma_px)
 
 
 def section(
@@ -99,25 +90,8 @@ def section(
     pixels of `pitch_um` out.
     """
     focused_um = airy.first_ring() * f_number * wavelength_um
-    drawn = figures(
-        "greyling1995/blur",
-        {
-            "fig_4_1_airy": _pattern,
-            "fig_4_2_airy_and_gaussian": partial(_both, focused_um, ring_px * pitch_um),
-            "fig_4_3_difference": _difference,
-            "fig_4_4_pixel_spread": _spread,
-        },
-    )
-    rows = table_rows("greyling1995/blur", _airy_values(focused_um) | _fit_values(ring_px))
-    return Section("Chapter 4.1: the stellar image", rows, drawn)
-
-
-def _airy_values(focused_um: float) -> Values:
-    return {
-        "disk_um": 2.0 * focused_um,
-        "within_first_percent": 100.0 * float(airy.encircled_energy(FIRST_DARK_RING / np.pi)),
-        "within_second_percent": 100.0 * float(airy.encircled_energy(SECOND_DARK_RING / np.pi)),
-    }
+    values = _airy_values() | _lens_values(focused_um, ring_px * pitch_um) | _fit_values(ring_px) | _spread()
+    return section_of("greyling1995/blur", "Chapter 4.1: the stellar image", values)
 
 
 def _fit_values(ring_px: float) -> Values:
@@ -125,6 +99,7 @@ def _fit_values(ring_px: float) -> Values:
     minimax = found["range of the error (max − min)"]
     truth, light = airy_pattern(X_FIT), spread(THESIS_FIT_SIGMA)
     excess = [np.ptp(gaussian(X_FIT, s) - truth) for s in (THESIS_FIT_SIGMA, minimax)]
+    x = np.linspace(0.0, 5.0, 501)
     return {
         "minimax": minimax,
         "range_excess": excess[0] / excess[1] - 1,
@@ -140,6 +115,9 @@ def _fit_values(ring_px: float) -> Values:
         "sigma_of_80": _least(lambda sigma: (_central_share(sigma) - 0.8) ** 2, 0.5, 2.0),
         "above": int((light > 0.3).sum()),
         "light": light,
+        "fit_x": x,
+        "fits": [{"sigma": s, "off": gaussian(x, s) - airy_pattern(x)} for s in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+        "first_ring": FIRST_DARK_RING,
     }
 
 
@@ -149,35 +127,36 @@ def _central_share(sigma_px: float) -> float:
     return float(light[1:4, 1:4].sum() / light.sum())
 
 
-def _pattern() -> Values:
+def _airy_values() -> Values:
     x = np.linspace(-12.0, 12.0, 961)
     airy_x = airy_pattern(x)
+    dark = (FIRST_DARK_RING, SECOND_DARK_RING)
     rings = [
-        {"x": sign * ring, "label": "dark rings, 3.83 and 7.02" if sign * ring == FIRST_DARK_RING else None}
-        for ring in (FIRST_DARK_RING, SECOND_DARK_RING)
+        {"at": sign * ring, "label": "dark rings, 3.83 and 7.02" if sign * ring == FIRST_DARK_RING else None}
+        for ring in dark
         for sign in (1.0, -1.0)
     ]
-    picture = np.log10(np.maximum(airy_pattern(np.hypot(*np.meshgrid(x[::4], x[::4]))), 1e-4))
-    outside = np.where(np.abs(x) >= FIRST_DARK_RING, 20.0 * airy_x, np.nan)
-    return {"x": x, "airy": airy_x, "outside": outside, "rings": rings, "picture": picture}
-
-
-def _both(focused_um: float, wide_um: float) -> Values:
-    r_um, x = np.linspace(-30.0, 30.0, 1201), np.linspace(-5.0, 5.0, 401)
     return {
-        "r_um": r_um,
-        "rings_um": (focused_um, wide_um),
-        "lenses": [airy_pattern(r_um / ring_um * FIRST_DARK_RING) for ring_um in (focused_um, wide_um)],
+        "within_percent": [100.0 * float(airy.encircled_energy(ring / np.pi)) for ring in dark],
         "x": x,
-        "airy": airy_pattern(x),
-        "gaussians": [gaussian(x, sigma) for sigma in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+        "airy": airy_x,
+        "outside": np.where(np.abs(x) >= FIRST_DARK_RING, 20.0 * airy_x, np.nan),
+        "rings": rings,
+        "picture": np.log10(np.maximum(airy_pattern(np.hypot(*np.meshgrid(x[::4], x[::4]))), 1e-4)),
     }
 
 
-def _difference() -> Values:
-    x = np.linspace(0.0, 5.0, 501)
-    curves = [{"sigma": s, "off": gaussian(x, s) - airy_pattern(x)} for s in (THESIS_FIT_SIGMA, THESIS_SIGMA)]
-    return {"x": x, "curves": curves, "ring": FIRST_DARK_RING}
+def _lens_values(focused_um: float, wide_um: float) -> Values:
+    r_um, x = np.linspace(-30.0, 30.0, 1201), np.linspace(-5.0, 5.0, 401)
+    return {
+        "disk_um": 2.0 * focused_um,
+        "r_um": r_um,
+        "rings_um": (focused_um, wide_um),
+        "lenses": [airy_pattern(r_um / ring_um * FIRST_DARK_RING) for ring_um in (focused_um, wide_um)],
+        "near_x": x,
+        "near_airy": airy_pattern(x),
+        "gaussians": [gaussian(x, sigma) for sigma in (THESIS_FIT_SIGMA, THESIS_SIGMA)],
+    }
 
 
 def _spread() -> Values:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995 import centre
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_FIT_SIGMA, THESIS_SIGMA, airy_bias, stamp_cells
 from simulator.theses.greyling1995.centre import LISTING_OFFSETS, LISTING_SEED, LISTING_SIGMA, noise_errors
@@ -18,7 +18,7 @@ from simulator.theses.greyling1995.star_images import (
     tracker_errors,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.centroid.bias import moment_bias
 
 TABLE_4_1 = (
@@ -47,23 +47,19 @@ RATES_PX_S = (4.0, 8.0, 10.0, 20.0)
 
 def section(seeds: int = 200) -> Section:
     """Section 4.3: rows and Figs. 4.8 to 4.13, Tables 4.1 and 4.2; Figs. 4.10 and 4.11 from the noise of many seeds."""
-    drawn = figures(
-        "greyling1995/centroiding",
-        {
-            "fig_4_8_offsets": _offsets,
-            "fig_4_9_bias": _bias_curves,
-            "fig_4_10_noise": partial(_noise_curves, min(seeds, 40)),
-            "fig_4_11_largest_noise_error": partial(_largest_errors, seeds),
-            "fig_4_12_smear": _smear_curves,
-            "fig_4_13_distortion": _distortion_curves,
-        },
-    )
     values = _bias_values() | _noise_values(seeds) | _smear_and_distortion_values() | _angle_values()
-    return Section("Chapter 4.3: centroids", table_rows("greyling1995/centroiding", values), drawn)
+    values |= {
+        "noise_panels": partial(_noise_curves, min(seeds, 40)),
+        "largest": partial(_largest_errors, seeds),
+        "smears": _smear_curves,
+        "distortions": _distortion_curves,
+    }
+    return section_of("greyling1995/centroiding", "Chapter 4.3: centroids", values | _LIMIT)
 
 
 def _bias_values() -> Values:
     bias = moment_bias(OFFSETS, THESIS_SIGMA, 5, integrated=False)
+    fine = np.linspace(0.0, 0.5, 51)
     sampled = "Gaussian of σ = 1.23 sampled at the pixels' centres, first moment over 5 × 5"
     return {
         "bias": [
@@ -75,6 +71,16 @@ def _bias_values() -> Values:
         "twice_bias": 2.0 * bias[-1],
         "step": 1.0 - 2.0 * bias[-1],
         "shifts": _equal_peak_shifts(),
+        "stamps": _offsets(),
+        "fine": fine,
+        "gaussians": [
+            {"sigma": sigma, "bias": moment_bias(fine, sigma, 5, integrated=False)}
+            for sigma in (1.0, THESIS_SIGMA, THESIS_FIT_SIGMA)
+        ],
+        "some": fine[::5],
+        "airy": airy_bias(fine[::5]),
+        "printed": (OFFSETS, [float(value) for value in TABLE_4_1]),
+        "integrated": moment_bias(fine, THESIS_SIGMA, 5),
     }
 
 
@@ -154,33 +160,17 @@ def _angle_values() -> Values:
     }
 
 
-def _offsets() -> Values:
+def _offsets() -> list[Values]:
+    """Images of stars from the middle of a pixel to its edge, with the labels of the outer panels."""
     offsets = np.arange(6) * 0.1
-    panels = [
-        {"offset": offset, "stamp": stamp, "cells": stamp_cells(stamp, "{:.2f}"), "letter": letter,
-         "x_label": "x [L]" if letter in "def" else "", "y_label": "y [L]" if letter in "ad" else ""}
-        for offset, stamp, letter in zip(offsets, star_stamps(offsets), "abcdef", strict=True)
-    ]  # fmt: skip
-    return {"panels": panels}
+    labels = [{"x_label": "x [L]" if k > 2 else "", "y_label": "" if k % 3 else "y [L]"} for k in range(6)]
+    return [
+        {"offset": offset, "stamp": stamp, "cells": stamp_cells(stamp, "{:.2f}"), "letter": letter} | label
+        for offset, stamp, letter, label in zip(offsets, star_stamps(offsets), "abcdef", labels, strict=True)
+    ]
 
 
-def _bias_curves() -> Values:
-    fine = np.linspace(0.0, 0.5, 51)
-    return {
-        "fine": fine,
-        "gaussians": [
-            {"sigma": sigma, "bias": moment_bias(fine, sigma, 5, integrated=False)}
-            for sigma in (1.0, THESIS_SIGMA, THESIS_FIT_SIGMA)
-        ],
-        "some": fine[::5],
-        "airy": airy_bias(fine[::5]),
-        "offsets": OFFSETS,
-        "printed": [float(value) for value in TABLE_4_1],
-        "integrated": moment_bias(fine, THESIS_SIGMA, 5),
-    }
-
-
-def _noise_curves(seeds: int) -> Values:
+def _noise_curves(seeds: int) -> list[Values]:
     """Noise errors by centre.m, bias taken off."""
     panels = []
     for snr_db, letter in ((40.0, "a"), (20.0, "b")):
@@ -188,9 +178,9 @@ def _noise_curves(seeds: int) -> Values:
         shown = np.where(wrong, np.nan, errors)
         reach = 1.5 * float(np.nanmax(np.abs(shown)))
         others = [{"errors": row} for row in np.delete(shown, LISTING_SEED - 1, axis=0)]
-        own = {"own": shown[LISTING_SEED - 1], "others": others}
+        own = {"own": shown[LISTING_SEED - 1], "others": others, "offsets": LISTING_OFFSETS, "count": seeds - 1}
         panels.append({"snr_db": snr_db, "letter": letter, "range": (-reach, reach)} | own)
-    return {"panels": panels, "offsets": LISTING_OFFSETS, "seed": LISTING_SEED, "count": seeds - 1}
+    return panels
 
 
 def _largest_errors(seeds: int) -> Values:
@@ -201,7 +191,6 @@ def _largest_errors(seeds: int) -> Values:
         "quantiles": np.array([_largest_quantiles(float(snr), seeds) for snr in snr_db]).T,
         "with_wrong": [float(np.abs(noise_errors(float(snr))[0]).max()) for snr in snr_db],
         "ours": [np.quantile(np.abs(tracker_errors(snr_db=snr)), MEDIAN_OF_LARGEST) for snr in snr_db],
-        "seed": LISTING_SEED,
     }
 
 
@@ -222,7 +211,7 @@ def _smear_curves() -> Values:
                 "ours": [float(np.abs(e[:, 0]).max()) if len(e) else np.nan for e in found],
             }
         )
-    return {"rates": rates, "angles": angles, "fine": fine, "some": angles[::2]} | _LIMIT
+    return {"rates": rates, "angles": angles, "fine": fine, "some": angles[::2]}
 
 
 def _errors_by_maximum(rate_px_s: float, angle_deg: float) -> float:
@@ -244,4 +233,4 @@ def _distortion_curves() -> Values:
         [float(np.abs(distortion_errors(ratio, integrated=whole)).max()) for ratio in ratios] for whole in (False, True)
     )
     curves = {"sampled": sampled, "integrated": integrated, "ours": ours}
-    return curves | {"ratios": ratios, "some": ratios[::4]} | _LIMIT
+    return curves | {"ratios": ratios, "some": ratios[::4]}

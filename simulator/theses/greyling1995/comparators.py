@@ -31,6 +31,6 @@ def even_levels(bits: int, full: float) -> FloatArray:
     return np.asarray((np.arange(top) + 0.5) * (full / top))
 
 
-def geometric_levels(lowest: float, highest: float, count: int = 3) -> FloatArray:
-    """Levels (count,) of equal ratio: closer together where a star's image is faint."""
-    return np.geomspace(lowest, highest, count)
+def geometric_levels(lowest: float, highest: float) -> FloatArray:
+    """Three levels of equal ratio: closer together where a star's image is faint."""
+    return np.geomspace(lowest, highest, 3)

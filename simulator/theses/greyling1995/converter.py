@@ -50,7 +50,7 @@ class ConverterTrial(NamedTuple):
 
 
 @cache
-def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: int = _STARS) -> ConverterTrial:
+def converter_trial(bits: int, peak: float, *, geometric: bool = False) -> ConverterTrial:
     """Error of the centroid after a converter of even steps from the offset to the full well, at random positions.
 
     `peak` is the signal of the brightest pixel of a centred star over the full well. `geometric`: three comparators
@@ -68,7 +68,7 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
     psf = build_psf(PsfModel(sigma_px=SIGMA_PX), 1.0, (1.0, 1.0))
     total_e = peak * detector.full_well_e / float(erf(0.5 / (SIGMA_PX * math.sqrt(2.0))) ** 2)
     levels = geometric_levels(_LEVELS[0] * detector.full_well_e, _LEVELS[1] * detector.full_well_e)
-    positions = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (stars, 2))
+    positions = _SIDE_PX / 2 + stream(scenario.seed, "converter").uniform(-0.5, 0.5, (_STARS, 2))
     errors = []
     for k, xy in enumerate(positions):
         mean_e = render_stars((_SIDE_PX, _SIDE_PX), xy[None], np.ones(1), np.array([total_e]), psf)
@@ -86,8 +86,8 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False, stars: i
         )
         if len(found.xy) and float(np.abs(found.xy[0] - xy).max()) < _NEAR_PX:
             errors.append(found.xy[0] - xy)
-    rms = float(np.sqrt(np.mean(np.square(errors)))) if 2 * len(errors) >= stars else math.nan
-    return ConverterTrial(rms, len(errors), stars)
+    rms = float(np.sqrt(np.mean(np.square(errors)))) if 2 * len(errors) >= _STARS else math.nan
+    return ConverterTrial(rms, len(errors), _STARS)
 
 
 @cache

@@ -7,8 +7,7 @@ counting.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +17,10 @@ from simulator.checks import load_scenario
 from simulator.study.coverage.boresights import along_path
 from simulator.study.coverage.field_counts import outline
 from simulator.study.coverage.survey import count_stars
-from simulator.theses.figures import draw, figures
+from simulator.theses.figures import draw, section_of
 from simulator.theses.greyling1995.path import DECLINATION_DEG
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
+from simulator.theses.tables import FloatArray, IntArray, Values
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ WERTZ_COUNTS = {3.0: 187, 4.0: 556, 5.0: 1660, 6.0: 5146, 7.0: 15095, 8.0: 44700
 """Table 3.3, stars of the whole sky by limiting magnitude, as printed."""
 
 
-@functools.cache
+@cache
 def _bright_stars() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Right ascension and declination, degrees, and V of the Bright Star Catalogue."""
     stars = load_catalog("bsc5")
@@ -68,28 +67,24 @@ def window_counts(
     return centre, np.asarray(last - first)
 
 
-def cell_counts(magnitude_limit: float = np.inf) -> tuple[FloatArray, FloatArray, IntArray]:
+def cell_counts() -> tuple[FloatArray, FloatArray, IntArray]:
     """Stars in cells of 5° × 5°: edges in right ascension and declination, counts (declination, right ascension)."""
-    ra, dec, v = _bright_stars()
+    ra, dec, _ = _bright_stars()
     ra_edges = np.arange(0.0, 360.0 + CELL_DEG, CELL_DEG)
     dec_edges = np.arange(MAP_DEC_DEG[0], MAP_DEC_DEG[1] + CELL_DEG, CELL_DEG)
-    bright = v <= magnitude_limit
-    counts, _, _ = np.histogram2d(dec[bright], ra[bright], bins=(dec_edges, ra_edges))
+    counts, _, _ = np.histogram2d(dec, ra, bins=(dec_edges, ra_edges))
     return ra_edges, dec_edges, counts.astype(np.int64)
 
 
 def section() -> Section:
     """Stellar density along the path."""
-    drawn = figures("greyling1995/density", {"fig_3_4_cells": _cells, "fig_3_8_minimum": _minima})
-    along: dict[str, Callable[[], Figure]] = {
-        f"fig_3_{number}{letter}_V{number}_{step}deg": functools.partial(density_figure, float(number), float(step))
-        for number in (5, 6, 7)
-        for letter, step in (("a", 1), ("b", 5))
+    along = {
+        f"V{limit}_{step}deg": partial(_along_the_path, float(limit), float(step))
+        for limit in (5, 6, 7)
+        for step in (1, 5)
     }
-    values = _catalogue_values() | _sparse_values() | _window_values() | _camera_values()
-    rows = table_rows("greyling1995/density", values)
-    ordered = {"fig_3_4_cells": drawn["fig_3_4_cells"], **along, "fig_3_8_minimum": drawn["fig_3_8_minimum"]}
-    return Section("Chapter 3.3: stellar density along the path", rows, ordered)
+    values = _catalogue_values() | _sparse_values() | _window_values() | _camera_values() | _cells() | _minima()
+    return section_of("greyling1995/density", "Chapter 3.3: stellar density along the path", values | {"along": along})
 
 
 def _catalogue_values() -> Values:
@@ -171,10 +166,15 @@ def _cells() -> Values:
 
 def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = WINDOW_DEG) -> Figure:
     """Figs. 3.5 to 3.7: stars a square degree in the window along the path, V down to `magnitude_limit`."""
+    shown = _along_the_path(magnitude_limit, step_deg, window_deg)
+    return draw("greyling1995/density/fig_3_5a_V5_1deg", {"along": {"V5_1deg": shown}})
+
+
+def _along_the_path(magnitude_limit: float, step_deg: float, window_deg: float = WINDOW_DEG) -> Values:
     ra, counts = window_counts(magnitude_limit, window_deg, step_deg)
     density = counts / window_deg**2
     fewest = density == density.min()
-    values = {
+    return {
         "limit": magnitude_limit,
         "window": window_deg,
         "step": step_deg,
@@ -187,7 +187,6 @@ def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = 
         "three": 3.0 / window_deg**2,
         "top": 1.25 * float(density.max()),
     }
-    return draw("greyling1995/density/along_the_path", values)
 
 
 def _minima() -> Values:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import IntArray, Values, table_rows
+from simulator.theses.tables import IntArray, Values
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
@@ -34,22 +34,19 @@ TABLE_5_1 = {5.0: ("243", "8316"), 6.0: ("767", "16493"), 6.5: ("1248", "32290")
 """Magnitude to the printed numbers of stars and lines."""
 
 ZONES, ZONE_DAYS = 12, 30
+ZONE_WIDTH_DEG, ZONE_HEIGHT_DEG = 14.0 + ZONE_DAYS * 1.0 + 2.0 * 1.0, 14.0 + 2.0 * 1.0
+"""Eq. 5.5: field + days × daily motion + twice the other sensors' accuracy; without the days in declination."""
 DENSEST_ZONE = 3
 
 
-def guide_stars(
-    magnitude_limit: float,
-    band_deg: float = BAND_DEG,
-    closest_deg: float = CLOSEST_DEG,
-    dec_deg: float = BORESIGHT_DEC_DEG,
-) -> StarCatalog:
-    """Guide stars by the thesis' rule, sorted by right ascension: those nearer than `band_deg` to a declination.
+def guide_stars(magnitude_limit: float, band_deg: float = BAND_DEG, closest_deg: float = CLOSEST_DEG) -> StarCatalog:
+    """Guide stars by the thesis' rule, sorted by right ascension: those nearer than `band_deg` to the path.
 
     Of two stars closer than `closest_deg` the dimmer is left out (Fig. 5.3; `guide.m` leaves out the other); 0: none.
     The tracker's own database joins them (`startracker.catalog.merge_doubles`).
     """
     catalog = load_catalog("bsc5").brighter_than(magnitude_limit)
-    catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - dec_deg) < band_deg))
+    catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) < band_deg))
     catalog = catalog.select(np.argsort(catalog.ra_rad, kind="stable"))
     if closest_deg == 0.0:
         return catalog
@@ -79,7 +76,7 @@ def lines(catalog: StarCatalog, partners: int | None = PARTNERS, start_ra_deg: f
     return np.concatenate(found) if found else np.empty((0, 2), np.int64)
 
 
-def map_lines(hour: float, magnitude_limit: float, dec_deg: float = BORESIGHT_DEC_DEG) -> int:
+def map_lines(hour: float, magnitude_limit: float) -> int:
     """Lines of the matching program's map about a right ascension: ± 15° by ± 10°, plane, each pair once.
 
     Of two stars closer than 0.08° the dimmer is left out. The program itself fills arrays of 1000 lines and meets each
@@ -88,7 +85,11 @@ def map_lines(hour: float, magnitude_limit: float, dec_deg: float = BORESIGHT_DE
     catalog = load_catalog("bsc5")
     ra = (np.degrees(catalog.ra_rad) - 15.0 * hour + 180.0) % 360.0 - 180.0
     dec = np.degrees(catalog.dec_rad)
-    inside = (catalog.v_mag < magnitude_limit) & (np.abs(dec - dec_deg) < BAND_DEG) & (np.abs(ra) < MAP_HALF_WIDTH_DEG)
+    inside = (
+        (catalog.v_mag < magnitude_limit)
+        & (np.abs(dec - BORESIGHT_DEC_DEG) < BAND_DEG)
+        & (np.abs(ra) < MAP_HALF_WIDTH_DEG)
+    )
     x, y, v_mag = ra[inside], dec[inside], catalog.v_mag[inside]
     i, j = np.triu_indices(len(x), 1)
     apart = np.hypot(x[i] - x[j], y[i] - y[j])
@@ -98,42 +99,33 @@ def map_lines(hour: float, magnitude_limit: float, dec_deg: float = BORESIGHT_DE
     return int(np.count_nonzero((apart < MAP_LONGEST_DEG) & ~close & ~gone[i] & ~gone[j]))
 
 
-def zone(catalog: StarCatalog, ra_deg: float, width_deg: float = 46.0, height_deg: float = 16.0) -> StarCatalog:
-    """Stars of the zone that starts at `ra_deg`, `width_deg` long, `height_deg` high about the path, in order."""
+def zone(catalog: StarCatalog, ra_deg: float) -> StarCatalog:
+    """Stars of the zone that starts at `ra_deg`, in order."""
     along = (np.degrees(catalog.ra_rad) - ra_deg) % 360.0
-    inside = (along < width_deg) & (np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) <= 0.5 * height_deg)
+    inside = (along < ZONE_WIDTH_DEG) & (
+        np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) <= 0.5 * ZONE_HEIGHT_DEG
+    )
     chosen = np.flatnonzero(inside)
     return catalog.select(chosen[np.argsort(along[chosen], kind="stable")])
 
 
-def zone_size_deg(
-    field_deg: float = 14.0, days: int = ZONE_DAYS, day_deg: float = 1.0, sensors_deg: float = 1.0
-) -> tuple[float, float]:
-    """Length and height of a zone (eq. 5.5): field + days × daily motion + twice the other sensors' accuracy."""
-    return field_deg + days * day_deg + 2.0 * sensors_deg, field_deg + 2.0 * sensors_deg
-
-
-def zone_counts(magnitude_limit: float = 6.5, zones: int = ZONES) -> tuple[IntArray, IntArray]:
-    """Stars and lines of each zone; zone k starts at right ascension 360°(k − 1)/zones."""
+def zone_counts(magnitude_limit: float = 6.5) -> tuple[IntArray, IntArray]:
+    """Stars and lines of each zone; zone k starts at right ascension 360°(k − 1)/12."""
     catalog = guide_stars(magnitude_limit)
-    width, height = zone_size_deg()
-    starts = [360.0 / zones * k for k in range(zones)]
-    parts = [zone(catalog, start, width, height) for start in starts]
+    starts = [360.0 / ZONES * k for k in range(ZONES)]
+    parts = [zone(catalog, start) for start in starts]
     counts = [len(lines(part, start_ra_deg=start)) for part, start in zip(parts, starts, strict=True)]
     return np.array([len(part) for part in parts]), np.array(counts)
 
 
 def section() -> Section:
     """Section 5.2.1: rows, Table 5.1 and Figs. 5.2, 5.4 and 5.5."""
-    drawn = figures(
-        "greyling1995/guide_stars",
-        {"fig_5_2_lines": _line_numbers, "fig_5_4_zones": _zone_map, "fig_5_5_zone_stars": _zone_stars},
-    )
-    rows = table_rows("greyling1995/guide_stars", _limit_values() | _table_values() | _zone_values())
-    return Section("Chapter 5.2: guide stars", rows, drawn)
+    values = _limit_values() | _table_values() | _zone_values() | _zone_map()
+    return section_of("greyling1995/guide_stars", "Chapter 5.2: guide stars", values)
 
 
 def _limit_values() -> Values:
+    n = np.arange(2, 1300)
     possible, resolved_deg = 133 * 132 // 2, RESOLVED_PX / SIDE_PX * FIELD_DEG
     return {
         "resolved_deg": resolved_deg,
@@ -144,6 +136,10 @@ def _limit_values() -> Values:
         "kept_percent": 100 * 2682 / possible,
         "bytes": 4 * 1248 + 4 * 32290,
         "one_byte_a_line": 4 * 1248 + 32290,
+        "n": n,
+        "every": n * (n - 1) / 2,
+        "most": np.minimum(n * (n - 1) / 2, PARTNERS * n),
+        "partners": PARTNERS,
     }
 
 
@@ -153,7 +149,7 @@ def _table_values() -> Values:
         catalog, before, most = guide_stars(limit), guide_stars(limit, closest_deg=0.0), int(stars) * PARTNERS
         above = f"; {stars} stars make {most} lines at most: {pairs} is not from this listing"
         printed = {"limit": limit, "stars": stars, "lines": pairs, "above": above if most < int(pairs) else ""}
-        found = {"found": len(catalog), "before": len(before)}
+        found = {"found": len(catalog), "before": len(before), "printed": (int(stars), int(pairs))}
         rows.append(printed | found | {"found_lines": len(lines(catalog)), "lines_before": len(lines(before))})
     everyone, kept = guide_stars(6.5, closest_deg=0.0), guide_stars(6.5)
     return {
@@ -166,7 +162,7 @@ def _table_values() -> Values:
 
 
 def _zone_values() -> Values:
-    width, height = zone_size_deg()
+    width, height = ZONE_WIDTH_DEG, ZONE_HEIGHT_DEG
     stars, pairs = zone_counts()
     everywhere = len(guide_stars(6.5))
     densest = int(np.argmax(stars))
@@ -180,41 +176,20 @@ def _zone_values() -> Values:
         "everywhere": everywhere,
         "band_mean": everywhere * width / 360.0,
         "zone_mean": stars.mean(),
+        "zone_numbers": np.arange(1, ZONES + 1),
+        "zone_stars": stars,
+        "printed_densest": DENSEST_ZONE,
     }
-
-
-def _line_numbers() -> Values:
-    """Numbers of lines against those of stars."""
-    n = np.arange(2, 1300)
-    every = n * (n - 1) / 2
-    limits = []
-    for limit, (stars, pairs) in TABLE_5_1.items():
-        catalog = guide_stars(limit)
-        found = {"found": len(catalog), "found_lines": len(lines(catalog))}
-        limits.append({"limit": limit, "stars": int(stars), "lines": int(pairs)} | found)
-    return {"n": n, "every": every, "most": np.minimum(every, PARTNERS * n), "limits": limits, "partners": PARTNERS}
 
 
 def _zone_map() -> Values:
     """The zones, drawn a little apart, and the stars to V = 6.5."""
     catalog = guide_stars(6.5, 20.0)
-    width, height = zone_size_deg()
     zones = []
     for k in range(ZONES):
-        start, bottom = 360.0 / ZONES * k, BORESIGHT_DEC_DEG - 0.5 * height + (k % 3 - 1) * 0.5
+        start, bottom = 360.0 / ZONES * k, BORESIGHT_DEC_DEG - 0.5 * ZONE_HEIGHT_DEG + (k % 3 - 1) * 0.5
         corners = {"corners": [(start, bottom), (start - 360.0, bottom)], "name": str(k + 1)}
-        zones.append(corners | {"x": start + 15.0, "y": bottom + height + 2.4})
-    return {
-        "ra": np.degrees(catalog.ra_rad),
-        "dec": np.degrees(catalog.dec_rad),
-        "size": np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0),
-        "width": width,
-        "height": height,
-        "zones": zones,
-        "path": BORESIGHT_DEC_DEG,
-    }
-
-
-def _zone_stars() -> Values:
-    stars = zone_counts()[0]
-    return {"numbers": np.arange(1, ZONES + 1), "stars": stars, "densest": DENSEST_ZONE, "mean": float(stars.mean())}
+        zones.append(corners | {"x": start + 15.0, "y": bottom + ZONE_HEIGHT_DEG + 2.4})
+    stars = {"ra": np.degrees(catalog.ra_rad), "dec": np.degrees(catalog.dec_rad)}
+    size = np.clip((7.0 - catalog.v_mag) ** 1.6 * 0.5, 0.3, 14.0)
+    return {"map": stars | {"size": size}, "zone_corners": zones, "path": BORESIGHT_DEC_DEG}

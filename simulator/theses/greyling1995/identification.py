@@ -10,17 +10,17 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from simulator.checks import load_scenario
 from simulator.randomness import stream
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
 from simulator.theses.printed import Section
-from simulator.theses.tables import IntArray, Values, table_rows
+from simulator.theses.tables import IntArray, Values
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -167,9 +167,9 @@ def judge(answer: Identification, truth: IntArray) -> bool | None:
     return bool(np.all(truth[answer.pairs[:, 0]] == answer.pairs[:, 1]))
 
 
-def region_lines(hour: float, limits: Sequence[float] = LIMITS) -> float:
-    """Mean number of lines in the program's map about an hour, over limiting magnitudes."""
-    return float(np.mean([map_lines(hour, limit) for limit in limits]))
+def region_lines(hour: float) -> float:
+    """Mean number of lines in the program's map about an hour, over the limiting magnitudes."""
+    return float(np.mean([map_lines(hour, limit) for limit in LIMITS]))
 
 
 Outcomes = dict[int, dict[int, Outcome]]
@@ -187,16 +187,9 @@ def section(trials: int = 6) -> Section:
     beyond = [
         {change: _share(_regions(change, math.ceil(trials / 3), one))[0] for change in MORE_CHANGES} for one in settings
     ]
-    drawn = figures(
-        "greyling1995/identification",
-        {
-            "table_5_2_success": partial(_success_curves, thesis, own, beyond),
-            "table_5_2_time": partial(_time_bars, thesis[0], own[0]),
-        },
-    )
     values = _success_values(thesis, own) | _region_values(thesis[0], own[0]) | _time_values(thesis[0], own[0])
-    rows = table_rows("greyling1995/identification", values)
-    return Section("Chapter 5.2.4: star identification", rows, drawn)
+    values |= _success_curves(thesis, own, beyond)
+    return section_of("greyling1995/identification", "Chapter 5.2.4: star identification", values)
 
 
 def _regions(change: int, trials: int, settings: IdentificationSettings) -> dict[int, Outcome]:
@@ -240,12 +233,14 @@ def _region_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Value
 
 
 def _time_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
-    printed = np.array(list(TABLE_5_2.values()), dtype=float)
+    printed, at = np.array(list(TABLE_5_2.values()), dtype=float), np.arange(len(TABLE_5_2))
     times, ours = ([outcome.time_ms for outcome in outcomes.values()] for outcomes in (thesis, own))
     return {
         "printed_mean": printed[:, 1].mean(),
         "times_ms": (min(times), max(times)),
         "own_times_ms": (min(ours), max(ours)),
+        "bars": [{"at": at + k, "ms": ms} for k, ms in ((-0.3, printed[:, 1]), (0.0, times), (0.3, ours))],
+        "ticks": at,
         "power": float(np.polyfit(np.log(printed[:, 2]), np.log(printed[:, 1]), 1)[0]),
     }
 
@@ -263,16 +258,7 @@ def _success_curves(thesis: Outcomes, own: Outcomes, beyond: list[dict[int, floa
         tolerances.append({"changes": [change for change, _ in found], "rates": [rate for _, rate in found]})
     return {
         "curves": curves,
-        "places": np.arange(len(TABLE_5_2)),
         "hours": [str(hour) for hour in TABLE_5_2],
         "trials": next(iter(thesis[0].values())).trials,
         "tolerances": tolerances,
     }
-
-
-def _time_bars(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Values:
-    at = np.arange(len(TABLE_5_2))
-    printed = [ms for _groups, ms, _lines in TABLE_5_2.values()]
-    times, ours = ([outcome.time_ms for outcome in outcomes.values()] for outcomes in (thesis, own))
-    bars = [{"at": at + shift, "ms": ms} for shift, ms in ((-0.3, printed), (0.0, times), (0.3, ours))]
-    return {"bars": bars, "places": at, "hours": [str(hour) for hour in TABLE_5_2]}

@@ -16,10 +16,10 @@ from simulator.detector import build_fixed_pattern, detect
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import reset_noise_e
 from simulator.randomness import stream
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.starlight import SATURATION_MV, VOLT_PER_E
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 
 SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 """Conditions of the budget: signal, dark signal, its non-uniformity, electrons; readout capacitance; temperature."""
@@ -27,15 +27,17 @@ SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 PRINTED_NOISE_E, PRINTED_NOISE_MV = 1310.0, 1.5
 FAINTEST_V, BRIGHTEST_V, LEAST_DN = 6.5, -1.47, 5
 
+BRIGHTNESS_RATIO = 100.0 ** ((FAINTEST_V - BRIGHTEST_V) / 5.0)
+"""Light of the brightest star over that of the faintest, (⁵√100)^(m₂ − m₁)."""
+
 _SIDE, _SEED = 256, 1995
 _DSNU_FRAMES = 16
 
 
 def section() -> Section:
     """Noise budget and what the converter has to span."""
-    rows = table_rows("greyling1995/noise", _noise_values() | _converter_values())
-    drawn = figures("greyling1995/noise", {"noise_budget": _budget, "dynamic_range": _counts_by_bits})
-    return Section("Chapter 3.4 and 3.5: noise, dynamic range and converter", rows, drawn)
+    values = _noise_values() | _converter_values() | _budget()
+    return section_of("greyling1995/noise", "Chapter 3.4 and 3.5: noise, dynamic range and converter", values)
 
 
 def equation_terms_e() -> dict[str, float]:
@@ -81,16 +83,11 @@ def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
     return np.asarray(frames, dtype=float)
 
 
-def brightness_ratio(faint_v: float = FAINTEST_V, bright_v: float = BRIGHTEST_V) -> float:
-    """Light of the brightest star over that of the faintest, (⁵√100)^(m₂ − m₁)."""
-    return float(100.0 ** ((faint_v - bright_v) / 5.0))
-
-
 def faint_star_dn(bits: int) -> int:
     """What the product's converter makes of the V = 6.5 star when the V = −1.47 star just fills it."""
     full_well = 150_000.0
     converter = {"full_well_e": full_well, "gain_e_per_dn": "auto", "adc_bits": bits, "shot_noise": False}
-    return int(_frames_e(full_well / brightness_ratio(), 1, **converter)[0, 0, 0])
+    return int(_frames_e(full_well / BRIGHTNESS_RATIO, 1, **converter)[0, 0, 0])
 
 
 def _noise_values() -> Values:
@@ -111,7 +108,9 @@ def _noise_values() -> Values:
 
 
 def _converter_values() -> Values:
-    ratio = brightness_ratio()
+    """What the converter reads of the faintest star when the brightest just fills it, by its bits."""
+    ratio, bits = BRIGHTNESS_RATIO, np.arange(6, 17)
+    counts = np.array([faint_star_dn(int(b)) for b in bits])
     least = next(b for b in range(1, 33) if faint_star_dn(b) >= LEAST_DN)
     return {
         "ratio": ratio,
@@ -122,6 +121,10 @@ def _converter_values() -> Values:
         "reads": faint_star_dn(least),
         "one_less": least - 1,
         "reads_below": faint_star_dn(least - 1),
+        "shown_bits": bits,
+        "line": [2.0**b / ratio for b in bits],
+        "seen": (bits[counts > 0], counts[counts > 0]),
+        "asked_dn": LEAST_DN,
         "frame_bits": 192 * 165 * 8,
         "frame_kbits": 192 * 165 * 8 / 1024,
         "frame_kbytes": 192 * 165 / 1024,
@@ -132,20 +135,12 @@ def _budget() -> Values:
     """The terms of the noise budget: printed sum, equations, simulated frames; and their total in squares."""
     equation, measured = equation_terms_e(), measured_terms_e()
     names = list(equation)
-    place = np.arange(len(names) + 1)
+    at = np.arange(len(names) + 1)
     quadrature = math.sqrt(sum(equation[name] ** 2 for name in ("photon noise", "DSNU", "reset noise")) + DARK_E)
     series = (
         ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E]),
         ("by the equations, in squares", [*equation.values(), quadrature]),
         ("simulated frames", [*(measured[name] for name in names), measured["together"]]),
     )
-    bars = [{"at": place + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
-    return {"bars": bars, "place": place, "names": [*names, "total"]}
-
-
-def _counts_by_bits() -> Values:
-    """Counts of the faintest star against the bits of the converter, the brightest just filling it."""
-    bits = np.arange(6, 17)
-    counts = np.array([faint_star_dn(int(b)) for b in bits])
-    line = [2.0**b / brightness_ratio() for b in bits]
-    return {"bits": bits, "line": line, "seen": bits[counts > 0], "counts": counts[counts > 0], "least": LEAST_DN}
+    bars = [{"at": at + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]
+    return {"bars": bars, "ticks": at, "names": [*names, "total"]}

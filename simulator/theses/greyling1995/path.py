@@ -18,9 +18,9 @@ from simulator.mission.pointing import BoresightPath, boresight_path, local_leve
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.mission.secular import mean_motion, sun_synchronous_inclination
 from simulator.sky.background import ECLIPTIC, GALACTIC
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 
@@ -50,9 +50,10 @@ def thesis_orbit() -> Orbit:
     return build_orbit(section, EQUINOX)
 
 
-def year_path(count: int = 367) -> BoresightPath:
-    """Boresight at `count` instants of the year after the equinox."""
-    return boresight_path(thesis_orbit(), PointingParameters(), np.linspace(0.0, TROPICAL_YEAR_S, count))
+@functools.cache
+def year_path() -> BoresightPath:
+    """Boresight at 367 instants of the year after the equinox."""
+    return boresight_path(thesis_orbit(), PointingParameters(), np.linspace(0.0, TROPICAL_YEAR_S, 367))
 
 
 def sanson_flamsteed(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -103,30 +104,24 @@ def _turn(axes: str, angles_rad: ArrayLike) -> FloatArray:
 
 def section() -> Section:
     """Boresight path, camera matrix and period."""
-    rows = table_rows("greyling1995/path", _orbit_values() | _path_values() | _matrix_values())
-    drawn = figures("greyling1995/path", {"fig_3_3_path": _map_values})
-    return Section("Chapter 3.2: the orbit and the path of the boresight", rows, drawn)
-
-
-def _orbit_values() -> Values:
-    radius = EARTH_RADIUS_KM + ALTITUDE_KM
-    return {
-        "kepler_min": 2.0 * math.pi / mean_motion(radius) / 60.0,
-        "nodal_min": thesis_orbit().period_s / 60.0,
-        "i_deg": math.degrees(sun_synchronous_inclination(radius)),
-    }
+    values = _path_values() | _map_values()
+    return section_of("greyling1995/path", "Chapter 3.2: the orbit and the path of the boresight", values)
 
 
 def _path_values() -> Values:
-    path, orbit = year_path(), thesis_orbit()
+    path, orbit, radius = year_path(), thesis_orbit(), EARTH_RADIUS_KM + ALTITUDE_KM
     ahead = (path.ra_date_deg - np.degrees(orbit.raan_rad(np.linspace(0.0, TROPICAL_YEAR_S, 367)))) % 360.0
     tilted = boresight_path(
         orbit, PointingParameters(offset_deg=(0.0, 0.0, 2.0)), np.linspace(0.0, orbit.period_s, 361)
     )
     equinox_ra = float(path.ra_date_deg[0])
     exchanged_ra, exchanged_dec = bs_path(0.0, exchanged=True)
+    angles = math.radians(37.0), math.radians(INCLINATION_DEG), math.radians(-65.0)
     listing = [bs_path(float(omega))[1] for omega in range(0, 360, 5)]
     return {
+        "kepler_min": 2.0 * math.pi / mean_motion(radius) / 60.0,
+        "nodal_min": orbit.period_s / 60.0,
+        "i_deg": math.degrees(sun_synchronous_inclination(radius)),
         "dec_deg": path.dec_date_deg.mean(),
         "varies_deg": np.ptp(path.dec_date_deg),
         "ahead_deg": ahead.mean(),
@@ -138,12 +133,6 @@ def _path_values() -> Values:
         "exchanged_behind_deg": 360.0 - exchanged_ra,
         "circle": (tilted.dec_date_deg.min(), tilted.dec_date_deg.max()),
         "crossings": galactic_crossings_deg(DECLINATION_DEG),
-    }
-
-
-def _matrix_values() -> Values:
-    angles = math.radians(37.0), math.radians(INCLINATION_DEG), math.radians(-65.0)
-    return {
         "printed_departure": departure_from_rotation(printed_matrix(*angles, corrected=False)),
         "corrected_departure": departure_from_rotation(printed_matrix(*angles, corrected=True)),
         "attitude_difference": _attitude_difference(),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import math
+from functools import cache, partial
 
 import numpy as np
 
 from simulator.scenario.physics import violations
 from simulator.sky.colours import spectral_coordinates
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995 import spectral
 from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V
 from simulator.theses.greyling1995.starlight import (
@@ -24,7 +24,7 @@ from simulator.theses.greyling1995.starlight import (
     thesis_mv,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.catalog import load_catalog
 
 ZERO_LUX = -13.94188
@@ -46,18 +46,11 @@ LUMEN_PER_WATT = {False: 683.002, True: 1700.06}
 
 def section() -> Section:
     """Irradiances, output voltages, and the lens they were computed for."""
-    drawn = figures(
-        "greyling1995/photometry",
-        {
-            "fig_3_12_irradiances": _irradiances,
-            "fig_3_13_voltage_V6.5": functools.partial(_voltages, FAINTEST_V),
-            "fig_3_14_voltage_V-1.47": functools.partial(_voltages, BRIGHTEST_V),
-            "fig_3_15_voltage_magnitude": _voltage_by_magnitude,
-        },
-    )
-    values = _magnitude_values() | _irradiance_values() | _voltage_values() | _lens_values()
-    rows = table_rows("greyling1995/spectral", spectral.values()) + table_rows("greyling1995/photometry", values)
-    return Section("Chapter 3.4: starlight, output voltage and the lens", rows, spectral.FIGURES | drawn)
+    values = _light_values() | _voltage_values() | _lens_values() | _voltage_by_magnitude()
+    values |= {"faint": partial(_voltages, FAINTEST_V), "brightest": partial(_voltages, BRIGHTEST_V)}
+    title = "Chapter 3.4: starlight, output voltage and the lens"
+    tables = "greyling1995/spectral", "greyling1995/photometry"
+    return section_of("greyling1995/photometry", title, spectral.values() | values, tables)
 
 
 def illuminance_lux(*, night: bool = False) -> float:
@@ -68,30 +61,29 @@ def illuminance_lux(*, night: bool = False) -> float:
     return float(LUMEN_PER_WATT[night] * np.trapezoid(efficiency * watt_m2_nm, wavelength_nm))
 
 
-def _magnitude_values() -> Values:
-    return {
-        "printed_lux": 10.0 ** (ZERO_LUX / 2.5),
-        "day": illuminance_lux(),
-        "night": illuminance_lux(night=True),
-    }
-
-
-def _irradiance_values() -> Values:
+def _light_values() -> Values:
+    """Illuminance of V = 0, the thesis' five irradiances, and spectra of the stars of Table 3.4."""
     bands = []
     for um, printed in zip(BANDS_UM, IRRADIANCE_W_CM2_UM * 1e12, strict=True):
         nearby = np.linspace(um * 1e3 - 25.0, um * 1e3 + 25.0, 201)
         found = irradiance_w_cm2_um(nearby, 0.0, 0.0, 0.0).mean() * 1e12
         bands.append({"um": um, "irradiance": printed, "found": found})
-    return {"bands": bands}
+    wavelength_nm = np.arange(350.0, 1261.0, 2.0)
+    stars = [
+        {"name": name, "v": _signed(v), "curve": irradiance_w_cm2_um(wavelength_nm, v, float(b_v), float(giant))}
+        for (name, _, v), b_v, giant in zip(STARS, *_colours(), strict=True)
+    ]
+    lux = {"printed_lux": 10.0 ** (ZERO_LUX / 2.5), "day": illuminance_lux(), "night": illuminance_lux(night=True)}
+    return lux | {"bands": bands, "star_um": wavelength_nm / 1e3, "stars": stars, "printed": IRRADIANCE_W_CM2_UM}
 
 
 def _voltage_values() -> Values:
     coded, bright = (float(thesis_mv(v_mag, extra_lambda=True)) for v_mag in (FAINTEST_V, BRIGHTEST_V))
     right, bright_right = (float(thesis_mv(v_mag, extra_lambda=False)) for v_mag in (FAINTEST_V, BRIGHTEST_V))
     return {
-        "coded": coded,
+        "coded_mv": coded,
         "coded_prototype": coded * PROTOTYPE_VOLT_PER_E / VOLT_PER_E,
-        "right": right,
+        "right_mv": right,
         "right_to_coded": right / coded,
         "ours": camera_mv(FAINTEST_V),
         "counts": 2**8 * 5.5 / SATURATION_MV,
@@ -118,22 +110,12 @@ def _lens_values() -> Values:
     return {"lenses": lenses}
 
 
-@functools.cache
+@cache
 def _colours() -> tuple[FloatArray, FloatArray]:
     """B−V and luminosity class of the stars of Table 3.4, from the Bright Star Catalogue."""
     stars = load_catalog("bsc5")
     rows = [int(np.flatnonzero(stars.id == hr)[0]) for _, hr, _ in STARS]
     return spectral_coordinates(stars.b_v[rows], stars.spectral_type[rows])
-
-
-def _irradiances() -> Values:
-    """Spectral irradiances of the stars of Table 3.4, and the thesis' five values for V = 0."""
-    wavelength_nm = np.arange(350.0, 1261.0, 2.0)
-    stars = [
-        {"name": name, "v": _signed(v), "curve": irradiance_w_cm2_um(wavelength_nm, v, float(b_v), float(giant))}
-        for (name, _, v), b_v, giant in zip(STARS, *_colours(), strict=True)
-    ]
-    return {"um": wavelength_nm / 1e3, "stars": stars, "bands_um": BANDS_UM, "printed": IRRADIANCE_W_CM2_UM}
 
 
 def _signed(value: float) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from simulator.randomness import stream
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
 
 ACCURACY_DEG = 0.002
@@ -62,8 +62,8 @@ def _unit(plane: FloatArray) -> FloatArray:
 def section(pairs: int = 200) -> Section:
     """Section 5.3: eq. 5.13 and the rule that follows, and Figs. 5.10 and 5.11; `pairs` random ones are tried at each
     separation by the tracker's own estimator."""
-    drawn = figures("greyling1995/pitch", {"fig_5_10_pair": _pair, "fig_5_11_pitch": partial(_curves, pairs)})
-    return Section("Chapter 5.3: pitch from a pair of stars", table_rows("greyling1995/pitch", _values(pairs)), drawn)
+    values = _values(pairs) | _pair() | {"curves": partial(_curves, pairs)}
+    return section_of("greyling1995/pitch", "Chapter 5.3: pitch from a pair of stars", values)
 
 
 def _values(pairs: int) -> Values:
@@ -116,7 +116,5 @@ def _curves(pairs: int) -> Values:
         "some": some,
         "largest": [t.max() for t in tried],
         "rms": [np.sqrt(np.mean(t**2)) for t in tried],
-        "pairs": pairs,
         "specified": SPECIFIED_DEG,
-        "rule": least_separation_deg(),
     }

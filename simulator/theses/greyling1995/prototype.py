@@ -47,9 +47,19 @@ _FIG_DEFOCUS_UM = 120.0
 
 def section() -> Section:
     """Chapter 6 against the models of the product."""
+    circuit = signals.values()
     values = _device_values() | _state_values() | _clock_values() | _smear_values() | _converter_values()
-    rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", signals.values())
-    return Section("Chapter 6: the prototype camera with the TC211", rows, signals.FIGURES | _FIGURES)
+    values |= {
+        "modes": _modes,
+        "focus": partial(_images, (SERIAL_CLOCK_HZ, _FIG_DEFOCUS_UM), (SERIAL_CLOCK_HZ, 0.0)),
+        "slow": partial(_images, (SLOW_CLOCK_HZ, 0.0)),
+        "fast": partial(_images, (SERIAL_CLOCK_HZ, 0.0)),
+        "smear": _smear,
+        "conversion": _converters,
+    }
+    drawn = figures("greyling1995/prototype", values | circuit)
+    rows = table_rows("greyling1995/prototype", values) + table_rows("greyling1995/signals", circuit)
+    return Section("Chapter 6: the prototype camera with the TC211", rows, drawn)
 
 
 # ---------------------------------------------------------------------- sections 6.1 and 6.2
@@ -141,18 +151,18 @@ def _smear_values() -> Values:
 
 # ---------------------------------------------------------------------- focus
 @cache
-def defocus_radii_um(defocus_um: float = DEFOCUS_UM) -> tuple[float, float]:
+def defocus_radii_um() -> tuple[float, float]:
     """Root mean square radius of a star's image out of focus, µm: by diffraction, and of the geometric disc.
 
     The disc has the diameter δ/N; with the pixel's own spread, rms² = (δ/2N)²/2 + (p_x² + p_y²)/12.
     """
     optics, pitch = camera().optics, camera().detector.pitch_um
     f_number = optics.focal_length_mm / optics.aperture_mm
-    psf = build_psf(PsfModel(model="diffraction", defocus_um=defocus_um), f_number, pitch)
+    psf = build_psf(PsfModel(model="diffraction", defocus_um=DEFOCUS_UM), f_number, pitch)
     image = render_stars((81, 81), np.array([[40.0, 40.0]]), np.ones(1), np.array([1e6]), psf)
     y, x = np.indices(image.shape)
     square = ((x - 40) * pitch[0]) ** 2 + ((y - 40) * pitch[1]) ** 2
-    disc_um = defocus_um / f_number / 2.0
+    disc_um = DEFOCUS_UM / f_number / 2.0
     near = np.where(np.sqrt(square) < disc_um + 2.0 * max(pitch), image, 0.0)
     pixel = (pitch[0] ** 2 + pitch[1] ** 2) / 12.0
     return float(np.sqrt((near * square).sum() / near.sum())), math.sqrt(disc_um**2 / 2.0 + pixel)
@@ -245,16 +255,3 @@ def _converters() -> Values:
         shown = np.array([(bits, error) for bits, error in found if math.isfinite(error)])
         peaks.append({"peak": peak, "bits": shown[:, 0], "errors": shown[:, 1], "geometric": geometric})
     return {"bright": peaks[0], "faint": peaks[1], "ticks": BITS, "needed": POSITION_PX}
-
-
-_FIGURES = figures(
-    "greyling1995/prototype",
-    {
-        "fig_6_4_modes": _modes,
-        "fig_6_9_focus": partial(_images, (SERIAL_CLOCK_HZ, _FIG_DEFOCUS_UM), (SERIAL_CLOCK_HZ, 0.0)),
-        "fig_6_10_slow_clock": partial(_images, (SLOW_CLOCK_HZ, 0.0)),
-        "fig_6_11_2_mhz": partial(_images, (SERIAL_CLOCK_HZ, 0.0)),
-        "fig_6_smear_against_clock": _smear,
-        "fig_6_converter": _converters,
-    },
-)

@@ -13,12 +13,12 @@ from scipy.stats import norm
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
+from simulator.theses.tables import FloatArray, IntArray, Values
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -72,15 +72,14 @@ def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> Flo
     return np.asarray(difference - basis @ (basis.T @ difference)).reshape(star.shape)
 
 
-def is_planet_score(stamp: FloatArray, noise: float, sigma_px: float = THESIS_SIGMA) -> float:
+def is_planet_score(stamp: FloatArray, noise: float) -> float:
     """Correlation of a 5 × 5 image with what makes a disk, in standard deviations of the noise: 0 ± 1 for a star.
 
     The thesis' two-dimensional correlation, of what a star's brightness, position and background cannot explain.
 
-    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit,
-    `sigma_px` that of the lens' Gaussian as calibrated.
+    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit.
     """
-    direction = _direction(0.5, sigma_px, sigma_known=True)
+    direction = _direction(0.5, THESIS_SIGMA, sigma_known=True)
     return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
 
 
@@ -227,9 +226,8 @@ def section(frames: int = 12) -> Section:
         "prnu_px": prnu_error_px(),
         "mapped_px": prnu_error_px(1.0 / math.sqrt(16 * 40_000)),
     }
-    rows = table_rows("greyling1995/recommendations", values)
-    drawn = figures("greyling1995/recommendations", {"sec_7_2_planets": partial(_planet_curves, planets)})
-    return Section("Chapter 7.2: what the thesis recommends", rows, drawn)
+    values |= {"curves": partial(_planet_curves, planets)}
+    return section_of("greyling1995/recommendations", "Chapter 7.2: what the thesis recommends", values)
 
 
 def _planet_curves(planets: dict[str, float]) -> Values:

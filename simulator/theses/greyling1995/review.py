@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulator.randomness import stream
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.identification import (
     TABLE_5_2,
     draw_field,
@@ -25,7 +25,7 @@ from simulator.theses.greyling1995.identification import (
     thesis_identification,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.tables import Values
 from startracker.identification import METHODS
 from startracker.settings import IdentificationSettings
 
@@ -102,9 +102,8 @@ def section(fields: int = 2) -> Section:
     ]
     # mean distance of the nearest star of a random field: 1 / (2 √n), n stars a square degree
     nearest_deg = 0.5 / math.sqrt(len(guide_database(LIMIT)) / 41_252.96)
-    rows = table_rows("greyling1995/review", {"identifiers": identifiers, "nearest_deg": nearest_deg})
-    drawn = figures("greyling1995/review", {"sec_5_1_2_review": lambda: _curves(found)})
-    return Section("Chapter 5.1.2: recognition algorithms", rows, drawn)
+    values = {"identifiers": identifiers, "nearest_deg": nearest_deg} | _curves(found)
+    return section_of("greyling1995/review", "Chapter 5.1.2: recognition algorithms", values)
 
 
 def _curves(found: dict[tuple[str, str], Result]) -> Values:
@@ -119,5 +118,5 @@ def _curves(found: dict[tuple[str, str], Result]) -> Values:
             if result.wrong
         ]
     fields = next(iter(found.values())).fields
-    cases = {"places": np.arange(len(CASES)), "cases": list(CASES)}
+    cases = {"ticks": np.arange(len(CASES)), "cases": list(CASES)}
     return cases | {"curves": curves, "wrong": wrong, "fields": fields, "limit": LIMIT}

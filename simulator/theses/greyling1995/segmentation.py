@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from datetime import UTC, datetime
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,10 +13,10 @@ from simulator.optics.psf import Psf
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.sky.ephemeris import barycentric_position_au
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from startracker.constants import AU_KM
 from startracker.detection import Background, Spots, estimate, grow_regions
 from startracker.detection.region_growing import grow_objects
@@ -141,12 +141,10 @@ def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> 
     return np.asarray(xy[np.hypot(*(xy - centre).T) > radius + _CLEARANCE_PX])
 
 
-def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[float, float]:
-    """Least and greatest apparent diameter of Mars from the Earth, over some years from 1990 on, by DE421."""
-    from datetime import UTC, datetime
-
+def mars_diameters_arcsec() -> tuple[float, float]:
+    """Least and greatest apparent diameter of Mars from the Earth, over the 17 years from 1990 on, by DE421."""
     clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
-    t_s = np.arange(0.0, 365.25 * years, step_days) * 86_400.0
+    t_s = np.arange(0.0, 365.25 * 17, 5.0) * 86_400.0
     away_au = barycentric_position_au("Mars", clock, t_s) - barycentric_position_au("Earth", clock, t_s)
     diameter = 2.0 * np.degrees(np.arcsin(MARS_RADIUS_KM / AU_KM / np.linalg.norm(away_au, axis=1))) * 3600.0
     return float(diameter.min()), float(diameter.max())
@@ -154,29 +152,33 @@ def mars_diameters_arcsec(years: int = 17, step_days: float = 5.0) -> tuple[floa
 
 def section(frames: int = 10) -> Section:
     """Section 4.2: rows, and the success against the SNR as a figure, with so many random frames for each SNR."""
-    rates = [success_rate(snr, frames) for snr in SNR_DB]
-    ours = [success_rate(snr, frames, rule="tracker") for snr in SNR_DB]
-    drawn = figures(
-        "greyling1995/segmentation",
-        {"sec_4_2_3_region_growing": partial(_curves, rates, ours), "fig_4_6_search_pattern": _pattern},
-    )
-    values = _pattern_values() | _success_values(rates, ours, frames) | _alien_values()
-    rows = table_rows("greyling1995/segmentation", values)
-    return Section("Chapter 4.2: stars found by region growing", rows, drawn)
-
-
-def _visited() -> int:
-    """Pixels that the detector looks at in an empty image of 512 × 512."""
-    empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
-    return int(grow_objects(empty, empty, empty + 1.0, 3, np.inf)[1])
+    values = _pattern_values() | _success_values(frames) | _alien_values()
+    return section_of("greyling1995/segmentation", "Chapter 4.2: stars found by region growing", values)
 
 
 def _pattern_values() -> Values:
+    """Pixels that the detector looks at: all of an empty image of 512 × 512; of a small one, where it finds a bright
+    pixel."""
     formula = ((SIDE_PX - 2) / 3) ** 2
-    return {"formula": formula, "visited": _visited(), "percent": 100.0 * formula / SIDE_PX**2}
+    empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
+    side = 21
+    level, limit = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
+    looked = np.zeros((side, side))
+    for row, column in np.ndindex(side, side):
+        image = np.zeros((side, side), np.float32)
+        image[row, column] = 10.0
+        looked[row, column] = len(grow_objects(image, level, limit, 3, np.inf)[0])
+    return {
+        "formula": formula,
+        "visited": int(grow_objects(empty, empty, empty + 1.0, 3, np.inf)[1]),
+        "percent": 100.0 * formula / SIDE_PX**2,
+        "looked": np.argwhere(looked).T + 1,
+    }
 
 
-def _success_values(rates: list[Success], ours: list[Success], frames: int) -> Values:
+def _success_values(frames: int) -> Values:
+    rates = [success_rate(snr, frames) for snr in SNR_DB]
+    ours = [success_rate(snr, frames, rule="tracker") for snr in SNR_DB]
     odd = success_rate(60.0, frames, aliens=True)
     return {
         "frames": frames,
@@ -186,6 +188,10 @@ def _success_values(rates: list[Success], ours: list[Success], frames: int) -> V
         "threshold_dn": THRESHOLD_DN,
         "alien_percent": 100 * odd.clean,
         "odd": odd,
+        "snr_db": SNR_DB,
+        "clean": [100 * rate.clean for rate in rates],
+        "found": [100 * rate.stars_found for rate in rates],
+        "ours": [100 * rate.clean for rate in ours],
     }
 
 
@@ -204,25 +210,3 @@ def _alien_values() -> Values:
         "wider": math.sqrt(THESIS_SIGMA**2 + 0.25 * radius_px**2),
         "cosmic_mv": 2000 * 1.4e-3,
     }
-
-
-def _curves(rates: list[Success], ours: list[Success]) -> Values:
-    return {
-        "snr_db": SNR_DB,
-        "clean": [100 * rate.clean for rate in rates],
-        "found": [100 * rate.stars_found for rate in rates],
-        "ours": [100 * rate.clean for rate in ours],
-        "frames": rates[0].frames,
-    }
-
-
-def _pattern(side: int = 21) -> Values:
-    """The pixels of a small image that the detector looks at: those where a single bright pixel is found."""
-    looked = np.zeros((side, side))
-    level, limit = np.zeros((side, side), np.float32), np.ones((side, side), np.float32)
-    for row, column in np.ndindex(side, side):
-        image = np.zeros((side, side), np.float32)
-        image[row, column] = 10.0
-        looked[row, column] = len(grow_objects(image, level, limit, 3, np.inf)[0])
-    rows, columns = np.nonzero(looked)
-    return {"columns": columns + 1, "rows": rows + 1}

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from simulator.theses.figures import figures
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
@@ -61,11 +60,11 @@ def terms_next(state: int, go: int, c1z: int, c2z: int, c3z: int, b: int) -> tup
     return sums["Q3"] << 2 | sums["Q2"] << 1 | sums["Q1"], sums["A set"], sums["B set"]
 
 
-def line_signals(clocks: int = 2 * (COUNTS_PER_LINE + 2) + 4) -> dict[str, FloatArray]:
-    """Signals (clocks,) from the first line of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
+def line_signals() -> dict[str, FloatArray]:
+    """Signals over two lines from the first of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
     sequencer = Sequencer(0)
     found: list[tuple[int, int, str]] = []
-    while len(found) < clocks:
+    while len(found) < 2 * (COUNTS_PER_LINE + 2) + 4:
         now, mode, count = sequencer.state, sequencer.mode, sequencer.c1
         pulse = sequencer.step()
         if mode == "clockout" and (found or now == 3):
@@ -115,6 +114,10 @@ def values() -> Values:
         "dummy": DUMMY_CELLS,
         "terms": len(TERMS),
         "same": "the same" if agree else "other",
+        "clock_signals": _clocks,
+        "states": _states,
+        "circuit": _circuit,
+        "output": _output,
     }
 
 
@@ -190,15 +193,3 @@ def _output() -> Values:
     limits = [{"level": DARK_V - (DARK_V - SATURATED_V) * float(level)} for level in levels]
     logic = _raised({"S/H": signals["S/H"], "/MW": signals["/MW"]})
     return {"signals": signals, "codes": codes, "limits": limits, "logic": logic}
-
-
-FIGURES = figures(
-    "greyling1995/signals",
-    {
-        "fig_6_5_clocks": _clocks,
-        "fig_6_6_states": _states,
-        "fig_6_7_circuit": _circuit,
-        "fig_6_8_output": _output,
-    },
-)
-"""File name to the function that draws it, in the order of the thesis."""

@@ -6,7 +6,6 @@ import numpy as np
 
 from simulator.optics.curves import load_curve
 from simulator.sky.library import HC_J_NM
-from simulator.theses.figures import figures
 from simulator.theses.greyling1995.starlight import BANDS_UM, EFFICIENCY, SECOND_EFFICIENCY
 from simulator.theses.tables import FloatArray, Values
 
@@ -38,31 +37,20 @@ def _peak_nm(values: FloatArray) -> float:
 
 
 def values() -> Values:
-    """Where the curves have their peaks, and the longest wavelength at which the TC211's response is half of its."""
-    response = ccd_response_a_w()
+    """The curves, their peaks, and the longest wavelength at which the TC211's response is half of its peak."""
+    eye, tc211, ccd44 = eye_response(), ccd_response_a_w(), ccd_response_a_w(name="ccd44_82")
     return {
-        "eye_peak_nm": _peak_nm(eye_response()),
-        "response_peak_nm": _peak_nm(response),
-        "ccd44_peak_nm": _peak_nm(ccd_response_a_w(name="ccd44_82")),
-        "half_nm": float(WAVELENGTH_NM[np.flatnonzero(response >= 0.5 * response.max())[-1]]),
+        "eye_peak_nm": _peak_nm(eye),
+        "response_peak_nm": _peak_nm(tc211),
+        "ccd44_peak_nm": _peak_nm(ccd44),
+        "half_nm": float(WAVELENGTH_NM[np.flatnonzero(tc211 >= 0.5 * tc211.max())[-1]]),
         "efficiency_peak_um": 1e-3 * _peak_nm(ccd_efficiency()),
-    }
-
-
-def _curves() -> Values:
-    tc211, ccd44 = ccd_response_a_w(), ccd_response_a_w(name="ccd44_82")
-    return {
         "um": WAVELENGTH_NM / 1e3,
-        "eye": eye_response(),
+        "eye": eye,
         "tc211": tc211,
         "relative": {"tc211": tc211 / tc211.max(), "ccd44": ccd44 / ccd44.max()},
-        "percent": 100.0 * ccd_efficiency(),
+        "efficiency_percent": 100.0 * ccd_efficiency(),
         "bands_um": BANDS_UM,
         "script_percents": (100.0 * EFFICIENCY, 100.0 * SECOND_EFFICIENCY),
         "second_photons": 0.5 * (CHARGE_C * WAVELENGTH_NM / HC_J_NM),
     }
-
-
-_NAMES = ("fig_2_2_eye_and_ccd", "fig_3_10_quantum_efficiency", "fig_3_11_response")
-FIGURES = figures("greyling1995/spectral", dict.fromkeys(_NAMES, _curves))
-"""File name to the function that draws it, in the order of the thesis."""

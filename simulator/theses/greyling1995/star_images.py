@@ -70,31 +70,29 @@ def moments(stamps: FloatArray) -> FloatArray:
     return np.array([read_window(frame, _HALF, _HALF, _HALF)[1] for frame in frames])
 
 
-def _errors(stamps: FloatArray, sigma_px: float, integrated: bool) -> FloatArray:
+def _errors(stamps: FloatArray, sigma_px: float, *, integrated: bool) -> FloatArray:
     """Errors (11,) left when the known bias at each offset of a star at rest (Table 4.1) is taken off."""
     return OFFSETS - moments(stamps) - moment_bias(OFFSETS, sigma_px, 2 * _HALF + 1, integrated=integrated)
 
 
-def smear_path(rate_px_s: float, angle_deg: float, exposure_s: float = 0.5) -> Path:
-    """Way of a star at constant rate over an exposure, centred on its middle (eq. 4.11)."""
-    length = rate_px_s * exposure_s
+def smear_path(rate_px_s: float, angle_deg: float) -> Path:
+    """Way of a star at constant rate over 0.5 s, centred on its middle (eq. 4.11)."""
+    length = rate_px_s * 0.5
     nodes, weights = exposure_nodes(length, THESIS_SIGMA)
     angle = np.radians(angle_deg)
     return 0.5 * length * nodes[:, None] * np.array([np.cos(angle), np.sin(angle)]), weights
 
 
-def smear_errors(
-    rate_px_s: float, angle_deg: float, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False
-) -> FloatArray:
+def smear_errors(rate_px_s: float, angle_deg: float, sigma_px: float = THESIS_SIGMA) -> FloatArray:
     """Errors (11,) along x of stars smeared for 0.5 s, the bias of a star at rest taken off."""
-    path = smear_path(rate_px_s, angle_deg)
-    return _errors(star_stamps(OFFSETS, sigma_px, path=path, integrated=integrated), sigma_px, integrated)
+    stamps = star_stamps(OFFSETS, sigma_px, path=smear_path(rate_px_s, angle_deg))
+    return _errors(stamps, sigma_px, integrated=False)
 
 
-def distortion_errors(ratio: float, sigma_px: float = THESIS_SIGMA, *, integrated: bool = False) -> FloatArray:
+def distortion_errors(ratio: float, *, integrated: bool = False) -> FloatArray:
     """Errors (11,) along x of stars elongated along x: d_r = σ_y / σ_x (eq. 4.12), σ_y the width of a round star."""
-    stamps = star_stamps(OFFSETS, sigma_px / ratio, sigma_px, integrated=integrated)
-    return _errors(stamps, sigma_px, integrated)
+    stamps = star_stamps(OFFSETS, THESIS_SIGMA / ratio, THESIS_SIGMA, integrated=integrated)
+    return _errors(stamps, THESIS_SIGMA, integrated=integrated)
 
 
 def tracker_errors(

@@ -8,16 +8,12 @@ from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulator.theses.tables import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.errors import InputError
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
 from startracker.identification.triad_tables import TriadTables
-
-__all__ = ["EDITIONS", "SubCatalog", "printed_rows", "sub_catalog"]
-
-FloatArray = NDArray[np.float64]
 
 EDITIONS = (4, 5)
 """Of the Bright Star Catalogue: her 4th, and the 5th, which ships."""
@@ -31,16 +27,10 @@ the extract says which way the third goes, and it is taken alike."""
 
 @dataclass(frozen=True, eq=False)
 class SubCatalog:
-    """Stars of a section of the sky (Yee 1999, section 2.3.3.1), in the order of their numbers.
+    """Stars of a section of the sky (Yee 1999, section 2.3.3.1), in the order of their numbers: positions of equinox
+    and epoch 2000, without proper motion, as she took them; each (G,)."""
 
-    Parameters
-    ----------
-    hr : int (G,)
-    ra_deg, dec_deg, v_mag : (G,)
-        Equinox and epoch 2000, without proper motion, as she took them.
-    """
-
-    hr: NDArray[np.int64]
+    hr: IntArray
     ra_deg: FloatArray
     dec_deg: FloatArray
     v_mag: FloatArray
@@ -53,8 +43,8 @@ class SubCatalog:
         """Right ascension and declination (G, 2)."""
         return np.column_stack([self.ra_deg, self.dec_deg])
 
-    def places(self, numbers: list[int]) -> NDArray[np.int64]:
-        """Places of HR numbers.
+    def indices(self, numbers: list[int]) -> IntArray:
+        """Indices of HR numbers.
 
         Raises
         ------
@@ -62,7 +52,7 @@ class SubCatalog:
             A number that the sub-catalogue lacks.
         """
         at = np.searchsorted(self.hr, numbers)
-        missing = [n for n, place in zip(numbers, at, strict=True) if place >= len(self) or self.hr[place] != n]
+        missing = [n for n, index in zip(numbers, at, strict=True) if index >= len(self) or self.hr[index] != n]
         if missing:
             raise InputError(f"the sub-catalogue has no HR {', '.join(map(str, missing))}")
         return at.astype(np.int64)
@@ -78,17 +68,10 @@ class SubCatalog:
 def sub_catalog(
     edition: int = 4, magnitude_limit: float = 6.0, dec_min_deg: float = 30.0, dec_max_deg: float = 90.0
 ) -> SubCatalog:
-    """Stars of the Bright Star Catalogue down to a magnitude, between two declinations.
+    """Stars of the Bright Star Catalogue down to a magnitude V, between two declinations, both included.
 
-    Parameters
-    ----------
-    edition : {4, 5}
-        5: as it ships. 4: right ascensions smaller by 0.1 s, and the declinations of three stars larger by 1″, which
-        is the 4th edition for her stars; it was rounded otherwise and is not to be had itself.
-    magnitude_limit : float
-        Faintest V.
-    dec_min_deg, dec_max_deg : float
-        Declinations, both included.
+    Edition 5 is as it ships. Edition 4 has right ascensions smaller by 0.1 s, and the declinations of three stars
+    larger by 1″, which is the 4th edition for her stars; it was rounded otherwise and is not to be had itself.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def _sub_catalogue() -> list[Values]:
     stars = sub_catalog(4, 6.0)
     rows = []
     for row in printed_rows("table_2_1"):
-        at = int(stars.places([int(row["hr"])])[0])
+        at = int(stars.indices([int(row["hr"])])[0])
         found = [stars.ra_deg[at] / 15.0, stars.dec_deg[at], stars.v_mag[at]]
         rows.append({"hr": row["hr"], "texts": [row["ra_h"], row["dec_deg"], row["v_mag"]], "found": found})
     return rows
@@ -48,20 +48,20 @@ def _separations() -> list[Values]:
         (int(tables.id[i]), int(tables.id[j])): d for i, j, d in zip(tables.first, tables.second, degrees, strict=True)
     }
     rows = []
-    for place, row in enumerate(printed_rows("table_2_2")):
+    for at, row in enumerate(printed_rows("table_2_2")):
         pair = (int(row["first"]), int(row["second"]))
-        order = "" if list(found)[place] == pair else "; it stands elsewhere in the sorted list"
+        order = "" if list(found)[at] == pair else "; it stands elsewhere in the sorted list"
         rows.append({"pair": pair, "texts": [row["separation_deg"]], "found": [found[pair]], "order": order})
     return rows
 
 
 def _enclosed() -> list[Values]:
     tables = _tables()
-    place = {int(number): k for k, number in enumerate(tables.id)}
+    index = {int(number): k for k, number in enumerate(tables.id)}
     rows = []
     for real, whole in zip(printed_rows("table_3_1"), printed_rows("table_3_2"), strict=True):
         numbers = [int(real[name]) for name in ("first", "second", "third")]
-        stars = (np.array([place[number]]) for number in numbers)
+        stars = (np.array([index[number]]) for number in numbers)
         angles = [float(angle[0]) for angle in tables.arithmetic.catalog_enclosed(tables.sky, *stars)]
         text = [whole[f"angle_{n}"] for n in (1, 2, 3)]
         coded = [int(ANGLE.encode(angle)) for angle in angles]
@@ -110,7 +110,7 @@ def rotation_example() -> Section:
 
 def _triad(figure: str, stars: tuple[int, int, int], hers: tuple[str, ...], image: list[float]) -> Values:
     catalog = sub_catalog(4, 6.0)
-    sky = catalog.sky_deg[catalog.places(list(stars))]
+    sky = catalog.sky_deg[catalog.indices(list(stars))]
     # east is to the left; plain degrees, no cos δ
     theirs = _directions_deg(np.column_stack([-((sky[:, 0] - sky[0, 0] + 180.0) % 360.0 - 180.0), sky[:, 1]]))
     turns = [(there - here) % 360.0 for there, here in zip(theirs, image, strict=True)]

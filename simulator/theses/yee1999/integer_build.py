@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,15 @@ from scipy import ndimage
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.exported_c.build import M68K, Build, compile_export, native_compiler
+from simulator.study.exported_c.build import M68K, Build, Target, compile_export, native_compiler
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.theses.figures import figures
 from simulator.theses.printed import Section
 from simulator.theses.tables import FloatArray, Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.fixed_centroids import fixed_centroids
-from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, vega
+from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
+from startracker.attitude import radec_to_direction
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, plate_attitude
@@ -38,23 +39,29 @@ from startracker.identification.integer_solution import (
     solve_integers,
 )
 from startracker.identification.triad_search import TriadLimits
+from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
 
 _FIELDS = 80
 _SLENDER = 2e-3
 """Of second moments, det / trace²: stars nearer to a line have four constants in integers, six in floating point."""
 _LIMITS = TriadLimits(three_stars=True)
-_MAX_SEPARATION_DEG = 12.0
+MAX_SEPARATION_DEG = 12.0
 _THRESHOLD_DN, _LEAST_PIXELS = 51, 10
 """Of a star in the Vega image."""
 _CLOSE_DEG = 0.01
 
 
+def integer_tracker(picture: Picture) -> IntegerTracker:
+    """Her catalogue's stars in integers, for the camera of a picture."""
+    stars = sub_catalog(4)
+    camera = IntegerCamera(picture.size_px, picture.fov_deg)
+    return IntegerTracker.build(camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, MAX_SEPARATION_DEG)
+
+
 @lru_cache(maxsize=1)
 def _tracker() -> IntegerTracker:
-    stars = sub_catalog(4)
-    camera = IntegerCamera(VEGA_SIZE_PX, VEGA_FOV_DEG)
-    return IntegerTracker.build(camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, _MAX_SEPARATION_DEG)
+    return integer_tracker(vega())
 
 
 def _plate(xy_px: FloatArray) -> tuple[Integers, IntegerAttitude] | None:
@@ -77,8 +84,7 @@ def attitude_differences() -> FloatArray:
     The distance of the two centres and the difference of the two rolls, of the same matched stars, not in a line.
     """
     stars = sub_catalog(4)
-    ra, dec = np.radians(stars.sky_deg).T
-    directions = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    directions = radec_to_direction(*np.radians(stars.sky_deg).T)
     out = []
     for k in range(_FIELDS):
         xy = centroid_list(
@@ -115,7 +121,7 @@ def integer_build() -> Section:
     rows = [*fixed_centroids(), *table_rows("yee1999/integer_build", values | _run_time())]
     least = max(off[off > 0].min(), 1e-5)
     shown = {"centre": off[:, 0], "roll": off[:, 1], "edges": np.logspace(np.log10(least), 0.0, 25)}
-    return Section("The integer build", rows, figures("yee1999/integer_build", {"integer_attitude": lambda: shown}))
+    return Section("The integer build", rows, figures("yee1999/integer_build", shown))
 
 
 def _centroid_differences() -> Values:
@@ -144,42 +150,48 @@ def _centre() -> list[Values]:
     return [{"ra_deg": ra_deg, "dec_deg": dec_deg, "near": near}]
 
 
-def _run_time() -> Values:
-    picture, tracker = vega(), _tracker()
-    real = sub_catalog(4).tables(_MAX_SEPARATION_DEG)
+def match_floating(
+    picture: Picture, tables: TriadTables, limits: TriadLimits = TriadLimits(), *, centre: bool = True
+) -> None:
+    """Her program in floating point (or integers, by the tables), with the centre or without: to be timed."""
+    best = match_triads(tables, picture.xy_px, picture.scale_deg, limits).best()
+    if centre and best is not None:
+        solve_plate(picture.xy_px[best.pairs[:, 0]], sub_catalog(4).sky_deg[best.pairs[:, 1]])
 
-    def floating() -> None:
-        best = match_triads(real, picture.xy_px, picture.scale_deg, _LIMITS).best()
-        if best is not None:
-            solve_plate(picture.xy_px[best.pairs[:, 0]], sub_catalog(4).sky_deg[best.pairs[:, 1]])
 
-    timed = [
-        {"what": what, "hers": hers, "ms": 1e3 * best_s(solve), "how": how}
-        for what, hers, solve, how in (
-            ("floating point, with the centre", "0.398 s, 0.232 s", floating, "Python"),
-            (
-                "fixed point", "0.243 s, 0.197 s (version A)",
-                partial(solve_integers, tracker, picture.xy_px, _LIMITS), "Python, with a verified attitude",
-            ),
-        )
-    ]  # fmt: skip
-    export = export_c(tracker, _LIMITS, MAX_STARS, MAX_TRIADS, MAX_GROUPS)
-    compiled, emulated, stars = [], [], list_text(picture.xy_px)
+def measured(export: CExport, target: Target | None, measure: Callable[[Build], float]) -> list[Values]:
+    """An export compiled for a target, and what is measured of it; nothing where its compiler is not installed."""
+    if target is None or target.missing() is not None:
+        return []
     with tempfile.TemporaryDirectory() as folder:
-        host = native_compiler()
-        if host is not None:
-            build = compile_export(export, Path(folder), host)
-            compiled.append({"build": build, "ms": 1e3 * build.time_s(stars, 200), "buffers": _buffers(build)})
-        if M68K.missing() is None:
-            build = compile_export(export, Path(folder), M68K)
-            count = build.instructions(stars)
-            emulated.append({"build": build, "instructions": count, "buffers": _buffers(build)})
-    return {"timed": timed, "compiled": compiled, "emulated": emulated} | _memory(export)
+        build = compile_export(export, Path(folder), target)
+        return [{"build": build, "measured": measure(build)} | _sizes(build)]
+
+
+def _sizes(build: Build) -> Values:
+    sizes = {"code_kb": build.code_bytes, "tables_kb": build.table_bytes, "context_kb": build.context_bytes}
+    return {name: size / 1e3 for name, size in sizes.items()} | {"heap": ", ".join(build.heap_calls) or "0"}
+
+
+def _run_time() -> Values:
+    picture, tracker, how = vega(), _tracker(), "Python, with a verified attitude"
+    real, stars = sub_catalog(4).tables(MAX_SEPARATION_DEG), list_text(picture.xy_px)
+    floating_ms = best_ms(lambda: match_floating(picture, real, _LIMITS))
+    fixed_ms = best_ms(lambda: solve_integers(tracker, picture.xy_px, _LIMITS))
+    export = export_c(tracker, _LIMITS, MAX_STARS, MAX_TRIADS, MAX_GROUPS)
+    return {
+        "timed": [
+            {"what": "floating point, with the centre", "hers": "0.398 s, 0.232 s", "ms": floating_ms, "how": "Python"},
+            {"what": "fixed point", "hers": "0.243 s, 0.197 s (version A)", "ms": fixed_ms, "how": how},
+        ],
+        "compiled": measured(export, native_compiler(), lambda build: 1e3 * build.time_s(stars, 200)),
+        "emulated": measured(export, M68K, lambda build: build.instructions(stars)),
+    } | _memory(export)
 
 
 def _memory(export: CExport) -> Values:
     """The database of enclosed angles that she foresees, and the tables that stand in for it."""
-    tables = sub_catalog(4).tables(_MAX_SEPARATION_DEG)
+    tables = sub_catalog(4).tables(MAX_SEPARATION_DEG)
     database = enclosed_table(tables.sky.vectors, tables.first, tables.second)
     computed = np.stack(FixedArithmetic().catalog_enclosed(_tracker().tables.sky, *database.stars.T), axis=1)
     off = np.abs(computed - database.angles)
@@ -197,17 +209,11 @@ def _memory(export: CExport) -> Values:
     }
 
 
-def _buffers(build: Build) -> str:
-    sizes = f"code {build.code_bytes / 1e3:.1f} kB, context {build.context_bytes / 1e3:.0f} kB"
-    heap = "heap 0" if not build.heap_calls else "heap " + ", ".join(build.heap_calls)
-    return f"{sizes}, stack ≤ {build.stack_bytes} B, {heap}"
-
-
-def best_s(function: Callable[[], object], times: int = 5) -> float:
-    """Least time of a call among several, seconds."""
+def best_ms(function: Callable[[], object], times: int = 5) -> float:
+    """Least time of a call among several, milliseconds."""
     spent = []
     for _ in range(times):
         start = time.perf_counter()
         function()
         spent.append(time.perf_counter() - start)
-    return min(spent)
+    return 1e3 * min(spent)

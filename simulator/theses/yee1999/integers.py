@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -61,10 +61,13 @@ def integers() -> Section:
     curve = crossover()
     images = ((vega(), "Table 4.17"), (deneb(), "Table 4.18"), (sadr(), "Table 4.19"))
     separations = [row for image in images for row in integer_separations(*image)]
-    values = {"curve": curve, "widest": curve.separation_deg[-1], "separations": separations} | _matches()
-    rows = table_rows("yee1999/integers", values)
-    drawn = figures("yee1999/integers", {"fig_3_1_crossover": lambda: {"curve": curve, "label": (curve.at_deg, -0.3)}})
-    return Section("Integer arithmetic", rows, drawn)
+    values = {
+        "curve": curve,
+        "widest": curve.separation_deg[-1],
+        "separations": separations,
+        "label": (curve.at_deg, -0.3),
+    }
+    return section_of("yee1999/integers", "Integer arithmetic", values | _matches())
 
 
 def integer_separations(picture: Picture, where: str) -> list[Values]:

@@ -5,32 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from simulator.theses.tables import FloatArray
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
 from startracker.errors import InputError
 from startracker.estimation.plate import Plate, solve_plate
 from startracker.identification.arithmetic import Arithmetic
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_votes import GroupMatch, TriadMatch, match_triads
-
-__all__ = [
-    "PRINTED_MATCHES",
-    "VEGA_FOV_DEG",
-    "VEGA_SIZE_PX",
-    "Analysis",
-    "Picture",
-    "analyse",
-    "centred",
-    "deneb",
-    "sadr",
-    "vega",
-]
-
-FloatArray = NDArray[np.float64]
 
 VEGA_SIZE_PX = (427, 319)
 VEGA_FOV_DEG = (9.0130, 6.9049)
@@ -41,19 +27,9 @@ MOST_STARS = 12
 """Brightest stars that are matched (thesis section 2.3.4)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """Star images of one picture.
-
-    Parameters
-    ----------
-    xy_px : (N, 2)
-        Centroids, x right and y up from the image's centre, brightest first.
-    size_px : (int, int)
-        Columns and rows.
-    fov_deg : (float, float)
-        Field across and down; divided by the size it gives the scale, as in section 2.3.4.
-    """
+class Picture(NamedTuple):
+    """Star images of one picture: centroids (N, 2), x right and y up from the image's centre, brightest first; columns
+    and rows; the field across and down, which divided by the size gives the scale (section 2.3.4)."""
 
     xy_px: FloatArray
     size_px: tuple[int, int]
@@ -73,16 +49,9 @@ class Picture:
 def centred(xy: ArrayLike, size_px: tuple[int, int], origin: str = "auto") -> FloatArray:
     """Centroids (N, 2) from the image's centre with y up, whatever their origin.
 
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids.
-    size_px : (int, int)
-        Columns and rows.
-    origin : {"auto", "centre", "corner"}
-        ``centre``: they are already so (Table 4.14). ``corner``: columns and rows, (0, 0) the centre of the first pixel
-        and y down, as everywhere else in this package. ``auto``: the first where a coordinate lies left of or above
-        the corner pixel.
+    ``centre``: they are already so (Table 4.14). ``corner``: columns and rows, (0, 0) the centre of the first pixel and
+    y down, as everywhere else in this package. ``auto``: the first where a coordinate lies left of or above the corner
+    pixel.
 
     Raises
     ------
@@ -131,20 +100,8 @@ def _printed_picture(table: str, size_px: tuple[int, int]) -> Picture:
 class Analysis:
     """Every step of the identification of one picture, and its attitude.
 
-    Parameters
-    ----------
-    picture : Picture
-    catalog : SubCatalog
-    edition : int
-        Of the catalogue.
-    match : TriadMatch
-        Separations, triads, groups.
-    found : GroupMatch or None
-        The group that matched three stars; None where none did.
-    plate : Plate or None
-        Centre and plate constants; None without a match.
-    reason : str
-        Why there is none; empty where there is.
+    The catalogue of an edition; separations, triads and groups; the group that matched three stars, and centre and
+    plate constants, None where there are none, for the reason.
     """
 
     picture: Picture
@@ -181,13 +138,10 @@ class Analysis:
     @cached_property
     def votes(self) -> list[list[dict[str, Any]]]:
         """Per image star the HR numbers that it may be, how often named, and V (Tables 4.3 and 4.4)."""
-        tables = self.match.tables
-        group = self.found
-        if group is None:
-            order = self.match.groups()
-            if not len(order):
-                return [[] for _ in range(self.match.stars)]
-            group = self.match.vote(int(order[0]))
+        tables, order = self.match.tables, self.match.groups()
+        if self.found is None and not len(order):
+            return [[] for _ in range(self.match.stars)]
+        group = self.found or self.match.vote(int(order[0]))
         return [
             [
                 {"hr": v.number(tables), "frequency": v.frequency, "v_mag": float(tables.v_mag[v.catalog])}
@@ -246,16 +200,8 @@ class Analysis:
 class Options:
     """What the method is run with; the defaults are those of the Vega image (section 4.2).
 
-    Parameters
-    ----------
-    edition, magnitude_limit, dec_range_deg
-        The sub-catalogue.
-    max_separation_deg : float or None
-        Of the pair database; None: the field's diagonal, rounded up to a whole degree (hers: 12).
-    limits : TriadLimits
-        Thresholds.
-    arithmetic : Arithmetic or None
-        None: floating point.
+    The sub-catalogue; the largest separation of the pair database, or None for the field's diagonal rounded up to a
+    whole degree (hers: 12); thresholds; arithmetic, None for floating point.
     """
 
     edition: int = 4
@@ -303,56 +249,50 @@ def merged_name(number: int | None) -> str:
 
 def step_tables(analysis: Analysis) -> Sequence[tuple[str, Sequence[str], list[Sequence[str]]]]:
     """The thesis' tables of one picture: title, headings, rows (its Tables 4.1 to 4.5)."""
-    stars = analysis.match.stars
-    pairs = [
+    stars, means = analysis.match.stars, [mean for _size, mean in analysis.groups]
+    first, second = image_pairs(stars)
+    pairs: list[Sequence[str]] = [
         (f"{i + 1}", f"{j + 1}", f"{deg:.4f}", f"{count}")
-        for i, j, deg, count in zip(
-            *image_pairs(stars), analysis.separations_deg, analysis.match.pair_counts, strict=True
-        )
+        for i, j, deg, count in zip(first, second, analysis.separations_deg, analysis.match.pair_counts, strict=True)
     ]
-    triads = [
+    triads: list[Sequence[str]] = [
         (
             f"{row['group']}",
-            f"{analysis.groups[row['group'] - 1][1]:.1f}",
-            *(f"{hr}" for hr in row["hr"]),
-            *(f"{rotation:.1f}" for rotation in row["rotations_deg"]),
+            f"{means[row['group'] - 1]:.1f}",
+            *map(str, row["hr"]),
+            *map("{:.1f}".format, row["rotations_deg"]),
         )
         for row in analysis.triads
     ]
-    votes = [
+    votes: list[Sequence[str]] = [
         (f"{star + 1}", f"{vote['hr']}", f"{vote['frequency']}", f"{vote['v_mag']:.2f}")
         for star, possible in enumerate(analysis.votes)
         for vote in possible
     ]
+    names = [f"star {s + 1}" for s in range(stars)]
     out: list[tuple[str, Sequence[str], list[Sequence[str]]]] = [
-        ("Angular separations (as Table 4.1)", ("star", "star", "separation [°]", "catalogue pairs"), [*pairs]),
+        ("Angular separations (as Table 4.1)", ("star", "star", "separation [°]", "catalogue pairs"), pairs),
         (
             "Catalogue triads by group (as Table 4.2)",
-            (
-                "group",
-                "mean rotation [°]",
-                *(f"star {s + 1}" for s in range(stars)),
-                "rotation 1 [°]",
-                "rotation 2 [°]",
-            ),
-            [*triads],
+            ("group", "mean rotation [°]", *names, "rotation 1 [°]", "rotation 2 [°]"),
+            triads,
         ),
-        ("Votes (as Tables 4.3 and 4.4)", ("star", "HR", "frequency", "V [mag]"), [*votes]),
+        ("Votes (as Tables 4.3 and 4.4)", ("star", "HR", "frequency", "V [mag]"), votes),
     ]
     if analysis.plate is not None and analysis.found is not None:
-        seen = analysis.found.pairs
-        computed = analysis.plate.sky_deg(analysis.picture.xy_px[seen[:, 0]])
-        stars_deg = analysis.catalog.sky_deg[seen[:, 1]]
-        rows: list[Sequence[str]] = [
-            (
-                merged_name(analysis.matches[star]),
-                *(f"{c[axis]:.5f}" for axis in range(2) for c in (theirs, ours)),
-                *(f"{residual[axis]:+.5f}" for axis in range(2)),
-            )
-            for star, theirs, ours, residual in zip(
-                seen[:, 0], stars_deg, computed, analysis.plate.residual_deg, strict=True
-            )
-        ]
         headings = ("HR", "RA [°]", "computed", "Dec [°]", "computed", "ΔRA [°]", "ΔDec [°]")
-        out.append(("Matched stars (as Table 4.5)", headings, rows))
+        out.append(("Matched stars (as Table 4.5)", headings, _matched_stars(analysis, analysis.plate, analysis.found)))
     return out
+
+
+def _matched_stars(analysis: Analysis, plate: Plate, found: GroupMatch) -> list[Sequence[str]]:
+    seen, stars = found.pairs.T
+    computed, catalog = plate.sky_deg(analysis.picture.xy_px[seen]), analysis.catalog.sky_deg[stars]
+    return [
+        (
+            merged_name(analysis.matches[star]),
+            *(f"{c[axis]:.5f}" for axis in range(2) for c in (theirs, ours)),
+            *(f"{residual[axis]:+.5f}" for axis in range(2)),
+        )
+        for star, theirs, ours, residual in zip(seen, catalog, computed, plate.residual_deg, strict=True)
+    ]

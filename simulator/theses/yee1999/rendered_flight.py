@@ -10,7 +10,7 @@ import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.frames import SequenceRunner
-from simulator.theses.figures import draw, figures
+from simulator.theses.figures import figures
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows
@@ -31,9 +31,9 @@ _RIGHT_DEG = 0.5
 """A boresight that is off by more is that of other stars: five times the error she gives."""
 
 
-def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None = None) -> list[SolvedFrame]:
+def flight_frames(images: Sequence[int] | None = None) -> list[SolvedFrame]:
     """Images of the turn in ``oedipus.yaml``, by their numbers from 1, each solved without what the others told."""
-    scenario = scenario or Scenario.load("oedipus")
+    scenario = Scenario.load("oedipus")
     runner = SequenceRunner(scenario)
     options = Options(
         edition=5,
@@ -57,12 +57,12 @@ def flight_frames(images: Sequence[int] | None = None, scenario: Scenario | None
 def section(images: Sequence[int] | None = None) -> Section:
     """The track of the boresight over one turn (section 4.3, appendix D.3, Fig. 4.11)."""
     frames = flight_frames(images)
-    rows = table_rows("yee1999/rendered_flight", _values(frames))
-    drawn = figures("yee1999/rendered_flight", {"fig_4_11_rendered": lambda: _track(frames)})
-    names = {6: "fig_4_8_rendered", 7: "fig_4_9_rendered"}
-    drawn |= {
-        names[f.image]: partial(draw, "yee1999/rendered_flight/image", _image(f)) for f in frames if f.image in names
-    }
+    values = _values(frames) | _track(frames) | {f"image_{f.image}": partial(_image, f) for f in frames}
+    drawn = figures("yee1999/rendered_flight", values)
+    for name, image in (("fig_4_8_rendered", 6), ("fig_4_9_rendered", 7)):
+        if f"image_{image}" not in values:
+            del drawn[name]
+    rows = table_rows("yee1999/rendered_flight", values)
     return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, drawn)
 
 
@@ -134,10 +134,10 @@ def _track(frames: Sequence[SolvedFrame]) -> Values:
         "truth": truth.T,
         "printed": printed.T,
         "error": PRINTED_ERROR_DEG,
-        "hers": np.array(hers).reshape(-1, 2).T,
-        "ours": np.array(list(ours.values())).reshape(-1, 2).T,
+        "her_centres": np.array(hers).reshape(-1, 2).T,
+        "our_centres": np.array(list(ours.values())).reshape(-1, 2).T,
         "solved": solved,
-        "failed": failed,
+        "hard": failed,
     }
 
 

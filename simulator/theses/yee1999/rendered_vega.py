@@ -9,9 +9,9 @@ import numpy as np
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import FloatArray, Values
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Options
 from simulator.theses.yee1999.rendered import SolvedFrame, show, solve_shown
 from startracker.identification.triad_search import TriadLimits
@@ -63,12 +63,8 @@ def section(frames: int = _FRAMES) -> Section:
         "printed": len(PRINTED_MATCHES),
         "errors": [{"method": method} | _errors(off_deg) for method, off_deg in zip(methods, off, strict=True)],
     }
-    drawn = figures(
-        "yee1999/rendered_vega",
-        {"rendered_vega": lambda: _clusters(first), "rendered_vega_errors": lambda: _centres(seen)},
-    )
     title = "The Vega image made anew: from the pixels of the rendered camera to the centre"
-    return Section(title, table_rows("yee1999/rendered_vega", values), drawn)
+    return section_of("yee1999/rendered_vega", title, values | _clusters(first) | _centres(seen))
 
 
 def _errors(off_deg: FloatArray) -> Values:

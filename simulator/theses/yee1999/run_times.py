@@ -8,31 +8,29 @@ the search for stars in the image out.
 
 from __future__ import annotations
 
-import tempfile
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from simulator.study.exported_c.build import M68K, Build, compile_export, native_compiler
+from simulator.study.exported_c.build import M68K, Build, native_compiler
 from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
-from simulator.theses.yee1999.integer_build import best_s
+from simulator.theses.yee1999.integer_build import (
+    MAX_SEPARATION_DEG,
+    best_ms,
+    integer_tracker,
+    match_floating,
+    measured,
+)
 from simulator.theses.yee1999.picture import Picture, deneb, vega
-from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.export_c import CExport, export_c
-from startracker.identification.integer_solution import MAX_TRIADS, IntegerCamera, IntegerTracker
+from startracker.identification.integer_solution import MAX_TRIADS
 from startracker.identification.triad_search import TriadLimits
-from startracker.identification.triad_tables import TriadTables
-from startracker.identification.triad_votes import match_triads
 
-__all__ = ["deneb", "run_times", "version_b"]
-
-_MAX_SEPARATION_DEG = 12.0
-_A, _B = TriadLimits(), TriadLimits(enclosed_tolerance_deg=None)
+_B = TriadLimits(enclosed_tolerance_deg=None)
 _CLOCKS = 25e6
 """A second, of her MC68EN360RC25C."""
 _REPETITIONS = 100
@@ -54,10 +52,7 @@ _WHERE = {
 
 def version_b(picture: Picture) -> CExport:
     """Her version B of one image in C: room for its stars alone, the largest group alone."""
-    stars = sub_catalog(4)
-    camera = IntegerCamera(picture.size_px, picture.fov_deg)
-    tracker = IntegerTracker.build(camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, _MAX_SEPARATION_DEG)
-    return export_c(tracker, _B, len(picture.xy_px), MAX_TRIADS, 1)
+    return export_c(integer_tracker(picture), _B, len(picture.xy_px), MAX_TRIADS, 1)
 
 
 def run_times() -> Section:
@@ -79,28 +74,24 @@ def _trials() -> list[Values]:
 def _here() -> Values:
     """Table 4.21 on this machine: the Pentium II and its compilers are not to be had."""
     picture, stars = deneb(), sub_catalog(4)
-    real = stars.tables(_MAX_SEPARATION_DEG)
-    coded = stars.tables(_MAX_SEPARATION_DEG, FixedArithmetic())
-
-    def match(tables: TriadTables, centre: bool) -> None:
-        best = match_triads(tables, picture.xy_px, picture.scale_deg, _A).best()
-        if centre and best is not None:
-            solve_plate(picture.xy_px[best.pairs[:, 0]], stars.sky_deg[best.pairs[:, 1]])
-
-    programs = (("floating, centre", "2.317 s, 0.644 s", real), ("floating", "2.286 s, 0.596 s", real),
-                ("A", "1.430 s, 0.622 s", coded))  # fmt: skip
-    timed = []
-    for version, hers, tables in programs:
-        spent_s = best_s(partial(match, tables, version == "floating, centre"), 3)
-        timed.append({"version": _NAMES[version], "hers": hers, "ms": 1e3 * spent_s, "how": "Python"})
-    host = native_compiler()
-    if host is None:
-        return {"timed": timed, "no_compiler": [{}]}
-    with tempfile.TemporaryDirectory() as folder:
-        spent_s = compile_export(version_b(picture), Path(folder), host).time_s(list_text(picture.xy_px), 20)
+    real = stars.tables(MAX_SEPARATION_DEG)
+    coded = stars.tables(MAX_SEPARATION_DEG, FixedArithmetic())
+    programs = (
+        ("floating, centre", "2.317 s, 0.644 s", lambda: match_floating(picture, real)),
+        ("floating", "2.286 s, 0.596 s", lambda: match_floating(picture, real, centre=False)),
+        ("A", "1.430 s, 0.622 s", lambda: match_floating(picture, coded, centre=False)),
+    )
+    timed = [
+        {"version": _NAMES[version], "hers": hers, "ms": best_ms(program, 3), "how": "Python"}
+        for version, hers, program in programs
+    ]
     how = "C, with a verified attitude"
-    timed.append({"version": _NAMES["B"], "hers": "n/a, 0.464 s", "ms": 1e3 * spent_s, "how": how})
-    return {"timed": timed, "no_compiler": []}
+    text = list_text(picture.xy_px)
+    compiled = measured(version_b(picture), native_compiler(), lambda build: 1e3 * build.time_s(text, 20))
+    timed += [
+        {"version": _NAMES["B"], "hers": "n/a, 0.464 s", "ms": found["measured"], "how": how} for found in compiled
+    ]
+    return {"timed": timed, "no_compiler": [] if compiled else [{}]}
 
 
 def _emulated() -> Values:
@@ -115,13 +106,13 @@ def _emulated() -> Values:
     missing = M68K.missing()
     if missing is not None:
         return {"not_emulated": [row | {"missing": missing} for row in rows], "emulated": [], "builds": []}
-    counts, builds = [], []
+    builds: list[Values] = []
     for name, picture, hers in (("Vega", vega(), "4 MB"), ("Deneb", deneb(), "4 MB, its stars renumbered")):
-        with tempfile.TemporaryDirectory() as folder:
-            build = compile_export(version_b(picture), Path(folder), M68K)
-            counts.append(build.instructions(list_text(picture.xy_px)))
-        builds.append({"name": name, "hers": hers, "build": build} | _sizes_kb(build))
-    counts.append(counts[1] - counts[0])
+        stars = list_text(picture.xy_px)
+        found = measured(version_b(picture), M68K, partial(Build.instructions, text=stars))
+        builds += [{"name": name, "hers": hers} | values for values in found]
+    vega_count, deneb_count = (values["measured"] for values in builds)
+    counts = [vega_count, deneb_count, deneb_count - vega_count]
     how = (
         "instructions of a CPU32, emulated, from the centroids to a verified attitude; hers from the image to the names"
     )
@@ -135,8 +126,3 @@ def _emulated() -> Values:
 
 def _million(seconds: float) -> str:
     return f"{seconds * _CLOCKS / 1e6:.0f} million clocks"
-
-
-def _sizes_kb(build: Build) -> Values:
-    sizes = {"code_kb": build.code_bytes, "tables_kb": build.table_bytes, "context_kb": build.context_bytes}
-    return {name: size / 1e3 for name, size in sizes.items()}

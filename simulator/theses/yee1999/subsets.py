@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values, table_rows
+from simulator.theses.tables import FloatArray, IntArray, Values
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Analysis, analyse, vega
 from startracker.errors import InputError
 from startracker.estimation.plate import solve_plate
@@ -86,10 +86,9 @@ def three_star_subsets(analysis: Analysis | None = None) -> Section:
         {"stars": stars, "rms": rms, "worse": rms[1] / rms[0], "rigid_worse": rms[4] / rms[3]}
         for stars, rms in errors.items()
     ]
-    rows = table_rows("yee1999/subsets", {"vega": _vega_values(analysis or analyse(vega())), "fields": fields})
-    table = np.array(list(errors.values())).T
-    drawn = figures("yee1999/subsets", {"subsets": lambda: {"stars": list(errors), "rms": table}})
-    return Section("Three stars at a time, or all at once", rows, drawn)
+    values = {"vega": _vega_values(analysis or analyse(vega())), "fields": fields}
+    curves = {"stars": list(errors), "rms": np.array(list(errors.values())).T}
+    return section_of("yee1999/subsets", "Three stars at a time, or all at once", values | curves)
 
 
 def _vega_values(found: Analysis) -> list[Values]:

@@ -149,8 +149,8 @@ def section(frames: int = _FRAMES) -> Section:
                 {"label": threshold.label, "method": method, "hers": threshold.printed, "best": best, "at": at}
             )
     rows = table_rows("yee1999/threshold_sweep", {"thresholds": values, "frames": frames})
-    figures = {"threshold_sweep": lambda: sweep_figure(outcomes)}
-    return Section("Thresholds of the triads on rendered frames", rows, figures)
+    drawn = {"threshold_sweep": lambda: sweep_figure(outcomes)}
+    return Section("Thresholds of the triads on rendered frames", rows, drawn)
 
 
 def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:

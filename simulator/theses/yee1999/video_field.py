@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulator.theses.figures import figures
+from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import Values, table_rows
+from simulator.theses.tables import Values
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
 from startracker.identification.arithmetic import FloatArithmetic
 
@@ -54,14 +54,13 @@ def video_field() -> Section:
         "largest": largest,
         "within": largest < 0.34,
     }
-    drawn = figures("yee1999/video_field", {"fig_4_10_field": lambda: _differences(stars)})
-    return Section("The field of OEDIPUS-C", table_rows("yee1999/video_field", values), drawn)
+    return section_of("yee1999/video_field", "The field of OEDIPUS-C", values | _differences(stars))
 
 
 def database_separations(stars: SubCatalog) -> list[float]:
     """Separations of Table D.1's pairs in the sub-catalogue, degrees."""
     tables = stars.tables(40.0)
-    pairs = np.array([stars.places([int(row["first"]), int(row["second"])]) for row in printed_rows("table_d_1")])
+    pairs = np.array([stars.indices([int(row["first"]), int(row["second"])]) for row in printed_rows("table_d_1")])
     apart = tables.arithmetic.catalog_separations(tables.sky, pairs[:, 0], pairs[:, 1])
     return [float(value) for value in tables.arithmetic.separation_degrees(apart)]
 

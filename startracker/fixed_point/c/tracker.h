@@ -101,7 +101,7 @@ struct tracker_context {
     int16_t separation[TRACKER_MAX_STARS][TRACKER_MAX_STARS];
     int16_t image_direction[TRACKER_MAX_STARS][TRACKER_MAX_STARS];
     uint8_t wrong[TRACKER_MAX_STARS][TRACKER_MAX_STARS];
-    uint16_t frequency[TRACKER_CATALOG_STARS], place[TRACKER_CATALOG_STARS], label[TRACKER_CATALOG_STARS];
+    uint16_t frequency[TRACKER_CATALOG_STARS], named[TRACKER_CATALOG_STARS], label[TRACKER_CATALOG_STARS];
     uint16_t member[TRACKER_MAX_STARS][TRACKER_CATALOG_STARS];
     int members[TRACKER_MAX_STARS];
     int32_t seen[TRACKER_MAX_STARS][2];

@@ -143,15 +143,15 @@ int32_t tracker_direction(int64_t y, int64_t x)
 int tracker_image_separation(int64_t chi, int64_t psi)
 {
     int64_t plane;
-    int32_t place;
+    int32_t entry;
 
     if (chi > 32767 || psi > 32767)
         return -1;
     plane = tracker_square_root(chi * chi + psi * psi);
     if (plane <= TRACKER_CROSSOVER)
         return (int)plane;
-    place = (int32_t)(((uint32_t)tracker_cosine[chi] * tracker_cosine[psi]) >> 15) - TRACKER_ARCCOSINE_DISCARDED;
-    return place < 0 ? -1 : tracker_arccosine[place];
+    entry = (int32_t)(((uint32_t)tracker_cosine[chi] * tracker_cosine[psi]) >> 15) - TRACKER_ARCCOSINE_DISCARDED;
+    return entry < 0 ? -1 : tracker_arccosine[entry];
 }
 
 static int64_t length(const int64_t v[3])

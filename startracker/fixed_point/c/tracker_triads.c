@@ -195,21 +195,21 @@ static int named(struct tracker_context *context, int g, int star)
         for (k = 0; k < 3; k++)
             if (context->triads[t].group == g && context->triads[t].star[k] == star) {
                 const uint16_t catalog = context->triads[t].catalog[k];
-                for (n = 0; n < found && context->place[n] != catalog; n++)
+                for (n = 0; n < found && context->named[n] != catalog; n++)
                     ;
                 if (n == found) {
-                    context->place[found++] = catalog;
+                    context->named[found++] = catalog;
                     context->frequency[n] = 0;
                 }
                 context->frequency[n]++;
             }
     for (t = 1; t < found; t++) {
-        const uint16_t p = context->place[t], f = context->frequency[t];
-        for (n = t; n > 0 && tracker_star_rank[context->place[n - 1]] > tracker_star_rank[p]; n--) {
-            context->place[n] = context->place[n - 1];
+        const uint16_t p = context->named[t], f = context->frequency[t];
+        for (n = t; n > 0 && tracker_star_rank[context->named[n - 1]] > tracker_star_rank[p]; n--) {
+            context->named[n] = context->named[n - 1];
             context->frequency[n] = context->frequency[n - 1];
         }
-        context->place[n] = p;
+        context->named[n] = p;
         context->frequency[n] = f;
     }
     return found;
@@ -224,7 +224,7 @@ static void combine(struct tracker_context *context, int found)
         context->label[n] = (uint16_t)n;
     for (i = 0; i < found; i++)
         for (j = i + 1; j < found; j++)
-            if (tracker_catalog_separation(context->place[i], context->place[j]) <= TRACKER_COMBINE_SEPARATION) {
+            if (tracker_catalog_separation(context->named[i], context->named[j]) <= TRACKER_COMBINE_SEPARATION) {
                 const uint16_t low = context->label[i] < context->label[j] ? context->label[i] : context->label[j];
                 const uint16_t high = context->label[i] < context->label[j] ? context->label[j] : context->label[i];
                 for (n = 0; n < found; n++)
@@ -265,7 +265,7 @@ static void vote(struct tracker_context *context, int g, int star, int needed)
         return;
     for (n = 0; n < found; n++)
         if (whole ? context->label[n] == winner : n == winner)
-            context->member[star][context->members[star]++] = context->place[n];
+            context->member[star][context->members[star]++] = context->named[n];
 }
 
 static int agree(const struct tracker_context *context, int i, int j)

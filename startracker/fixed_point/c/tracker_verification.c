@@ -191,10 +191,10 @@ static int refit(struct tracker_context *context, int points, int count)
     }
     for (i = 0; i < points; i++)
         if (context->index[i] >= 0) {
-            const int64_t *place = context->predicted[context->index[i]];
-            x = place[0] - mean[0];
-            y = place[1] - mean[1];
-            turning += x * (context->point[i][1] - place[1]) - y * (context->point[i][0] - place[0]);
+            const int64_t *at = context->predicted[context->index[i]];
+            x = at[0] - mean[0];
+            y = at[1] - mean[1];
+            turning += x * (context->point[i][1] - at[1]) - y * (context->point[i][0] - at[0]);
             lever += x * x + y * y;
         }
     lever >>= 16;

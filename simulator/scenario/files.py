@@ -1,0 +1,94 @@
+"""Files of a scenario: itself, those that it is based on, and those that its values name."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
+from simulator.scenario.errors import Location, Problem
+from simulator.scenario.overrides import merge
+
+FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
+"""Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
+
+
+def find_scenario(path: str | Path) -> Path:
+    """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
+    return _file_or_shipped(Path(path), str(path))
+
+
+def _file_or_shipped(file: Path, written: str) -> Path:
+    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
+    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
+    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
+        here = Path(__file__).resolve().parent
+        for folder in (here / "shipped", here.parents[1] / "scenarios"):
+            shipped = folder / f"{written}.yaml"
+            if shipped.is_file():
+                return shipped
+    return file
+
+
+def read_chain(
+    file: Path,
+    name: str,
+    problems: list[Problem],
+    chain: tuple[tuple[str, str], ...] = (),
+    named_at: Location | None = None,
+) -> Table | None:
+    """Tree of a file laid over its base; None, with the reason among `problems`, where one of them cannot be read."""
+    text = read_text(file, name, named_at, "base" if named_at else "")
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    tree = parse_document(text, name, problems)
+    return with_base(tree, name, problems, (*chain, (os.path.realpath(file), name))) if tree else None
+
+
+def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tuple[str, str], ...]) -> Table | None:
+    """A tree laid over the base that it names; `chain` are the files (real path, name) that led here."""
+    folder = os.path.dirname(name) if chain else ""
+    tree = absolute_files(tree, folder)
+    entry = tree.entries.pop("base", None)
+    if entry is None:
+        return tree
+    base = entry.node.data if isinstance(entry.node, Value) else {}
+    if base is REPORTED:
+        return None
+    if not isinstance(base, str) or not base:
+        problems.append(Problem(entry.location, "base", f"must be the name of a scenario file, not {show_value(base)}"))
+        return None
+    beside = os.path.normpath(os.path.join(folder, base))
+    base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
+    real = os.path.realpath(base_name) if "\0" not in base_name else base_name
+    known = [seen for seen, _ in chain]
+    if real in known:
+        circle = " → ".join([n for _, n in chain[known.index(real) :]] + [base_name])
+        problems.append(Problem(entry.location, "base", f"the files are based on each other in a circle: {circle}"))
+        return None
+    below = read_chain(Path(base_name), base_name, problems, chain, entry.location)
+    return merge(below, tree) if below else None
+
+
+def absolute_files(tree: Table, folder: str) -> Table:
+    """Names of CSV files made absolute, so that they are still found from elsewhere: from a base, or once resolved."""
+    for path in FILE_KEYS:
+        tables, keys = [tree], path.split(".")
+        for key in keys[:-1]:
+            inner = tables[-1].entries.get(key)
+            if inner and isinstance(inner.node, Table):
+                tables.append(inner.node)
+        entry = tables[-1].entries.get(keys[-1]) if len(tables) == len(keys) else None
+        if entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data):
+            file = os.path.abspath(os.path.join(folder, entry.node.data))
+            layer = Table(tables[-1].location, {keys[-1]: Entry(entry.location, Value(file, entry.node.location))})
+            for table, key in zip(tables[-2::-1], keys[-2::-1], strict=True):
+                layer = Table(table.location, {key: Entry(table.entries[key].location, layer)})
+            tree = merge(tree, layer)
+    return tree
+
+
+def _is_file_name(value: Any) -> bool:
+    return isinstance(value, str) and (value.lower().endswith(".csv") or "/" in value or os.sep in value)

@@ -1,0 +1,187 @@
+"""The pose from matched directions: rotation and, where it is free, focal length, by Gauss–Newton.
+
+With b the observed and p = R g the predicted unit vectors, δ the rotation vector that corrects R and ε = Δ ln f,
+b − p = δ × p − ε ∂b/∂ln f. For a pinhole ∂b/∂ln f = b_z (e_z − b_z b), of length sin θ cos θ. Lost in space, prior,
+tracking and the filter all sum the same normal equations; what is known beforehand is added to them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.kernels import kernel
+from startracker.linalg import cross, inverse, transform, turned
+
+__all__ = ["fit_pairs", "fit_turn", "focal_slopes", "normal_equations", "pair_frame", "pair_rotation"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_STEPS, _SETTLED_RAD = 12, 1e-9
+_LARGEST_TURN_RAD = 0.1
+"""A fit that ends farther from where two stars put it does not hold these."""
+
+
+@kernel
+def focal_slopes(vectors: FloatArray) -> FloatArray:
+    """∂b/∂ln f (N, 3) of unit vectors (N, 3) in the frame of a pinhole camera."""
+    out = np.empty_like(vectors)
+    for i in range(len(vectors)):
+        z = vectors[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = -z * z * vectors[i, 0], -z * z * vectors[i, 1], z * (1.0 - z * z)
+    return out
+
+
+@kernel
+def normal_equations(
+    observed: FloatArray, slopes: FloatArray, predicted: FloatArray, index: IntArray, sigma: FloatArray, unknowns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (unknowns, unknowns) and right-hand side of one Gauss–Newton step over matched stars.
+
+    Parameters
+    ----------
+    observed, sigma : (N, 3), (N,)
+        Directions and their standard errors on one axis, rad.
+    slopes : (N, 3)
+        `focal_slopes`; not read where the focal length is known.
+    predicted : (K, 3)
+        Directions of guide stars.
+    index : int (N,)
+        Guide star of each observed star, or −1.
+    unknowns : int
+        3: rotation vector; 4: also ln of the focal length.
+    """
+    normal = np.zeros((unknowns, unknowns))
+    right = np.zeros(unknowns)
+    for i in range(len(observed)):
+        if index[i] < 0:
+            continue
+        w = 1.0 / sigma[i] ** 2
+        px, py, pz = predicted[index[i], 0], predicted[index[i], 1], predicted[index[i], 2]
+        ex, ey, ez = observed[i, 0] - px, observed[i, 1] - py, observed[i, 2] - pz
+        normal[0, 0] += w * (1.0 - px * px)
+        normal[1, 1] += w * (1.0 - py * py)
+        normal[2, 2] += w * (1.0 - pz * pz)
+        normal[1, 0] -= w * px * py
+        normal[2, 0] -= w * px * pz
+        normal[2, 1] -= w * py * pz
+        right[0] += w * (py * ez - pz * ey)
+        right[1] += w * (pz * ex - px * ez)
+        right[2] += w * (px * ey - py * ex)
+        if unknowns == 4:
+            dx, dy, dz = slopes[i, 0], slopes[i, 1], slopes[i, 2]
+            normal[3, 0] -= w * (py * dz - pz * dy)
+            normal[3, 1] -= w * (pz * dx - px * dz)
+            normal[3, 2] -= w * (px * dy - py * dx)
+            normal[3, 3] += w * (dx * dx + dy * dy + dz * dz)
+            right[3] -= w * (dx * ex + dy * ey + dz * ez)
+    for i in range(unknowns):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return normal, right
+
+
+@kernel
+def fit_turn(
+    observed: FloatArray,
+    sigma: FloatArray,
+    reference: FloatArray,
+    index: IntArray,
+    precision: FloatArray,
+    start: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Most probable rotation vector (3,) that turns reference directions (K, 3) onto observed ones, its covariance
+    (3, 3), and the stars' own information; beforehand it is 0 with the inverse covariance `precision` (3, 3).
+
+    `start` (3,) is where to begin; for the rest see `normal_equations`. The covariance is NaN where neither stars nor
+    `precision` tell all of the rotation.
+    """
+    turn, predicted, change = start.copy(), np.empty_like(reference), np.empty(3)
+    matrix, covariance, information = np.eye(3), precision, precision
+    for _ in range(_STEPS):
+        transform(turned(matrix, turn[0], turn[1], turn[2]), reference, predicted)
+        information, right = normal_equations(observed, observed, predicted, index, sigma, 3)
+        covariance, _ = inverse(information + precision, 3)
+        for i in range(3):
+            for j in range(3):
+                right[i] -= precision[i, j] * turn[j]
+        largest = 0.0
+        for i in range(3):
+            change[i] = covariance[i, 0] * right[0] + covariance[i, 1] * right[1] + covariance[i, 2] * right[2]
+            turn[i] += change[i]
+            largest = max(largest, abs(change[i]))
+        if not largest >= _SETTLED_RAD:
+            break
+    return turn, covariance, information
+
+
+@kernel
+def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Columns: `one`; the pole n of the great circle to `two`; and n × one, towards `two`."""
+    out, pole = np.empty((3, 3)), np.empty(3)
+    pole[0], pole[1], pole[2] = cross(one, two)
+    # the second time perpendicular to the last digit, also where the two are nearly parallel
+    for _ in range(2):
+        length, along = 0.0, 0.0
+        for k in range(3):
+            length += pole[k] * pole[k]
+        for k in range(3):
+            pole[k] /= math.sqrt(length)
+            along += pole[k] * one[k]
+        for k in range(3):
+            pole[k] -= along * one[k]
+    for k in range(3):
+        out[k, 0], out[k, 1] = one[k], pole[k]
+    out[0, 2], out[1, 2], out[2, 2] = cross(pole, one)
+    return out
+
+
+@kernel
+def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> FloatArray:
+    """Rotation (3, 3) that lays reference star `first` on its image, and the great circle to `second` on its image."""
+    seen, known, out = pair_frame(b[first], b[second]), pair_frame(r[first], r[second]), np.empty((3, 3))
+    transform(seen, known, out)
+    for i in range(3):  # rows are those of the other frame
+        for j in range(i):
+            out[i, j], out[j, i] = out[j, i], out[i, j]
+    return out
+
+
+@kernel
+def fit_pairs(
+    pairs: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray, start: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Attitude (3, 3) that fits pairs (M, 2) of centroids and guide stars best, and the directions (M, 3) of these.
+
+    NaN where the steps do not settle: the pairs are no image of each other.
+
+    Parameters
+    ----------
+    directions, guides : (N, 3), (G, 3)
+        Of the centroids in the camera, and of the guide stars.
+    sigma : (N,)
+        Relative standard errors of the centroids.
+    start : (3, 3)
+        An attitude nearby; zeros: that of the first star and the one farthest from it.
+    """
+    count, farthest, least = len(pairs), 0, 2.0
+    seen, known, moved = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
+    index, error = np.arange(count), np.empty(count)
+    for n in range(count):
+        error[n], cosine = sigma[pairs[n, 0]], 0.0
+        for k in range(3):
+            seen[n, k], known[n, k] = directions[pairs[n, 0], k], guides[pairs[n, 1], k]
+            cosine += seen[n, k] * seen[0, k]
+        if cosine < least:
+            least, farthest = cosine, n
+    matrix = start if start[0, 0] != 0.0 or start[0, 1] != 0.0 else pair_rotation(seen, known, 0, farthest)
+    transform(matrix, known, moved)
+    turn, covariance, _ = fit_turn(seen, error, moved, index, np.zeros((3, 3)), np.zeros(3))
+    size = max(abs(turn[0]), abs(turn[1]), abs(turn[2]))
+    matrix = turned(matrix, turn[0], turn[1], turn[2])
+    if not (size < _LARGEST_TURN_RAD and math.isfinite(covariance[0, 0])):
+        matrix[0, 0] = math.nan
+    return matrix, known

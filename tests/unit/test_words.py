@@ -1,0 +1,111 @@
+"""Comments, docstrings, messages and documents use the standard terms of the field."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCANNED = ("simulator", "startracker", "docs", "scenarios", "benchmarks", "README.md", "CHANGELOG.md")
+SUFFIXES = (".py", ".md", ".yaml", ".c", ".h")
+
+TERMS = {
+    r"places?": "position (of a star or an image), index (in a table)",
+    r"hits?": "cosmic-ray event",
+    r"drawn out": "trailed, smeared",
+    r"blemish(?:es|ed)?": "defective pixel",
+    r"tells?|told": "distinguishes, classified as, reports, states",
+    r"(?:so|how) sure": "confidence, uncertainty",
+    r"knobs?": "parameter, setting",
+    r"lamps?": "light source",
+    r"normal numbers?": "Gaussian deviates",
+    r"off focus|refocus(?:ed)?": "defocused; focal-length correction",
+    r"marked sky": "occupancy map",
+    r"leaf among leaves": "isolation test",
+    r"few of many": "rare-case mask",
+    r"noise model knows": "systematic error floor",
+    r"honest(?:ly)?": "state the limitation",
+    r"identified rightly": "correctly identified",
+    r"more trials would": "run more trials to decide",
+    r"Trials a point": "Trials per point",
+    r"(?:electrons|photons|degrees|radians|pixels|px|DN|mas|ns|µs|ms|°|″) a"
+    r" (?:second|pixel|frame|trial|star|day|year|step|line|unit)": "per second, per pixel",
+}
+"""Word that is not used here, as a regular expression, and what the field says."""
+
+ALLOWED = (
+    r"\b[Ii]n(?:to)?[ -]place(?: of)?\b",  # an array modified in place; one thing in place of another
+    r"tak(?:es?|ing) place\b",
+    r"(?:decimal|binary) places?\b",
+    r"blemish(?:ed)?_\w+",  # settings and columns of the rules of operation, which users meet
+    r"\"blemishes\"|\.blemishes\b",  # a key of sequence.json, and the map that it counts
+    r"reject_hits\b",  # a setting of detection
+)
+"""Phrases in which such a word is right."""
+
+NOT_YET = (
+    "CHANGELOG.md",
+    "benchmarks",
+    "docs/theses.md",
+    "simulator/theses",
+    "startracker/_version.py",
+    "startracker/calibration",
+    "startracker/centroid",
+    "startracker/compilation.py",
+    "startracker/detection",
+    "startracker/estimation",
+    "startracker/identification",
+    "startracker/identification_settings.py",
+    "startracker/kernels.py",
+    "startracker/lens_fit.py",
+    "startracker/refine.py",
+    "startracker/sorting.py",
+    "startracker/tracking",
+    "startracker/trails",
+    "startracker/whole_field.py",
+)
+"""Files and folders that are still to be rewritten; the list only becomes shorter."""
+
+_TERM = re.compile("|".join(f"(?P<t{k}>(?<![\\w-])(?:{term})(?![\\w-]))" for k, term in enumerate(TERMS)))
+_ALLOWED = re.compile("|".join(ALLOWED))
+
+
+def found(line: str) -> list[str]:
+    """Words of a line that are not used here, each with what the field says."""
+    terms = list(TERMS.values())
+    return [
+        f"'{match[0]}': {terms[int(match.lastgroup[1:])]}"
+        for match in _TERM.finditer(_ALLOWED.sub("", line))
+        if match.lastgroup
+    ]
+
+
+def _files() -> list[Path]:
+    """Files that are checked."""
+    every = [p for name in SCANNED for p in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))]
+    names = {p: p.relative_to(ROOT).as_posix() for p in every if p.suffix in SUFFIXES}
+    return sorted(p for p, name in names.items() if not any(name == n or name.startswith(f"{n}/") for n in NOT_YET))
+
+
+def test_texts_use_the_terms_of_the_field():
+    faults = [
+        f"{path.relative_to(ROOT)}:{number}: {fault}"
+        for path in _files()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        for fault in found(line)
+    ]
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    "line", ["# the places of the stars", "2 hits rejected", "told from a star", "1200 electrons a second", "a knob"]
+)
+def test_a_word_of_another_language_is_found(line):
+    assert found(line)
+
+
+@pytest.mark.parametrize(
+    "line", ["sorted in place", "NaN in place of zero", "to three decimal places", "blemish_frames: int", "reject_hits"]
+)
+def test_a_right_phrase_passes(line):
+    assert not found(line)
