@@ -13,11 +13,12 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
+# worksteal: each worker begins with half of the tests in a row, which share kernels and rendered frames
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-all: $(VENV)/.installed-oracles
-	$(BIN)/python -m pytest -n 2 -m '' --hypothesis-profile=explore
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m '' --hypothesis-profile=explore
 
 # An environment of its own, and kernels compiled by its own numba; old libraries may warn of newer ones.
 LOWEST := .venv-lowest

@@ -168,11 +168,11 @@ class Bench:
             middle /= np.linalg.norm(middle)
             if float(middle @ sun) < math.cos(math.radians(LEAST_ELONGATION_DEG)):
                 break
-        place = rng.uniform([-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5])
+        centre = rng.uniform([-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5])
         if case.edge:
             side = int(rng.integers(4))
-            place[side % 2] = -0.5 if side < 2 else (camera.width, camera.height)[side % 2] - 0.5
-        in_camera, in_sky = _triad(camera.unproject(place)[0], rng), _triad(middle, rng)
+            centre[side % 2] = -0.5 if side < 2 else (camera.width, camera.height)[side % 2] - 0.5
+        in_camera, in_sky = _triad(camera.unproject(centre)[0], rng), _triad(middle, rng)
         return at_s, Attitude.from_matrix(in_camera @ in_sky.T)
 
     def _directions(self, names: list[str], at_s: float) -> list[FloatArray]:

@@ -37,11 +37,11 @@ NOT_JUDGED = "–"
 NOTES = [
     "Lost in space, from centroids, the same default settings in every case; the scenes are those of",
     "`benchmarks/scenes.py`.",
-    "An accepted attitude is wrong when it is off by more than 5 pixels across or 1° about the boresight, or, where",
-    "noise alone does more, by more than ten times the Cramér–Rao bound. CPU ms are those of the whole solve, of one",
-    "process; `ident. ms` are wall-clock milliseconds of identification alone. `under 4 true` is the share of scenes",
-    "that keep fewer than four true stars, in which even one who is told the pairs has nothing to check them by;",
-    "`of the others %` is what is identified of the rest.",
+    "An accepted attitude is wrong if its error is more than 5 pixels across or 1° about the boresight, or more than",
+    "ten times the Cramér–Rao bound if that is larger. CPU ms are those of the whole solve in one process; `ident. ms`",
+    "are wall-clock milliseconds of identification alone. `under 4 true` is the fraction of scenes with fewer than",
+    "four true stars, in which even the true pairs could not be verified; `of the others %` is the fraction identified",
+    "of the rest.",
 ]
 
 

@@ -185,8 +185,8 @@ def errors_px(answer: Answer, truth: Scene, camera: Camera, star_id: IntArray, d
     rays = np.column_stack([corners / camera.focal_px, np.ones(4)]) @ truth.matrix @ answer.matrix.T
     moved = rays[:, :2] / rays[:, 2:] * camera.focal_px - corners
     seen = np.flatnonzero(answer.number)
-    place = {int(n): k for k, n in enumerate(star_id)}
-    named = directions[[place[int(n) % 10_000] for n in answer.number[seen]]] @ truth.matrix.T
+    row = {int(n): k for k, n in enumerate(star_id)}
+    named = directions[[row[int(n) % 10_000] for n in answer.number[seen]]] @ truth.matrix.T
     at = named[:, :2] / named[:, 2:] * camera.focal_px * [1.0, -1.0]
     off = np.hypot(*(at - truth.xy[seen]).T)
     several = answer.number[seen] > 10_000

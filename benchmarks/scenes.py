@@ -163,9 +163,9 @@ class SceneMaker:
         star, xy = star[inside], xy[inside]
         magnitude = self._magnitudes[star]
         if case.false_stars:
-            places = rng.uniform(-0.5, SIZE_PX - 0.5, (case.false_stars, 2))
+            false_xy = rng.uniform(-0.5, SIZE_PX - 0.5, (case.false_stars, 2))
             as_bright = self._magnitudes[rng.integers(len(self._magnitudes), size=case.false_stars)]
-            xy = np.concatenate([xy, places])
+            xy = np.concatenate([xy, false_xy])
             magnitude = np.concatenate([magnitude, as_bright])
             star = np.concatenate([star, np.full(case.false_stars, -1)])
         magnitude = magnitude + case.noise_mag * rng.standard_normal(len(magnitude))

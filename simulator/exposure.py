@@ -1,4 +1,4 @@
-"""The exposure: when the shutter is open, for how long, and what it makes of rates.
+"""The exposure: integration of electron rates over the time for which the shutter is open.
 
 What reaches the focal plane are rates, electrons per second. They become electrons here alone: still light by
 the duration, a moving source by the time for which it is exposed at each position of its path, and charge that is moved
@@ -28,18 +28,17 @@ class Shutter:
     """How the detector is exposed."""
 
     kind: Literal["global", "rolling", "frame_transfer"] = "global"
-    """``global``; ``rolling``: rows one after another; ``frame_transfer``: charge is moved through the image under
-    light."""
+    """``global``; ``rolling``: row by row; ``frame_transfer``: charge is shifted through the illuminated image."""
     line_time_s: float = 0.0
-    """From row to row: of a rolling shutter, or of the transfer."""
+    """Time from row to row of a rolling shutter, or of the transfer."""
     transfer_direction: Literal["up", "down"] = "up"
     """``up``: charge leaves past row 0; ``down``: past the last row."""
     transfer_smear: Literal["both", "after"] = "both"
-    """Light falls on moving charge ``both`` before and after the exposure, or ``after`` it alone."""
+    """Smear ``both`` before and after the exposure, or only ``after`` it."""
 
 
 class Motion(NamedTuple):
-    """How the camera turns during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
+    """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
 
     rate_rad_s: FloatArray
     jitter: JitterPath | None = None
@@ -49,11 +48,11 @@ class Paths(NamedTuple):
     """Positions of sources on the image during an exposure."""
 
     xy: FloatArray
-    """(N, K, 2): Pixels at K moments; NaN where a source is not followed."""
+    """(N, K, 2): Pixels at K moments; NaN where a path is not computed."""
     weights: FloatArray
-    """(K,): Share of the exposure of each moment."""
+    """(K,): Fraction of the exposure of each moment."""
     electrons: FloatArray
-    """(N,): Electrons that each source leaves over the exposure."""
+    """(N,): Electrons of each source over the exposure."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Exposure:
     """One exposure."""
 
     start_s: float
-    """Seconds after the scenario's epoch; of the middle row, where the shutter is rolling."""
+    """Seconds after the scenario's epoch; of the middle row for a rolling shutter."""
     duration_s: float
     """Exposure time."""
     shutter: Shutter = Shutter()
@@ -69,7 +68,7 @@ class Exposure:
 
     @classmethod
     def about(cls, middle_s: float, duration_s: float, shutter: Shutter) -> Exposure:
-        """Exposure by the time of its middle."""
+        """Exposure from the time of mid-exposure."""
         return cls(middle_s - 0.5 * duration_s, duration_s, shutter)
 
     @property
@@ -90,7 +89,7 @@ class Exposure:
         feature_px: float,
         margin_px: float,
     ) -> Paths:
-        """Where sources stand during the exposure, and the electrons that they leave.
+        """Positions of sources during the exposure, and their electrons.
 
         Parameters
         ----------
@@ -99,11 +98,11 @@ class Exposure:
         directions : (N, 3) array
             Unit vectors in camera axes at mid-exposure.
         electrons : (N,) array
-            Of sources that stand still.
+            Electrons of the sources if static.
         motion : Motion
-            Turning of the camera.
+            Rotation of the camera.
         feature_px, margin_px : float
-            Finest structure of the PSF, and how far outside the image paths are followed.
+            Finest structure of the PSF, and margin around the image in which paths are computed.
         """
         sampling = (feature_px, margin_px, motion.jitter)
         if self.shutter.kind != "rolling":
@@ -114,7 +113,7 @@ class Exposure:
         return Paths(xy, weights, electrons * share)
 
     def add_transfer_smear(self, mean_e: FloatArray) -> None:
-        """Add what charge gathers on its way through the lit image (H, W), in place; only a frame transfer does."""
+        """Add the transfer smear of the image (H, W), in place; only for frame transfer."""
         shutter = self.shutter
         if shutter.kind == "frame_transfer":
             mean_e += frame_transfer_smear(

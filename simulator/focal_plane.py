@@ -1,4 +1,4 @@
-"""The focal plane: a scene through lens, point spread function and smear, as mean photo-electrons a pixel.
+"""The focal plane: mean photo-electrons per pixel of a scene, with lens, point-spread function and smear.
 
 Sources and background arrive as rates, electrons per second; `simulator.exposure` makes electrons of them.
 """
@@ -39,10 +39,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _EDGE_MARGIN_PX = 160.0
-"""Stars up to this far outside the detector are drawn where their wings reach in; those of a million electrons do."""
+"""Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""
 
 _DISK_PX = 1.5
-"""Bodies of a larger radius are drawn as disks, smaller ones as points through the PSF."""
+"""Bodies with a larger radius are rendered as disks, smaller ones as points with the PSF."""
 
 
 class Illumination(NamedTuple):
@@ -58,7 +58,7 @@ class Illumination(NamedTuple):
 
 class Reaching(NamedTuple):
     """Sources whose light reaches the detector: their rows, directions in the camera (N, 3), pixels (N, 2), and
-    electrons (N,) as far as they stand still."""
+    electrons (N,) if static."""
 
     rows: IntArray
     in_camera: FloatArray
@@ -66,7 +66,7 @@ class Reaching(NamedTuple):
     electrons: FloatArray
 
     def joined(self, other: Reaching) -> Reaching:
-        """These, then others."""
+        """These sources followed by others."""
         return Reaching(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
@@ -75,15 +75,15 @@ class FocalPlane:
     """Camera, response and point spread functions of one instrument."""
 
     camera: Camera
-    """As calibrated: what the frame carries."""
+    """The calibrated camera, as in the frame."""
     true_camera: Camera
-    """As it is: what the sky is drawn through."""
+    """The true camera, with which the sky is rendered."""
     photometer: Photometer
     """Aperture, transmission and quantum efficiency."""
     psfs: PsfSet
-    """Images of points."""
+    """Point-spread functions."""
     sky: Sky
-    """What shines."""
+    """Parameters of the sky."""
     aperture_mm: float
     pixel_area_cm2: float
     """Diameter of the lens and area of a pixel."""
@@ -95,7 +95,8 @@ class FocalPlane:
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
 
     def half_field_rad(self, exposure_s: float) -> float:
-        """Sources this far from the boresight, at any moment of the exposure, may leave light on the detector."""
+        """Maximum angle from the boresight, at any moment of the exposure, of sources whose light can reach the
+        detector."""
         if exposure_s not in self._half_fields:
             camera = self.true_camera
             brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * exposure_s
@@ -155,7 +156,7 @@ class FocalPlane:
         exposure: Exposure,
         radius_rad: float | FloatArray,
     ) -> Reaching:
-        """Those sources that shine and whose image, extended by disk and streak, reaches the detector."""
+        """Sources with light whose image, including disk and streak, overlaps the detector."""
         camera = self.true_camera
         in_camera = scene.pointing.camera.apply(direction)
         electrons = exposure.electrons(self._vignetted(rate_e_s, in_camera))
@@ -166,7 +167,7 @@ class FocalPlane:
         return Reaching(rows, in_camera[rows], xy[rows], electrons[rows])
 
     def _vignetted(self, rate_e_s: FloatArray, in_camera: FloatArray) -> FloatArray:
-        """Rates (N,) of sources along unit vectors (N, 3) less what the lens loses towards the edge of the field."""
+        """Rates (N,) of sources along unit vectors (N, 3) with vignetting."""
         if self.vignetting.is_off:
             return rate_e_s
         return rate_e_s * star_illumination(self.true_camera, self.vignetting, in_camera)
@@ -204,12 +205,12 @@ class FocalPlane:
     # ------------------------------------------------------------------ background
     @functools.cached_property
     def s10_e_s_pixel(self) -> float:
-        """Electrons a second of diffuse light of 1 S10 in a pixel at the principal point."""
+        """Electrons per second of diffuse light of 1 S10 in a pixel at the principal point."""
         return self.photometer.background_e_s_pixel(1.0, 1.0 / (self.true_camera.fx * self.true_camera.fy))
 
     @functools.cached_property
     def _s10_e_s(self) -> FloatArray:
-        """Electrons a second of an even sky of 1 S10 in every pixel."""
+        """Electrons per second of a uniform sky of 1 S10 in every pixel."""
         return illumination_map(self.true_camera, self.vignetting) * self.s10_e_s_pixel
 
     @functools.lru_cache(maxsize=1)  # noqa: B019 (one image, as long as the plane lives)
@@ -219,8 +220,8 @@ class FocalPlane:
         return rate_e_s
 
     def background_rate_e_s(self, scene: Scene) -> tuple[FloatArray, tuple[str, ...]]:
-        """Electrons a second in every pixel (height, width) of what is no source, and whose exclusion angle is broken:
-        diffuse sky, the Earth and its limb, stray light, a tether."""
+        """Background rate of every pixel (height, width), electrons per second (diffuse sky, the Earth and its limb,
+        stray light, a tether), and the bodies within their exclusion angle."""
         camera = self.true_camera
         s10 = diffuse_sky_s10(camera, scene.pointing.camera, scene.r_km, scene.sun_direction, self.sky)
         rate_e_s = self._s10_e_s * s10 if isinstance(s10, np.ndarray) else self._even_rate_e_s(s10)
@@ -247,7 +248,7 @@ class FocalPlane:
         return image
 
     def _draw_tether(self, image: FloatArray, points: TetherPoints, rate_e_s: FloatArray, nm: float) -> None:
-        """Disks where the tether is out of focus, points through the PSF beyond."""
+        """Render defocused parts of the tether as disks and the others as points with the PSF."""
         camera = self.true_camera
         xy = camera.project(points.direction)
         blurred = points.blur_rad / camera.pixel_rad > _DISK_PX

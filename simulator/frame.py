@@ -1,4 +1,4 @@
-"""Frame and truth: what the camera hands on, and, apart from it, what really was.
+"""Frame and truth.
 
 `Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, position and speed, the
 attitude of its other sensors. `FrameTruth` is a separate object that the tracker never sees.
@@ -21,10 +21,10 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One exposure as the spacecraft has it."""
+    """One exposure as known on board."""
 
     image: NDArray[np.generic]
-    """(height, width): Digital numbers: uint16, or float64 where the scenario has no converter."""
+    """(height, width): Digital numbers: uint16, or float64 if the scenario has no converter."""
     camera: Camera
     """The calibrated camera."""
     observer: Observer
@@ -39,13 +39,13 @@ class Frame:
     read_noise_e: float
     """What calibration on the ground says of the detector."""
     prior: Attitude | None = None
-    """Attitude by the other sensors."""
+    """Attitude from other sensors."""
     prior_deg: float = 0.0
     """Half width of its error about each axis."""
     scenario: str = ""
     seed: int = 0
     index: int = 0
-    """Where the frame comes from; enough to make it again."""
+    """Origin of the frame, sufficient to reproduce it."""
     parameters: dict[str, float | int | str | bool] = field(default_factory=dict)
     """Every key of the scenario's camera, for the file header."""
 
@@ -61,10 +61,10 @@ class TrueSources:
     kind: NDArray[np.str_]
     """``star``, ``planet``, ``moon`` or ``sun``."""
     xy: FloatArray
-    """(N, 2): Pixel at mid-exposure, by the true attitude."""
+    """(N, 2): Pixel at mid-exposure for the true attitude."""
     image_xy: FloatArray
-    """(N, 2): Middle of the path rendered over the exposure, with a rolling shutter over that of the rows it stands in:
-    where the image has its centre of light. They differ where paths are curved, or rows are exposed later than the
+    """(N, 2): Midpoint of the rendered path over the exposure (with a rolling shutter, over that of the source's rows),
+    that is the photocentre of the image. It differs from `xy` if paths are curved, or rows are exposed later than the
     middle one."""
     direction: FloatArray
     """(N, 3): Apparent direction, ICRS axes."""
@@ -73,24 +73,24 @@ class TrueSources:
     electrons: FloatArray
     """V, B − V, and mean photo-electrons over the exposure."""
     variable: NDArray[np.bool_]
-    """Known to the catalogue as a variable star, drawn at the catalogue's V all the same; False for bodies."""
+    """Variable star according to the catalogue, rendered with the catalogue's V; False for bodies."""
 
     def __len__(self) -> int:
         return len(self.id)
 
     @functools.cached_property
     def is_star(self) -> NDArray[np.bool_]:
-        """Which of them are stars, (N,)."""
+        """Mask (N,) of stars."""
         return np.asarray(self.kind == "star")
 
     def select(self, rows: NDArray[np.int64]) -> TrueSources:
-        """Some of the sources, by index array."""
+        """Selection of sources by index array."""
         return TrueSources(**{column.name: getattr(self, column.name)[rows] for column in fields(self)})
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """What really was, at mid-exposure."""
+    """True state at mid-exposure."""
 
     attitude: Attitude
     """ICRS to camera."""
@@ -101,9 +101,8 @@ class FrameTruth:
     t_s: float
     """Seconds after the scenario's epoch."""
     sources: TrueSources
-    """Everything drawn that falls on the detector."""
+    """All rendered sources on the detector."""
     mean_electrons: FloatArray | None = None
-    """(height, width): Photo-electrons of sources and background as they come from the lens: no noise, no flaw of the
-    detector."""
+    """(height, width): Mean photo-electrons of sources and background, without noise and defects of the detector."""
     excluded: tuple[str, ...] = ()
     """Bodies within the baffle's exclusion angle."""

@@ -44,14 +44,14 @@ class Light:
     """(N,): Angular radius; 0 for stars."""
     lit: FloatArray
     sun_angle_rad: FloatArray
-    """(N,): Lit share of the disk, and where on it the light comes from."""
+    """(N,): Illuminated fraction of the disk, and direction of the Sun on it."""
     limb: FloatArray
-    """(N, 3): Edge of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
+    """(N, 3): Limb of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
     wavelength_nm: FloatArray
     """(N,): Mean wavelength of the photo-electrons."""
 
     def joined(self, other: Light) -> Light:
-        """These sources, then others."""
+        """These sources followed by others."""
         return Light(*(np.concatenate([getattr(light, f.name) for light in (self, other)]) for f in fields(Light)))
 
     def truth(self, xy: FloatArray, image_xy: FloatArray, electrons: FloatArray) -> TrueSources:
@@ -71,7 +71,7 @@ def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray
 
 
 def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
-    """Some of a scene's stars as sources; wavelengths only where images depend on them."""
+    """A selection of a scene's stars as sources; wavelengths only if images depend on them."""
     catalog, stars, none = scene.catalog, scene.rows[rows], np.zeros(len(rows))
     b_v, giant = scene.star_b_v[rows], scene.star_giant[rows]
     return Light(
@@ -141,7 +141,7 @@ def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -
 
 @kernel
 def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """Weighted means (N, 2) of paths (N, K, 2) over their moments that are not NaN; (N, 2) `otherwise` without one."""
+    """Weighted means (N, 2) of paths (N, K, 2) over moments that are not NaN; `otherwise` (N, 2) if there are none."""
     out = otherwise.copy()
     for n in range(len(paths)):
         x, y, total = 0.0, 0.0, 0.0

@@ -1,6 +1,6 @@
-"""What the camera could see at one instant: where the spacecraft is, how it is turned, which stars are there.
+"""The scene at one instant: position and attitude of the spacecraft, and the stars in and around the field.
 
-The stages orbit → pointing → sky in order; nothing here knows of pixels.
+The stages orbit → pointing → sky in order; independent of pixels.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 BLOCK_TRIALS = 128
-"""Trials whose ephemerides are computed together: the fixed cost of Skyfield's calls is shared, and the arrays stay in
+"""Trials whose ephemerides are computed together: this shares the overhead of Skyfield's calls, and the arrays fit into
 the processor's cache."""
 
 
@@ -59,57 +59,57 @@ class Scene:
     sun_direction: FloatArray
     """(3,): Unit vector from the spacecraft to the Sun, without aberration."""
     pointing: Pointing
-    """Attitudes and rate; the true attitude is the mean over the exposure where there is jitter."""
+    """Attitudes and rate; with jitter the true attitude is the mean over the exposure."""
     jitter: JitterPath | None
-    """Turning of the camera about that attitude during the exposure."""
+    """Rotation of the camera relative to that attitude during the exposure."""
     streak_rad: float
-    """Angle that the camera turns by over the exposure."""
+    """Rotation angle of the camera during the exposure."""
     catalog: StarCatalog
     """All stars of the sky."""
     rows: IntArray
-    """(N,): Those of them in and around the field."""
+    """(N,): Rows of the stars in and around the field."""
     star_directions: FloatArray
-    """(N, 3): Where each appears, ICRS axes."""
+    """(N, 3): Apparent directions, ICRS axes."""
     star_b_v: FloatArray
     star_giant: FloatArray
     """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
-    """Sun, Moon and planets, wherever they are."""
+    """Sun, Moon and planets, also outside the field."""
 
     @property
     def stars(self) -> StarCatalog:
-        """The stars in and around the field as a catalogue of their own."""
+        """The stars in and around the field as a catalogue."""
         return self.catalog.select(self.rows)
 
 
 @dataclass(frozen=True)
 class SceneParameters:
-    """What scenes are made of, besides the orbit."""
+    """Parameters of scenes, except the orbit."""
 
     seed: int
-    """Of the run."""
+    """Seed of the run."""
     sampling: str
-    """When trials are: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`)."""
+    """Sampling of trials: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`)."""
     pointing: PointingParameters
     spectrum: Spectrum
     sky: Sky
-    """Mounting, what the body holds and how the camera shakes; by which spectrum; what is seen."""
+    """Mounting, attitude law and jitter; spectrum of the jitter; contents of the sky."""
 
 
 class SceneBuilder:
-    """Scenes of trials; clock, orbit and catalogue are shared.
+    """Builds scenes of trials with common clock, orbit and catalogue.
 
     Parameters
     ----------
     parameters : SceneParameters
         Pointing and sky.
     orbit : Orbit
-        Of the spacecraft.
+        Orbit of the spacecraft.
 
     Raises
     ------
     InputError
-        For a target that is not in its sky.
+        For a target that is not in the sky.
     """
 
     def __init__(self, parameters: SceneParameters, orbit: Orbit) -> None:
@@ -120,7 +120,7 @@ class SceneBuilder:
         seen = parameters.sky
         catalog = by_declination(load_catalog(seen.catalog).brighter_than(seen.magnitude_limit))
         self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
-        catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # 80 bytes a star, and of no more use
+        catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # unused, and 80 bytes per star
         self.sky = SkyIndex(catalog)
         target = parameters.pointing.target
         self._target = find_target(target, catalog) if isinstance(target, str) else None
@@ -128,10 +128,10 @@ class SceneBuilder:
         self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
 
     def instant(self, index: int) -> Instant:
-        """Time of trial `index`, and where spacecraft and bodies are then; computed for `BLOCK_TRIALS` at once.
+        """Time of trial `index`, and positions of spacecraft and bodies; computed for `BLOCK_TRIALS` at once.
 
-        The blocks are cut by the index alone, so that a trial has the same numbers whatever other trials are asked
-        for, and by whom.
+        The blocks only depend on the index, so that a trial has the same values independently of other trials and
+        workers.
         """
         block, row = divmod(index, BLOCK_TRIALS)
         if block not in self._blocks:
@@ -141,7 +141,7 @@ class SceneBuilder:
         return self._blocks[block].at(row)
 
     def plan(self, t_s: ArrayLike) -> None:
-        """Compute the ephemerides of times (N,) that `scene` will be asked for by `at_s`, in one block."""
+        """Compute the ephemerides of times (N,) that will be passed to `scene` as `at_s`, in one block."""
         times = np.array(t_s, dtype=float)
         rows = {time: row for row, time in enumerate(times.tolist())}
         self._plan = (Instants.of(self.orbit, times, self.parameters.sky), rows)
@@ -172,15 +172,15 @@ class SceneBuilder:
         streams : callable
             Random stream of a stage by name.
         half_field_rad : float
-            Stars this far from the boresight, at any moment of the exposure, are given.
+            Stars up to this angle from the boresight, at any moment of the exposure, are included.
         exposure_s : float
             Exposure time.
         at_s, attitude : optional
-            Time and true camera attitude in place of the trial's own.
+            Time and true camera attitude instead of those of the trial.
         rate_camera_rad_s : array_like, shape (3,), optional
-            Inertial angular velocity in camera axes that goes with `attitude`; else the trial's own.
+            Inertial angular velocity in camera axes for `attitude`; by default that of the trial.
         jitter : JitterPath, optional
-            Jitter about this mid-exposure, of a sequence; else the trial's own is drawn.
+            Jitter of a sequence relative to this mid-exposure; by default that of the trial.
         """
         given, sky = self.parameters, self.parameters.sky
         now = self.instant(index) if at_s is None else self._instant_at(float(at_s))
@@ -221,14 +221,14 @@ class SceneBuilder:
         )
 
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
-        """One realisation of the jitter, None where there is none."""
+        """One realisation of the jitter, None if there is none."""
         given = self.parameters
         return draw_jitter(given.pointing.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
 
     def _shaken(
         self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
     ) -> tuple[Pointing, JitterPath | None]:
-        """True attitude turned by the mean of the jitter over the exposure, and the rest of the jitter about it."""
+        """True attitude including the mean jitter over the exposure, and the remaining jitter about it."""
         if self.parameters.pointing.jitter.is_off:
             return pointing, None
         jitter = jitter or self.draw_jitter(streams("jitter"))

@@ -15,14 +15,14 @@ from pathlib import Path
 __all__ = ["Progress", "expected_kernels", "progress"]
 
 _SILENT_S = 2.0
-"""Seconds of compiling that a program which is none of our commands is not told about."""
+"""Compile time after which a program other than our commands gets a message."""
 _SILENT_IN_FILES_S = 10.0
-"""Seconds of compiling that a log is not told about."""
+"""Compile time after which a log file gets a message."""
 _CLEAR_LINE = "\r\x1b[K"
 
 
 class Progress:
-    """Counts and times kernels, and tells the terminal.
+    """Counts and times the compilation of kernels, and shows the progress on the terminal.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Progress:
         self._task, self._at_once = task, True
 
     def begin(self, is_on_disk: Callable[[str], bool]) -> None:
-        """A kernel begins; those that it calls begin within. `is_on_disk` tells what an earlier process compiled."""
+        """Start of a kernel; nested kernels start within it. `is_on_disk`: whether an earlier process compiled it."""
         if not self._depth:
             self._began, self._processor_began = time.perf_counter(), time.process_time()
         if self._left is None:

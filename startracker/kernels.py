@@ -1,16 +1,23 @@
 """How functions become compiled kernels, and clocks that leave the wait for it out.
 
-Kernels are compiled by numba when they are first called, and kept on disk; `startracker.compilation` tells the user.
+Kernels are compiled by numba on first use and cached on disk; `startracker.compilation` shows the progress.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import hashlib
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+with contextlib.suppress(ImportError):
+    import fcntl
 
 from numba import njit, types
 from numba.core import event
@@ -47,7 +54,42 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
         return resolve(tuple(map(types.unliteral, arguments)), plain)
 
     dispatcher.get_call_template = resolve_numbers
+    compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
+
+    def compile_once(signature: Any) -> Any:
+        with _held(Path(dispatcher.stats.cache_path), name):
+            return compile_now(signature)
+
+    dispatcher.compile = compile_once
     return dispatcher
+
+
+@contextmanager
+def _held(folder: Path, name: str) -> Iterator[None]:
+    """Hold a kernel against other processes, so that one compiles it and the others load what it leaves on disk.
+
+    A byte of one file in the folder of the cache stands for the kernel; the system frees it where a process ends.
+    Where there are no such locks (Windows, some network drives), several processes may compile the same kernel.
+    """
+    byte = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "little")
+    file = None
+    try:
+        file = _lock_file(folder)
+        fcntl.lockf(file, fcntl.LOCK_EX, 1, byte)
+    except (OSError, NameError):
+        file = None
+    try:
+        yield
+    finally:
+        if file is not None:
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
+
+
+@cache
+def _lock_file(folder: Path) -> IO[bytes]:
+    """File of the locks, open as long as the process lives: closing it would free them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return (folder / ".compiling").open("ab")
 
 
 def clock() -> float:

@@ -103,7 +103,7 @@ def stretch(vectors: FloatArray, amounts: FloatArray) -> FloatArray:
     """Vectors (M, 3) with what air does to a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
 
     Refraction R = κ tan z (κ = 58.3″) shortens the sky by κ sec²z along the vertical and by κ across it. The mean of
-    both cannot be told from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. What is left is
+    both cannot be distinguished from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. The rest is
     R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of 40°.
     """
     a, b = amounts
@@ -276,7 +276,7 @@ def image_equations(
     vectors = stars.directions @ matrix.T
     if amounts is not None:
         vectors = stretch(vectors, amounts)
-    places, moves, by_vector = sensitivity(camera, vectors)
+    pixels, moves, by_vector = sensitivity(camera, vectors)
     # the stretch's own share of a turn, 1e-3, does not matter for the step
     columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
     if with_refraction:
@@ -286,7 +286,7 @@ def image_equations(
         columns.append(by_vector @ by_amount)
     weight = np.repeat(1.0 / stars.sigma_px, 2)
     jacobian = np.concatenate(columns, axis=2).reshape(len(weight), -1) * weight[:, None]
-    return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - places).ravel() * weight)
+    return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - pixels).ravel() * weight)
 
 
 def _normal_equations(

@@ -91,7 +91,7 @@ class Measured(NamedTuple):
     flux : (N,), optional
         Signal.
     variance_px2 : (N,), optional
-        Variance on one axis; None: unknown, equal, and told by the residuals.
+        Variance on one axis; None: unknown, equal, and estimated from the residuals.
     covariance_px2 : (N, 2, 2), optional
         Where the two axes differ, as of streaks.
     common_px2 : (2, 2), optional
@@ -193,7 +193,7 @@ def _matched(
             break
         cosine = field_cosine(camera, MARGIN_PX)
         fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
-        if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to tell who is wrong: keep what was identified
+        if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find the wrong one: keep what was identified
             break
         used = fitting
         if same and not free_focal:  # nor would the next fit be another
@@ -304,25 +304,25 @@ class _Field:
     def named(self, pose: Pose, matrix: FloatArray, phases: FloatArray) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids that belong to guide stars, which of them fit within their errors, and the
         positions (N, 2), those of duplicates merged."""
-        index, places, moved = self._predicted(pose, matrix)
+        index, pixels, moved = self._predicted(pose, matrix)
         count = max(len(self.xy), 1)
         area = float(self.camera.width * self.camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         shift = phase_shift(self.xy, phases)
         right = self.xy - shift
-        pairs, fits, merged = named(right, self.stated, index, places + moved, scale, pose.systematic_px2, near_px)
+        pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
         return pairs, fits, np.where(merged == right, self.xy, merged + shift)
 
     def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
         camera, guide = self.camera, self.guide
-        index, vectors, places = stars_on_image(
+        index, vectors, pixels = stars_on_image(
             matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
         )
-        slopes, offset = pixel_slopes(vectors, camera.image_map), places - (camera.cx, camera.cy)
+        slopes, offset = pixel_slopes(vectors, camera.image_map), pixels - (camera.cx, camera.cy)
         extra, _ = self._extra(index, matrix, slopes, offset)
-        return index, places, displacements(offset, extra, pose.unknowns)
+        return index, pixels, displacements(offset, extra, pose.unknowns)
 
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
@@ -374,5 +374,5 @@ def _linearised(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Measured minus predicted (M, 2) of guide stars (M, 3), their slopes (M, 2, 3), and where they are predicted."""
     vectors = reference @ matrix.T
-    places: FloatArray = to_pixels(vectors, image)
-    return xy - places, pixel_slopes(vectors, image), places
+    pixels: FloatArray = to_pixels(vectors, image)
+    return xy - pixels, pixel_slopes(vectors, image), pixels

@@ -49,8 +49,8 @@ def median(values: NDArray[np.float64]) -> float:
 def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
     """Indices of a few numbers, ascending, into `order`; of equal ones the first comes first."""
     for last in range(len(values)):
-        place = last
-        while place > 0 and values[last] < values[order[place - 1]]:
-            order[place] = order[place - 1]
-            place -= 1
-        order[place] = last
+        at = last
+        while at > 0 and values[last] < values[order[at - 1]]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = last

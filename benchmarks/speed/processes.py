@@ -20,8 +20,8 @@ from simulator.study.trials.engine import run_trials
 workers, trials = int(sys.argv[1]), int(sys.argv[2])
 seen = []
 with tempfile.TemporaryDirectory() as folder:
-    told = lambda done, _: seen.append((time.perf_counter(), done))
-    run_trials(small_scenario(), trials, workers=workers, folder=Path(folder), progress=told)
+    report = lambda done, _: seen.append((time.perf_counter(), done))
+    run_trials(small_scenario(), trials, workers=workers, folder=Path(folder), progress=report)
 # the first results came when every process was warm
 (begin, early), (end, done) = seen[max(1, len(seen) // 4)], seen[-1]
 most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))

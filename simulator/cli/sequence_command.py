@@ -86,7 +86,7 @@ def _print_operation(rules: dict[str, Any], console: Console) -> None:
     console.print(
         f"Rules: {rules['discarded']} frames discarded as over-exposed (exposure {exposure['first']:g} s, shortest "
         f"{exposure['shortest']:g} s, last {exposure['last']:g} s); suspended for {rules['suspended_s']:g} s, "
-        f"{rules['sun_frames']} frames of the Sun; {rules['moon_frames']} cleared of what is larger than a star"
+        f"{rules['sun_frames']} frames of the Sun; large objects removed from {rules['moon_frames']} frames"
     )
     console.print(
         f"Defective pixels: {defects['mapped']} mapped, {defects['certain_mapped']} of {defects['certain']} that "

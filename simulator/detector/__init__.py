@@ -1,4 +1,4 @@
-"""The detector: mean photo-electrons in, digital numbers out. The order of its effects is declared in `chain.py`."""
+"""The detector: converts mean photo-electrons to digital numbers. The order of effects is defined in `chain.py`."""
 
 from simulator.detector.chain import CHARGE, READOUT, Detector, Readout, detect
 from simulator.detector.fixed_pattern import FixedPattern, build_fixed_pattern

@@ -1,4 +1,4 @@
-"""Charge above the full well: drained, or spilt along the column of a CCD."""
+"""Charge above the full well: drained, or bloomed along the column of a CCD."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 _SETTLED = 1e-9
-"""Charge above the full well, relative to it, that is no longer followed."""
+"""Excess charge relative to the full well that is neglected."""
 
 
 def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) -> FloatArray:
-    """Charge that pixels hold, (H, W) electrons, in place.
+    """Limit the charge (H, W), electrons, to the full well, in place.
 
-    Channel stops keep charge from its neighbours in the row, while along the column only the potential of the clocks
-    does: charge above the full well spills up and down the column, half each, into the nearest room (Janesick 2001,
-    section 2.2.5). An antiblooming drain takes a share of it first.
+    Channel stops separate the columns, but along a column there are only the potentials of the clocks: half of the
+    charge above the full well moves up and half down the column to the nearest pixels that are not full (Janesick 2001,
+    section 2.2.5). An antiblooming drain removes a fraction of it first.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) ->
     full_well_e : float
         Full well.
     antiblooming : float
-        Share of the charge above the full well that is drained: 1: all of it, as `exposure.clip` does; 0: all blooms.
+        Fraction of the charge above the full well that is drained: 1: all of it, as in `charge.clip`; 0: all blooms.
     """
     full = np.flatnonzero(electrons.max(axis=0) > full_well_e)
     bloom(electrons, full, full_well_e, 1.0 - antiblooming)
@@ -36,27 +36,27 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) ->
 
 @kernel
 def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float, spilt: float) -> float:
-    """Spill charge along the columns until it fits, in place.
+    """Move excess charge along the columns until it fits, in place.
 
-    Half of each pixel's excess sweeps up, half down; what both sweeps together bring too much to a pixel between two
-    sources is split again, so that neither direction comes first. Nothing is made or lost but what is drained and what
-    runs out at the ends of the columns (into the register, or the drain opposite).
+    Half of the excess of each pixel moves up and half down. If both sweeps together exceed the full well of a pixel
+    between two sources, the excess is split again, so that the directions are equivalent. Charge is conserved, except
+    for what is drained and what leaves at the ends of the columns (into the register, or the drain opposite).
 
     Parameters
     ----------
     electrons : (H, W) float64
         Charge; changed in place.
     columns : (N,) int64
-        Columns to look at; the others hold no pixel above the full well.
+        Columns with pixels above the full well.
     full_well_e : float
         Full well.
     spilt : float
-        Share of the excess that spills, 0 to 1; the rest is drained.
+        Fraction of the excess that blooms, 0 to 1; the rest is drained.
 
     Returns
     -------
     float
-        Electrons that ran out at the ends of the columns.
+        Electrons that left at the ends of the columns.
     """
     rows = electrons.shape[0]
     excess = np.empty(rows)
@@ -79,7 +79,7 @@ def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float,
 
 @kernel
 def _sweep(electrons: FloatArray, excess: FloatArray, column: int, full_well_e: float) -> float:
-    """Carry half of the excess up and half down into the room that is there; both see the same room."""
+    """Move half of the excess up and half down to the nearest free capacity; both use the same capacity."""
     rows = excess.size
     arriving = np.zeros(rows)
     carried = 0.0

@@ -1,9 +1,8 @@
-"""The order of the detector's effects, declared once, and run in it.
+"""Definition of the order of the detector's effects, and the detector that applies them.
 
-`CHARGE` is what happens in the pixels, in electrons; `READOUT` what happens on the way to the digital numbers of the
-frame. An effect that is off is passed over: it costs nothing, changes nothing and draws from no stream. Each random
-effect has a stream of its own, by name, so that switching one changes no other's draws. Neighbours in the order that
-act on each pixel by itself run together (`pixels.py`).
+`CHARGE` are the effects in the pixels, in electrons; `READOUT` those between charge and digital numbers. An effect that
+is off is skipped and uses no random numbers. Each random effect has its own named stream, so that switching one does
+not change the others. Consecutive effects that act on single pixels run together (`pixels.py`).
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ FrameEffect = Callable[[FloatArray, float, Streams], FloatArray]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its name, whether a detector has it, and what it does: a step on each pixel, or to a whole frame."""
+    """One effect: its name, whether a detector has it, and its operation on single pixels or on a whole frame."""
 
     name: str
     on: Callable[[DetectorParameters, FixedPattern], bool]
     act: Callable[[DetectorParameters, FixedPattern], Step | FrameEffect]
 
 
-# d: detector; p: fixed pattern; t: exposure time, s; rng: random stream by name; s: signal (H, W), changed in place or
-# anew
+# d: detector; p: fixed pattern; t: exposure time, s; rng: random stream by name; s: signal (H, W), modified in place or
+# new
 CHARGE: tuple[Effect, ...] = (
     Effect(
         "intensifier",  # mean photo-electrons of a photocathode → mean electrons of the detector
@@ -45,7 +44,7 @@ CHARGE: tuple[Effect, ...] = (
         lambda d, p: lambda s, t, rng: intensifier.intensify(s, d, t, rng("intensifier")),
     ),
     Effect(
-        "photo_response",  # mean photo-electrons → the same, by the response of each pixel
+        "photo_response",  # mean photo-electrons × response of each pixel
         lambda d, p: np.ndim(p.prnu) > 0 or p.prnu != 1.0,
         lambda d, p: of_map(steps.PHOTO_RESPONSE, p.prnu),
     ),
@@ -55,17 +54,17 @@ CHARGE: tuple[Effect, ...] = (
         lambda d, p: of_map(steps.DARK_CURRENT, p.dark_e_s),
     ),
     Effect(
-        "shot_noise",  # mean → counted electrons
+        "shot_noise",  # mean → Poisson-distributed electrons
         lambda d, p: d.shot_noise,
         lambda d, p: Step(steps.SHOT_NOISE, rng="shot_noise"),
     ),
     Effect(
-        "cosmic_rays",  # + charge along the tracks of particles
+        "cosmic_rays",  # + charge along the tracks of cosmic rays
         lambda d, p: d.cosmic_rays.rate_cm2_s > 0,
         lambda d, p: lambda s, t, rng: cosmic_rays.add_cosmic_rays(s, d, t, rng("cosmic_rays")),
     ),
     Effect(
-        "full_well",  # the rest drains or blooms
+        "full_well",  # the excess drains or blooms
         lambda d, p: True,
         lambda d, p: (
             Step(steps.CLIP, (d.full_well_e,))
@@ -76,7 +75,7 @@ CHARGE: tuple[Effect, ...] = (
 )
 READOUT: tuple[Effect, ...] = (
     Effect(
-        "charge_transfer",  # trails of what the transfers leave behind
+        "charge_transfer",  # trails of charge left behind by transfers
         lambda d, p: d.cti_parallel > 0 or d.cti_serial > 0,
         lambda d, p: lambda s, t, rng: transfer.transfer(s, d.cti_parallel, d.cti_serial, d.readout_corner),
     ),
@@ -101,12 +100,12 @@ READOUT: tuple[Effect, ...] = (
         lambda d, p: Step(steps.AMPLIFY, (readout.gain_e_per_dn(d), d.offset_dn)),
     ),
     Effect(
-        "video",  # analogue line and recorder: bandwidth, noise
+        "video",  # analogue link or recorder: bandwidth, noise
         lambda d, p: d.video.noise_dn > 0 or d.video.line_blur_px > 0,
         lambda d, p: lambda s, t, rng: video.video_signal(s, d.video, rng("video")),
     ),
     Effect(
-        "adc",  # fractional DN → whole DN
+        "adc",  # fractional DN → integer DN
         lambda d, p: d.adc_bits is not None,
         lambda d, p: Step(steps.CONVERT, (2.0 ** (d.adc_bits or 0) - 1.0,)),
     ),
@@ -115,21 +114,20 @@ READOUT: tuple[Effect, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """A frame as it leaves the detector."""
+    """Output of the detector for one frame."""
 
     image: NDArray[np.uint16] | NDArray[np.float64]
     """(H, W): Digital numbers."""
     electrons: FloatArray | None
-    """(H, W): Charge in the pixels at the end of the exposure, before the noise of the readout; None where it was not
-    kept."""
+    """(H, W): Charge in the pixels at the end of the exposure, before readout noise; None if not kept."""
     saturated: NDArray[np.bool_] | None
-    """(H, W): Pixels at the full well or at the top of the converter: truth, which a tracker has to find by
-    `saturation_dn`. None where the charge was not kept."""
+    """(H, W): Pixels at the full well or at the largest digital number. This is truth; a tracker uses `saturation_dn`.
+    None if the charge was not kept."""
     saturation_dn: float
-    """DN from which on a pixel counts as saturated."""
+    """DN from which a pixel counts as saturated."""
     gain_e_per_dn: float
-    """Electrons a DN, as a photon-transfer curve gives them: signal over variance. Behind an intensifier these are
-    photo-electrons of the photocathode, over the excess noise factor."""
+    """Electrons per DN, as measured by a photon-transfer curve: signal over variance. With an intensifier these are
+    photo-electrons of the photocathode divided by the excess noise factor."""
 
 
 def detect(
@@ -146,31 +144,31 @@ def detect(
     Parameters
     ----------
     mean_photo_e : (H, W) float64
-        Mean photo-electrons of each pixel over the exposure, stars and background, quantum efficiency included.
-        Left as it is.
+        Mean photo-electrons of each pixel over the exposure, stars and background, including the quantum efficiency.
+        Not modified.
     detector : DetectorParameters
         The detector.
     pattern : FixedPattern
         From `build_fixed_pattern` of the same detector.
     streams : callable
-        Gives the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
-        ``read_noise``, ``video``. Asked only for those that are on.
+        Returns the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
+        ``read_noise``, ``video``. Only called for effects that are on.
     exposure_s : float
-        Exposure time, for what does not come with the light: dark current, cosmic rays, the dark of a photocathode.
+        Exposure time, for dark current, cosmic rays and dark emission of a photocathode.
     keep_charge : bool
-        Also hand out the charge before readout; the image is the same either way, and sooner there without.
+        Also return the charge before readout; the image is the same, but takes longer.
 
     Raises
     ------
     InputError
-        When the image or the pattern has another size than the detector, a mean is negative or not finite, or the
-        offset leaves nothing of the converter.
+        If the size of the image or the pattern differs from that of the detector, a mean is negative or not finite, or
+        the offset exceeds the range of the converter.
     """
     return Detector(detector, pattern).expose(mean_photo_e, exposure_s, streams, keep_charge=keep_charge)
 
 
 class Detector:
-    """A detector with its effects made ready, for any number of frames and exposures: see `detect`."""
+    """A detector with prepared effects for any number of frames and exposures; see `detect`."""
 
     def __init__(self, detector: DetectorParameters, pattern: FixedPattern) -> None:
         self.parameters, self.pattern = detector, pattern
@@ -216,7 +214,7 @@ def _acts(effects: Sequence[Effect], detector: DetectorParameters, pattern: Fixe
 
 
 def _stages(acts: Sequence[Step | FrameEffect]) -> list[PixelPipeline | FrameEffect]:
-    """Neighbouring steps as one pipeline; a pipeline, maybe an empty one, before and after each effect on whole
+    """Consecutive steps as one pipeline; there is a pipeline, possibly empty, before and after each effect on whole
     frames."""
     stages: list[PixelPipeline | FrameEffect] = []
     waiting: list[Step] = []
@@ -236,7 +234,7 @@ def _run(
     exposure_s: float,
     streams: Streams,
 ) -> None:
-    """Take an image (it stays as it is) through pipelines and effects on whole frames into `out`."""
+    """Apply pipelines and effects on whole frames to an image (not modified), with the result in `out`."""
     for stage in stages[:-1]:
         if isinstance(stage, PixelPipeline):
             into = np.empty_like(signal)

@@ -1,5 +1,4 @@
-"""From light to charge: what happens in a pixel while the shutter is open. Kernels work on runs of pixels; counting the
-electrons is in `poisson.py`."""
+"""From light to charge during the exposure. Kernels work on runs of pixels; shot noise is in `poisson.py`."""
 
 from __future__ import annotations
 
@@ -19,21 +18,21 @@ _FINITE = np.finfo(np.float64).max
 def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s: float, first: int) -> bool:
     """Mean electrons of the pixels first, first + 1, …: light × response + dark current × exposure.
 
-    Returns False where light is negative or not finite.
+    Returns False if light is negative or not finite.
 
-    The non-uniformity of the response acts on the mean, before the shot noise: it changes how many photons are
-    detected, and the detected ones stay Poisson-distributed (Janesick 2007, *Photon Transfer*). Photo-electrons and
-    dark electrons are independent Poisson numbers, so that one draw of their summed mean has exactly the distribution
-    of their sum.
+    The non-uniformity of the response acts on the mean, before the shot noise: it changes the number of detected
+    photons, which remains Poisson-distributed (Janesick 2007, *Photon Transfer*). Photo-electrons and dark electrons
+    are independent Poisson variables, so that one sample with their summed mean has exactly the distribution of their
+    sum.
 
     Parameters
     ----------
     mean_e : (N,) float64
-        Takes them.
+        Output.
     signal : (N,) float64
-        Light, finite and not negative, or any other signal where `how` does not say that it is light.
+        Light, finite and not negative; any other signal if `how.is_light` is false.
     how : Collection
-        Response and dark current of the image's pixels.
+        Response and dark current of the pixels.
     exposure_s : float
         Exposure time.
     first : int
@@ -49,6 +48,6 @@ def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s:
 
 @kernel
 def clip(electrons: FloatArray, full_well_e: float) -> None:
-    """Charge (N,) that pixels hold, electrons, where a drain takes all above the full well."""
+    """Limit charge (N,), electrons, to the full well, with all of the excess drained."""
     for i in range(electrons.size):
         electrons[i] = min(electrons[i], full_well_e)

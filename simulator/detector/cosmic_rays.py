@@ -1,15 +1,16 @@
 """Charged particles that cross the detector: straight tracks of ionisation.
 
-Numbers of particles are Poisson, with the mean rate × area × exposure. An isotropic flux crosses a plane with a density
-proportional to cos θ in solid angle: cos²θ is uniform from 0 to 1, the azimuth uniform. The length in the silicon is
-depth / cos θ. The charge along it fluctuates as Landau's distribution (Landau 1944; Particle Data Group, "Passage of
-particles through matter"): most probable `charge_e_um` × length, of a width ξ in the ratio of a minimum-ionising
-particle. Energetic knock-on electrons leave the layer, so that Landau's tail is cut where the mean is the mean loss of
-a minimum-ionising particle, 1.664 MeV cm²/g × 2.329 g/cm³ (Particle Data Group, atomic properties).
+The number of particles has a Poisson distribution with mean rate × area × exposure. An isotropic flux crosses a plane
+with a density proportional to cos θ in solid angle: cos²θ is uniform from 0 to 1, and the azimuth is uniform. The
+length in the silicon is depth / cos θ. The charge along it follows the Landau distribution (Landau 1944; Particle Data
+Group, "Passage of particles through matter") with the most probable value `charge_e_um` × length, and a width ξ in the
+ratio of a minimum-ionising particle. Energetic knock-on electrons leave the layer, so that the tail is truncated where
+the mean is the mean loss of a minimum-ionising particle, 1.664 MeV cm²/g × 2.329 g/cm³ (Particle Data Group, atomic
+properties).
 
-Valid for fast particles, which neither stop nor scatter in tens of micrometres. 80 e⁻/µm holds for layers of some
-hundred micrometres; by the same theory thin ones have less, 62 e⁻/µm in 15 µm (`most_probable_loss_ev`). Trapped
-protons of 100 MeV ionise about three times as much. Charge is not spread by diffusion.
+Valid for fast particles, which neither stop nor scatter in tens of micrometres. 80 e⁻/µm is for layers of some hundred
+micrometres; by the same theory it is less in thin layers, 62 e⁻/µm in 15 µm (`most_probable_loss_ev`). Trapped protons
+of 100 MeV ionise about three times as much. Charge diffusion is not modelled.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 PAIR_ENERGY_EV = 3.65
-"""Mean energy that frees an electron in silicon (Janesick 2001)."""
+"""Mean energy per electron-hole pair in silicon (Janesick 2001)."""
 SILICON_XI_EV_UM = 17.83
 """ξ/x = (K/2) (Z/A) ρ for β = 1: 0.307075 / 2 MeV cm²/mol × 0.49848 mol/g × 2.329 g/cm³ (Particle Data Group)."""
 LANDAU_MODE = -0.22278
-"""Most probable value of Landau's variable λ."""
+"""Most probable value of the Landau variable λ."""
 LANDAU_SHARE = 0.99615118
-"""Share of Landau's distribution below the cut, λ = 265, at which the mean is the mean loss: 26.2 e⁻/µm above the most
-probable one. In 10 µm the cut is a knock-on electron of 47 keV, whose range is some 20 µm."""
-_REFERENCE_E_UM = 80.0  # most probable charge that ξ belongs to
+"""Fraction of the Landau distribution below the truncation at λ = 265, with which the mean is the mean loss: 26.2 e⁻/µm
+above the most probable one. In 10 µm this is a knock-on electron of 47 keV, whose range is about 20 µm."""
+_REFERENCE_E_UM = 80.0  # most probable charge to which ξ refers
 _XI_SHARE = SILICON_XI_EV_UM / PAIR_ENERGY_EV / _REFERENCE_E_UM  # ξ relative to the most probable charge
 
 
@@ -44,11 +45,11 @@ class CosmicRayTracks:
 
     start_px: FloatArray
     end_px: FloatArray
-    """(N, 2): Where the particle enters and leaves the sensitive layer, (x, y) in pixels."""
+    """(N, 2): Entry and exit points in the sensitive layer, (x, y) in pixels."""
     length_um: FloatArray
     """(N,): Length in the silicon."""
     charge_e: FloatArray
-    """(N,): Electrons freed along the whole track, in the detector or beside it."""
+    """(N,): Electrons generated along the whole track, inside the detector or outside."""
 
 
 def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float) -> float:
@@ -59,7 +60,7 @@ def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float) -> float:
 
 
 def draw_cosmic_rays(detector: DetectorParameters, exposure_s: float, rng: np.random.Generator) -> CosmicRayTracks:
-    """Draw the particles of one exposure: those that enter the layer, from either side, within the outline."""
+    """Random particles of one exposure that enter the layer, from either side, within the outline."""
     rays = detector.cosmic_rays
     n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s)))
     uniform = rng.random((n, 5))
@@ -77,7 +78,7 @@ def draw_cosmic_rays(detector: DetectorParameters, exposure_s: float, rng: np.ra
 def add_cosmic_rays(
     electrons: FloatArray, detector: DetectorParameters, exposure_s: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Charge with that of cosmic rays, (H, W) electrons, in place; not whole numbers."""
+    """Add the charge of cosmic rays, (H, W) electrons, in place; not integers."""
     tracks = draw_cosmic_rays(detector, exposure_s, rng)
     add_tracks(electrons, tracks.start_px, tracks.end_px, tracks.charge_e)
     return electrons
@@ -94,9 +95,9 @@ def most_probable_loss_ev(thickness_um: float) -> float:
 
 
 def landau_quantile(probability: FloatArray) -> FloatArray:
-    """Landau's variable λ of which a given share lies below, (N,).
+    """Quantiles (N,) of the Landau variable λ.
 
-    Landau's own distribution is the stable one of location 0 and scale π/2; SciPy's has the scale 1:
+    The Landau distribution is a stable distribution with location 0 and scale π/2; SciPy's has the scale 1:
     λ = (π/2) x + ln(π/2).
     """
     from scipy.stats import landau
@@ -107,14 +108,14 @@ def landau_quantile(probability: FloatArray) -> FloatArray:
 
 @kernel
 def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: FloatArray) -> None:
-    """Split straight tracks over the pixels they cross, by length, in place (Amanatides & Woo 1987).
+    """Distribute straight tracks over the pixels they cross, by length, in place (Amanatides & Woo 1987).
 
     Parameters
     ----------
     image : (H, W) float64
-        Electrons; what falls beside it is lost.
+        Electrons; charge outside is lost.
     start, end : (N, 2) float64
-        Ends (x, y), pixels; pixel (0, 0) reaches from −0.5 to 0.5.
+        Ends (x, y), pixels; pixel (0, 0) extends from −0.5 to 0.5.
     charge : (N,) float64
         Electrons along each whole track.
     """
@@ -124,7 +125,7 @@ def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: Fl
         dx, dy = end[k, 0] - start[k, 0], end[k, 1] - start[k, 1]
         column, row = math.floor(x), math.floor(y)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        # t runs from 0 to 1 along the track; next_*: where it meets the next grid line
+        # t is 0 to 1 along the track; next_*: t of the next grid line
         each_x = abs(1.0 / dx) if dx != 0.0 else math.inf
         each_y = abs(1.0 / dy) if dy != 0.0 else math.inf
         next_x = (column + 1 - x if dx > 0 else x - column) * each_x if dx != 0.0 else math.inf
@@ -139,7 +140,7 @@ def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: Fl
                 or (column >= columns and dx >= 0)
                 or (row < 0 and dy <= 0)
                 or (row >= rows and dy >= 0)
-            ):  # it never comes back
+            ):  # it does not re-enter the image
                 break
             t = leave
             if next_x < next_y:

@@ -1,4 +1,4 @@
-"""Defects of a device: pixels and columns that glow, and such that are dead."""
+"""Defects of a device: hot and dead pixels and columns."""
 
 from __future__ import annotations
 
@@ -64,5 +64,5 @@ def _some_pixels(fraction: float, pixels: int, rng: np.random.Generator) -> NDAr
 
 def _some_columns(key: str, count: int, width: int, rng: np.random.Generator) -> NDArray[np.int64]:
     if count > width:
-        raise InputError(f"detector.{key} = {count} is more than the {width} columns there are; lower it")
+        raise InputError(f"detector.{key} = {count} exceeds the {width} columns of the detector; lower it")
     return rng.choice(width, size=count, replace=False)

@@ -1,12 +1,12 @@
-"""Noise of light behind an image intensifier, whose every photo-electron becomes a random number of electrons.
+"""Excess noise of an image intensifier, in which each photo-electron produces a random number of electrons.
 
-The noise of the light in an area is larger than Poisson's by the excess noise factor
+The variance of the light in an area exceeds that of a Poisson distribution by the excess noise factor
 
     F² = 1 + var(g) / ⟨g⟩² + 1 / ⟨g⟩
 
-of the gain g, the last term from the counting of the phosphor's photons in the detector, and it hangs together over
-the size of a bunch (Bell 1975, IEEE Trans. Electron Devices 22, 821; for a gain distributed exponentially, as behind a
-microchannel plate, F² is 2).
+of the gain g. The last term is the shot noise of the phosphor's photons in the detector. The noise is correlated over
+the size of the phosphor spot (Bell 1975, IEEE Trans. Electron Devices 22, 821; for the exponential gain distribution of
+a microchannel plate F² is 2).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["bunch_e", "excess_noise_factor", "signal_gain"]
 
 
 def signal_gain(detector: DetectorParameters) -> float:
-    """Mean electrons in the detector for a photo-electron: the intensifier's gain, 1 without one."""
+    """Mean electrons in the detector per photo-electron: the gain of the intensifier, 1 without one."""
     return detector.intensifier.gain or 1.0
 
 
 def excess_noise_factor(detector: DetectorParameters) -> float:
-    """F²: variance of the light summed over an area against that of ideal multiplication; 1 without an intensifier."""
+    """F²: variance of the light in an area relative to noiseless multiplication; 1 without an intensifier."""
     intensifier = detector.intensifier
     return 1.0 + intensifier.gain_variance + 1.0 / intensifier.gain if intensifier.gain else 1.0
 

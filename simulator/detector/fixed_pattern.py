@@ -1,4 +1,4 @@
-"""What belongs to the device and is the same in every frame: response and dark current of each pixel."""
+"""Fixed pattern of a device, the same in every frame: response and dark current of each pixel."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ class FixedPattern:
     """Fixed pattern of one device at one temperature."""
 
     prnu: Map | float
-    """Response of each pixel relative to the mean one; the scalar 1.0 where photo response non-uniformity is off."""
+    """Response of each pixel relative to the mean; the scalar 1.0 if photo-response non-uniformity is off."""
     dark_e_s: Map | float
     """Mean dark current of each pixel, electrons per second; a scalar where all pixels are alike."""
     dead: NDArray[np.bool_] | None = None
-    """(H, W): Dead pixels and columns; None where there are none."""
+    """(H, W): Dead pixels and columns; None if there are none."""
     hot: NDArray[np.bool_] | None = None
-    """(H, W): Hot pixels and columns, however little they glow; None where there are none."""
+    """(H, W): Hot pixels and columns with any additional dark current; None if there are none."""
 
     def single(self) -> FixedPattern:
-        """The same in single precision, as frames take it: half as much to fetch from slow memory each time, and no
-        pixel is known to seven digits."""
+        """The same in single precision, which is used for frames: it halves the memory traffic, and no pixel is known
+        to seven digits."""
         prnu, dark_e_s = (
             map_.astype(np.float32) if isinstance(map_, np.ndarray) else map_ for map_ in (self.prnu, self.dark_e_s)
         )
         return replace(self, prnu=prnu, dark_e_s=dark_e_s)
 
     def bad_pixels(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Map of all defects, (H, W) bool: what a calibrated tracker may leave out."""
+        """Map of all defects, (H, W) bool, which a calibrated tracker may mask."""
         bad = np.zeros(shape, dtype=bool)
         for defects in (self.dead, self.hot):
             if defects is not None:
@@ -48,31 +48,30 @@ class FixedPattern:
 
 
 def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern:
-    """Draw the fixed pattern of a device.
+    """Generate the fixed pattern of a device.
 
     Response and dark current of a pixel are products of many small independent factors (area, thickness, coating;
-    volume, generation rate, activation energy), hence log-normal with mean 1 and the relative standard deviation asked
-    for: never negative at any value, without clipping. Up to a few percent this is the Gaussian by which EMVA 1288
-    describes PRNU; at tens of percent it has the long upper tail of measured dark-current histograms. The dark pattern
-    scales as a whole with temperature, as in Greyling 1995, section 3.4.2.
+    volume, generation rate, activation energy), hence log-normal with mean 1 and the given relative standard deviation,
+    and never negative. Up to a few percent this is the Gaussian with which EMVA 1288 describes PRNU; at tens of percent
+    it has the long upper tail of measured dark-current histograms. The dark pattern scales as a whole with temperature,
+    as in Greyling 1995, section 3.4.2.
 
-    Hot pixels: a binomial number of different pixels, anywhere; each has an exponentially distributed dark current on
-    top of the ordinary one. Hot columns: a given number of different columns, each with one such current in all of its
-    pixels. Dead pixels (a binomial number) and dead columns (a given one) collect neither light nor dark current: they
-    read the offset.
+    Hot pixels: a binomial number of random pixels, each with an exponentially distributed additional dark current. Hot
+    columns: a given number of random columns, each with one such current in all its pixels. Dead pixels (a binomial
+    number) and dead columns (a given number) collect neither light nor dark current and read the offset.
 
     Parameters
     ----------
     detector : DetectorParameters
         Its size, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
     seed : int
-        Seed of the run; the streams are ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``dead_pixels`` and
-        ``dead_columns`` of the device, so that none of them changes another's draws.
+        Seed of the run; the streams ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``dead_pixels`` and
+        ``dead_columns`` of the device are independent.
 
     Raises
     ------
     InputError
-        When the dark current is beyond anything that can be counted, or more columns are hot or dead than there are.
+        If the dark current is too large, or the number of hot or dead columns exceeds that of the detector.
     """
     shape = (detector.height, detector.width)
     prnu: NDArray[np.float64] | float = 1.0
@@ -97,10 +96,10 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
 def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: float) -> float:
     """Dark current relative to that at the reference temperature.
 
-    2^((T − T_reference) / T_doubling): the diode law over the range in which a detector is used. It doubles every 6 to
-    8 °C in silicon of today, every 10 °C above −15 °C in Greyling 1995, eq. 3.11.
+    2^((T − T_reference) / T_doubling): the diode law over the operating range of a detector. The doubling temperature
+    is 6 to 8 °C for modern silicon, and 10 °C above −15 °C in Greyling 1995, eq. 3.11.
 
-    Returns infinity where the power overflows.
+    Returns infinity if the power overflows.
     """
     doublings = (temperature_c - reference_c) / doubling_c
     return math.inf if doublings > 1000.0 else 2.0**doublings

@@ -1,13 +1,13 @@
-"""Gaussian deviates for an image, each from the word of its pixel: the inverse of the distribution function.
+"""Gaussian deviates for an image by inversion of the distribution function, from the random bits of each pixel.
 
-A word w of 32 bits stands for the probability u = (w + ½)/2³². In the middle, which is all but 1 word in 4,000,
+A random 32-bit integer w represents the probability u = (w + ½)/2³². In the central part, for all but 1 pixel in 4,000,
 
     x = Φ⁻¹(u) = (2u − 1) P(−ln 4u(1 − u)),
 
-with P a polynomial of degree 10 (the form is Giles's 2010, "Approximating the erfinv function"; the coefficients are
-fitted here, to 9e-8) in single precision: |x − Φ⁻¹(u)| < 1e-6, so that the distribution function is nowhere off by more
-than 4e-7. In the tails, where one word spans much, 53 more bits of the pixel follow the word, and the inverse is that
-of a double: beyond 3.66 σ the numbers are exact, and reach as far as 10 σ.
+with P a polynomial of degree 10 in single precision (the form is that of Giles 2010, "Approximating the erfinv
+function"; the coefficients were fitted to 9e-8): |x − Φ⁻¹(u)| < 1e-6, so that the error of the distribution function is
+below 4e-7. In the tails, where 32 bits are too coarse, 53 more bits of the pixel are used, and the inverse is computed
+in double precision: beyond 3.66 σ the deviates are exact, up to 10 σ.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 
 TAIL = np.float32(3.66)
-"""Where the tails begin."""
+"""Start of the tails."""
 WORD = 2.0**-32
 
 _P0, _P1, _P2 = np.float32(2.628710547034861), np.float32(0.3229416960379922), np.float32(-0.01021186580633677)
@@ -44,7 +44,7 @@ _ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-
 
 @kernel_with(inline="always")
 def _log(y: np.float32) -> np.float32:
-    """Natural logarithm in single precision that the compiler computes for many numbers at once."""
+    """Natural logarithm in single precision, vectorised by the compiler."""
     bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
     exponent = np.float32(np.int32(bits >> _BITS))
     z = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32) - _ONE
@@ -56,23 +56,23 @@ def _log(y: np.float32) -> np.float32:
 
 @kernel_with(inline="always")
 def _words_to_middle(word: np.uint32) -> np.int32:
-    """How many words lie between this one and the middle, 0 to 2³¹ − 1, int32."""
+    """Number of integers between this one and the centre, 0 to 2³¹ − 1, int32."""
     centred = np.int32(word ^ _MIDDLE)
     return np.int32(centred ^ np.int32(centred >> _SIGN))
 
 
 @kernel_with(inline="always")
 def tail_words(word: np.uint32) -> np.int32:
-    """How many words lie beyond this one, on its own side of the middle: 0 to 2³¹ − 1, int32."""
+    """Number of integers beyond this one on its side of the centre, 0 to 2³¹ − 1, int32."""
     return np.int32(_LARGEST - _words_to_middle(word))
 
 
 @kernel
 def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
-    """Φ⁻¹((bits + ½)/2³²) to single precision into `out` (≥ N,); in the tails something beyond `TAIL`."""
+    """Φ⁻¹((bits + ½)/2³²) in single precision into `out` (≥ N,); in the tails only some value beyond `TAIL`."""
     for i in range(bits.size):
         x = (np.float32(_words_to_middle(bits[i])) + _HALF) * _TWICE  # |2u − 1|
-        p = (np.float32(tail_words(bits[i])) + _HALF) * _UNIT  # u or 1 − u, whichever is small
+        p = (np.float32(tail_words(bits[i])) + _HALF) * _UNIT  # the smaller of u and 1 − u
         t = -_log(np.float32(4.0) * p * (_ONE - p)) - _CENTRE
         poly = fma(fma(fma(fma(fma(_P10, t, _P9), t, _P8), t, _P7), t, _P6), t, _P5)
         number = x * fma(fma(fma(fma(fma(poly, t, _P4), t, _P3), t, _P2), t, _P1), t, _P0)
@@ -81,8 +81,8 @@ def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
 
 @kernel
 def upper_quantile(p: float) -> float:
-    """x ≥ 0 with 1 − Φ(x) = p, 0 < p ≤ ½, to a double's precision: two steps of Halley's from a formula good to 4.5e-4
-    (Abramowitz & Stegun 1964, 26.2.23)."""
+    """x ≥ 0 with 1 − Φ(x) = p, 0 < p ≤ ½, in double precision: two steps of Halley's method from an approximation
+    accurate to 4.5e-4 (Abramowitz & Stegun 1964, 26.2.23)."""
     t = math.sqrt(-2.0 * math.log(p))
     x = t - (2.515517 + t * (0.802853 + t * 0.010328)) / (1.0 + t * (1.432788 + t * (0.189269 + t * 0.001308)))
     for _ in range(2):
@@ -98,15 +98,15 @@ def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: B
     Parameters
     ----------
     signal : (N,) float64
-        Changed in place.
+        Modified in place.
     sigma : float
         Standard deviation.
     key : (2,) uint64
-        Of the stream.
+        Key of the stream.
     first : int
         Number of the first pixel.
     bits : (≥ N,) uint32
-        Random words of the pixels.
+        Random bits of the pixels.
     deviate : (≥ N,) float32
         Scratch space.
     """
@@ -119,7 +119,7 @@ def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: B
 
 @kernel
 def settle_tails(deviate: SingleArray, key: Key, first: int, bits: Bits) -> None:
-    """Replace deviates beyond `TAIL` by those in double precision, from the pixels' further bits."""
+    """Replace deviates beyond `TAIL` by those in double precision, with additional bits of the pixels."""
     for start in range(0, deviate.size, BLOCK):
         if outside(deviate[start : start + BLOCK], -TAIL, TAIL) > 0:
             for i in range(start, min(start + BLOCK, deviate.size)):

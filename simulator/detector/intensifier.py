@@ -1,7 +1,7 @@
 """Image intensifier before the detector: photocathode, electron multiplier, phosphor screen coupled to the detector.
 
-A photo-electron of the photocathode becomes a random number of electrons in the detector, spread over its pixels: its
-light comes in bunches (`simulator.detector.excess_noise`).
+A photo-electron of the photocathode produces a random number of electrons, spread over several pixels of the detector
+(`simulator.detector.excess_noise`).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _KERNEL_SIGMAS = 5.0
 def intensify(
     mean_photo_e: FloatArray, detector: DetectorParameters, exposure_s: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Mean electrons that an intensified image makes in the detector, (H, W).
+    """Mean electrons of an intensified image in the detector, (H, W).
 
-    Photo-electrons of the photocathode (light and dark) are counted, each multiplied by its own random gain, and
-    spread by phosphor and coupling; the detector's own shot noise, which counts the phosphor's light, comes
-    after. Light that would leave the frame at its borders comes back: as much enters from outside. With `shot_noise`
-    off the mean is multiplied and spread.
+    The numbers of photo-electrons of the photocathode (light and dark) are sampled, each is multiplied by a random
+    gain, and the result is blurred by phosphor and coupling. The detector's own shot noise, that of the phosphor's
+    light, is added later. The blur is reflected at the borders of the frame, as the same amount of light enters from
+    outside. With `shot_noise` off the mean is multiplied and blurred.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def intensify(
     exposure_s : float
         Exposure time.
     rng : Generator
-        Draws counts and gains.
+        For numbers of electrons and gains.
     """
     intensifier = detector.intensifier
     mean_photo_e += intensifier.dark_e_s * exposure_s
@@ -57,11 +57,11 @@ def intensify(
 
 
 def multiply(counts: FloatArray, intensifier: Intensifier, rng: np.random.Generator) -> FloatArray:
-    """Electrons out of counted photo-electrons, of the same shape.
+    """Electrons from numbers of photo-electrons, of the same shape.
 
-    The gain of one is distributed as gamma with mean ⟨g⟩ and relative variance b (the Pólya distribution of electron
-    multipliers, Prescott 1966, Nucl. Instrum. Methods 39, 173); the sum of n of them then is gamma with shape n / b
-    and scale b ⟨g⟩, drawn at once.
+    The gain of one photo-electron has a gamma distribution with mean ⟨g⟩ and relative variance b (the Pólya
+    distribution of electron multipliers, Prescott 1966, Nucl. Instrum. Methods 39, 173). The sum for n of them has a
+    gamma distribution with shape n / b and scale b ⟨g⟩, which is sampled directly.
     """
     if intensifier.gain_variance == 0.0:
         return counts * intensifier.gain

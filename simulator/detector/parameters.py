@@ -1,4 +1,4 @@
-"""Parameters of a detector; the defaults are a detector without the effect."""
+"""Parameters of a detector; by default effects are off."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ class CosmicRays:
     """Charged particles that cross the detector."""
 
     rate_cm2_s: float = 0.0
-    """Particles through a square centimetre of the surface a second; 0: none. About 1 to 1.7 in a low orbit, up to
-    1100 in the South Atlantic Anomaly."""
+    """Particles per square centimetre of the surface and second; 0: none. About 1 to 1.7 in a low orbit, up to 1100 in
+    the South Atlantic Anomaly."""
     depth_um: float = 10.0
     """Depth of the silicon from which charge is collected."""
     charge_e_um: float = 80.0
-    """Most probable charge along a micrometre of track; 80 e⁻/µm: fast singly charged particles."""
+    """Most probable charge per micrometre of track; 80 e⁻/µm for fast singly charged particles."""
 
 
 @dataclass(frozen=True)
@@ -24,32 +24,31 @@ class Intensifier:
     """An image intensifier before the detector: photocathode, electron multiplier, phosphor screen."""
 
     gain: float = 0.0
-    """Mean electrons in the detector's pixels for one photo-electron of the photocathode, whose quantum efficiency
-    `detector.quantum_efficiency` then is; 0: no intensifier."""
+    """Mean electrons in the detector per photo-electron of the photocathode, to which `detector.quantum_efficiency`
+    then refers; 0: no intensifier."""
     gain_variance: float = 1.0
-    """Variance of the gain of one photo-electron over the square of its mean; 1: exponential, a microchannel plate."""
+    """Relative variance of the gain of one photo-electron; 1: exponential, as for a microchannel plate."""
     phosphor_sigma_px: float = 0.0
-    """Standard deviation of the Gaussian by which phosphor screen and coupling spread the light of one photo-electron,
-    pixels."""
+    """Standard deviation of the Gaussian blur by phosphor screen and coupling, pixels."""
     dark_e_s: float = 0.0
-    """Electrons a pixel that leave the photocathode in the dark, a second (equivalent background illumination)."""
+    """Dark emission of the photocathode, electrons per pixel and second (equivalent background illumination)."""
 
 
 @dataclass(frozen=True)
 class Video:
-    """Analogue video between the amplifier and the converter: a line, a recorder."""
+    """Analogue video link or recorder between amplifier and converter."""
 
     noise_dn: float = 0.0
-    """Noise, standard deviation; 0: none."""
+    """Standard deviation of the noise; 0: none."""
     line_blur_px: float = 0.0
-    """Standard deviation of the Gaussian by which the bandwidth spreads signal and noise along the lines, pixels."""
+    """Standard deviation of the Gaussian blur of signal and noise along the lines by the bandwidth, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorParameters:
-    """A detector and its readout, without its exposure: the keys of a scenario's ``detector`` section of these names,
-    and `pitch_um`, the pixel pitch along columns and along rows. What each means is said there
-    (`simulator.scenario.schema_camera.DetectorSection`)."""
+    """A detector and its readout, without the exposure: keys of a scenario's ``detector`` section with these names, and
+    `pitch_um`, the pixel pitch along columns and rows. They are documented in
+    `simulator.scenario.schema_camera.DetectorSection`."""
 
     width: int
     height: int

@@ -1,9 +1,8 @@
-"""Random bits by the pixel: Philox-4x32-10, a function of a key and of a counter alone.
+"""Random bits of pixels by Philox-4x32-10, a counter-based generator.
 
-Salmon, Moraes, Dror & Shaw (2011), "Parallel random numbers: as easy as 1, 2, 3". The key is drawn from the stream of
-the effect, the counter follows from the number of the pixel, so that a pixel's noise depends on nothing else: no other
-pixel, no order. NumPy's own generators give one number after the other; counted ones come sixteen at a time (0.3 ns for
-32 bits).
+Salmon, Moraes, Dror & Shaw (2011), "Parallel random numbers: as easy as 1, 2, 3". The key is taken from the stream of
+the effect and the counter from the pixel number, so that the noise of a pixel does not depend on other pixels or their
+order. NumPy's generators are sequential; a counter-based one computes sixteen pixels at a time (0.3 ns for 32 bits).
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ _FRACTION_SHIFT, _UNIT = np.uint64(11), 2.0**-53
 
 
 def draw_key(rng: np.random.Generator) -> Key:
-    """Key of a counter-based stream: the halves, the lower one first, of the next 64 bits of the stream `rng`, (2,)
-    uint64. Of a stream that nothing was drawn from these are its first two `integers` of 32 bits."""
+    """Key (2,) uint64 of a counter-based stream: the lower and upper half of the next 64 bits of the stream `rng`. For
+    an unused stream these are its first two `integers` of 32 bits."""
     bits: int = rng.bit_generator.random_raw()
     return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
@@ -40,7 +39,7 @@ def _round(x0: np.uint64, x1: np.uint64, x2: np.uint64, x3: np.uint64, k0: np.ui
 def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> Block:
     """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
 
-    The ten rounds are written out: a loop would keep the compiler from computing many counters at once.
+    The ten rounds are unrolled because a loop would prevent vectorisation over counters.
     """
     x0, x1, x2, x3 = counter & _LOW, counter >> _HALF, lane, _ZERO
     x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
@@ -67,7 +66,7 @@ def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> 
 
 @kernel
 def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
-    """Random words of the N counters first, first + 1, …, into `bits` (4 N,): the first word of each block, then the
+    """Random bits of the N counters first, first + 1, …, into `bits` (4 N,): the first 32 bits of each block, then the
     second, …"""
     n = bits.size // 4
     w0, w1, w2, w3 = bits[:n], bits[n : 2 * n], bits[2 * n : 3 * n], bits[3 * n : 4 * n]
@@ -78,6 +77,6 @@ def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
 
 @kernel_with(inline="always")
 def further_bits(key: Key, pixel: int) -> float:
-    """Uniform number in (0, 1) of 53 bits, exact in a double, that belongs to a pixel beside its word: lane 1."""
+    """Uniform deviate in (0, 1) from the 53 additional bits of a pixel (lane 1), exact in double precision."""
     x0, x1, _, _ = block(key[0], key[1], np.uint64(pixel), np.uint64(1))
     return (np.float64((x0 | (x1 << _HALF)) >> _FRACTION_SHIFT) + 0.5) * _UNIT

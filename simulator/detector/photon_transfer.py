@@ -1,8 +1,9 @@
-"""The photon-transfer laboratory: what pairs of flats and of darks say of a detector (Janesick 2001; EMVA 1288).
+"""Photon-transfer analysis of a detector from pairs of flats and darks (Janesick 2001; EMVA 1288).
 
-It sees digital numbers alone, as a laboratory does: flats are frames of even light, darks and biases frames without.
-Two frames of one level hold the same fixed pattern and independent noise. Their difference has twice the variance of
-the noise, the covariance of their pixels is the variance of the pattern. Every figure comes with its standard error.
+Only digital numbers are used, as in a laboratory: flats are frames of uniform light, darks and biases are frames
+without light. Two frames of one level have the same fixed pattern and independent noise. Their difference has twice the
+variance of the noise, and the covariance of their pixels is the variance of the pattern. Every result has a standard
+error.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Pair = tuple[Image, Image]
 FloatArray = NDArray[np.float64]
 
 QUANTISATION_DN2 = 1.0 / 12.0
-"""Variance of rounding to whole DN."""
+"""Variance of rounding to integer DN."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +34,25 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """A photon-transfer curve and what its straight part gives."""
+    """A photon-transfer curve and the parameters of its linear part."""
 
     signal_dn: FloatArray
     variance_dn2: FloatArray
-    """(L,): Mean above the bias and variance of the noise at each level, fixed pattern taken out."""
+    """(L,): Mean above the bias and variance of the noise at each level, without the fixed pattern."""
     used: NDArray[np.bool_]
-    """(L,): Levels of the straight part."""
+    """(L,): Levels of the linear part."""
     gain_e_per_dn: Measured
-    """Electrons a DN: 1 / slope."""
+    """Electrons per DN: 1 / slope."""
     read_noise_e: Measured
-    """Noise of the bias pair, rounding taken out."""
+    """Noise of the bias pair, without rounding."""
 
 
 def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
     """Mean, variance of the noise and variance of the pattern of two frames of one level, DN and DN².
 
     With a the first and b the second frame: mean of (a + b)/2, var(a − b)/2, cov(a, b). The error of the mean is that
-    of the noise (the pattern is the same in all frames); those of the variances come from the scatter of the squares
-    and products themselves, so that no distribution is assumed.
+    of the noise (the pattern is the same in all frames); those of the variances are from the scatter of the squares and
+    products, so that no distribution is assumed.
     """
     a, b = np.asarray(pair[0], dtype=np.float64).ravel(), np.asarray(pair[1], dtype=np.float64).ravel()
     n = a.size
@@ -69,8 +70,8 @@ def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
 def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True) -> PhotonTransfer:
     """Gain and read noise from the mean–variance curve.
 
-    σ² = S / K + σ_r², with the signal S above the bias and the electrons a DN K: weighted least squares over the bias
-    and the levels below saturation, which begins where the variance falls from one level to the next.
+    σ² = S / K + σ_r², with the signal S above the bias and the gain K in electrons per DN: weighted least squares over
+    the bias and the levels below saturation, which begins where the variance falls from one level to the next.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     bias : pair
         Two frames without light and dark current.
     quantised : bool
-        The frames are whole DN: 1/12 DN² of the variance is rounding.
+        The frames have integer DN: 1/12 DN² of the variance is rounding.
     """
     dark, dark_noise, _ = pair_statistics(bias)
     levels = sorted((pair_statistics(pair) for pair in flats), key=lambda level: level[0].value)
@@ -116,9 +117,9 @@ def dark_nonuniformity(dark: Pair, bias: Pair) -> Measured:
 
 
 def full_well(saturated: Pair, bias: Pair, gain_e_per_dn: Measured) -> Measured:
-    """Full well, electrons: the mean of flats far into saturation, above the bias.
+    """Full well, electrons: the mean of strongly saturated flats, above the bias.
 
-    The converter must not be the first to saturate, and the pixels must drain or clip.
+    The converter must not saturate first, and the pixels must drain or clip.
     """
     full, dark = pair_statistics(saturated)[0], pair_statistics(bias)[0]
     signal, error = full.value - dark.value, math.hypot(full.error, dark.error)
@@ -127,7 +128,7 @@ def full_well(saturated: Pair, bias: Pair, gain_e_per_dn: Measured) -> Measured:
 
 
 def dark_doubling_c(darks: Sequence[Pair], temperature_c: Sequence[float], bias: Pair) -> Measured:
-    """Temperature rise that doubles the dark signal: ln 2 / slope of ln(dark) over temperature, weighted.
+    """Doubling temperature of the dark signal: ln 2 / slope of ln(dark) over temperature, weighted.
 
     Parameters
     ----------

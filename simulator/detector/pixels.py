@@ -1,8 +1,8 @@
-"""The per-pixel pipeline: a sequence of steps that act on every pixel by itself, run over the image in tiles.
+"""The per-pixel pipeline: a sequence of steps that act on single pixels, run over the image in tiles.
 
-An image of a million pixels is larger than the processor's cache, and to fetch it costs as much as most effects. All
-steps are therefore applied to one tile before the next is fetched. A pixel's noise depends on the key of its step and
-on the number of the pixel, and on nothing else.
+An image of a million pixels is larger than the processor's cache, and reading it takes as long as most effects. All
+steps are therefore applied to one tile before the next. The noise of a pixel depends only on the key of its step and on
+the pixel number.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _VALUES = 3
 
 
 class Program(NamedTuple):
-    """Steps after the collection of charge, as the kernel takes them: numbers (K,), values (K, 3) and keys (K, 2)."""
+    """Steps after charge collection in the form for the kernel: step numbers (K,), values (K, 3) and keys (K, 2)."""
 
     kernels: IntArray
     values: FloatArray
@@ -51,17 +51,17 @@ class Program(NamedTuple):
 
 
 def apply_steps(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
-    """Take an image through steps that have their own generators: see `PixelPipeline`."""
+    """Apply steps that have their own generators to an image; see `PixelPipeline`."""
     PixelPipeline(steps).run(signal, out)
 
 
 class PixelPipeline:
-    """Steps, ready for any number of images.
+    """Steps prepared for any number of images.
 
     Parameters
     ----------
     steps : sequence of Step
-        In their order.
+        Steps in order.
     """
 
     def __init__(self, steps: Sequence[Step]) -> None:
@@ -75,47 +75,45 @@ class PixelPipeline:
     def run(
         self, signal: FloatArray, out: NDArray[Any], streams: Streams | None = None, exposure_s: float = 1.0
     ) -> None:
-        """Take an image through the steps.
+        """Apply the steps to an image.
 
         Parameters
         ----------
         signal : (H, W) float64, contiguous
-            Left as it is.
+            Not modified.
         out : (H, W) float64 or uint16, contiguous
-            Takes the outcome; may be `signal`. Whole numbers in range are needed for uint16: `CONVERT` comes last.
+            Output; may be `signal`. uint16 needs integers in range, with `CONVERT` as the last step.
         streams : callable, optional
-            Gives the generators of steps that name their streams.
+            Returns the generators of steps that name their streams.
         exposure_s : float
             Exposure time, by which dark currents are multiplied.
 
         Raises
         ------
         InputError
-            Where light is negative or not finite, or the mean of a Poisson number, with response and dark current, is
-            not in 0 to `LARGEST_MEAN`.
+            If light is negative or not finite, or the Poisson mean, with response and dark current, is not in 0 to
+            `LARGEST_MEAN`.
         """
         if not (signal.flags.c_contiguous and out.flags.c_contiguous):
             raise ValueError("the per-pixel pipeline works on C-contiguous arrays only")
         keys = np.zeros((len(self._kernels), 2), dtype=np.uint64)
         for k, source in self._random:
             if isinstance(source, str):
-                assert streams is not None, "a step names its stream, and nobody gives it"
+                assert streams is not None, "a step names its stream, but no streams are given"
                 keys[k] = draw_key(streams(source))
             else:
                 keys[k] = draw_key(source)
         program = Program(self._kernels, self._values, keys)
         stopped = _run(signal.reshape(-1), self._collection, exposure_s, program, out.reshape(-1))
         if stopped == LIGHT:
-            raise InputError(
-                "mean_photo_e has a pixel that is negative or not finite; electrons are counted from zero up"
-            )
+            raise InputError("mean_photo_e has a pixel that is negative or not finite")
         if stopped == SHOT_NOISE:
-            raise InputError(f"a pixel's mean electrons cannot be counted: they must lie in 0 to {LARGEST_MEAN:g}")
+            raise InputError(f"the mean electrons of a pixel must be in 0 to {LARGEST_MEAN:g}")
 
 
 @kernel
 def _run(signal: FloatArray, collection: Collection, exposure_s: float, program: Program, out: NDArray[Any]) -> int:
-    """Kernel of `PixelPipeline.run`; returns the step that refused the signal, or −1."""
+    """Kernel of `PixelPipeline.run`; returns the number of the step that rejected the signal, or −1."""
     bits, one, two = np.empty(TILE, np.uint32), np.empty(TILE, np.float32), np.empty(TILE, np.float32)
     tile = np.empty(TILE)
     for first in range(0, signal.size, TILE):

@@ -1,20 +1,19 @@
-"""Exact Poisson numbers for an image of means, each the quantile of a uniform number that belongs to its pixel.
+"""Exact Poisson deviates for an image of means by inversion, from a uniform deviate of each pixel.
 
-N is the least n with P(≤ n) > u for u = (w + f)/2³²: the word w of 32 bits settles nearly every pixel, 53 further bits
-are drawn where it does not. Three ways lead to the same number:
+N is the smallest n with P(≤ n) > u for u = (w + f)/2³². The random 32-bit integer w is sufficient for nearly every
+pixel; 53 more bits are used otherwise. Three methods give the same result:
 
-- Means from `LOWEST` to `HIGHEST`: P(< x) = u, continued from whole n to real x by the incomplete gamma function,
-  has the uniform expansion x = λ g(s) + b(s) + c(s)/λ, s = Φ⁻¹(u)/√λ (Temme 1992; Giles 2016, "Algorithm 955:
-  approximation of the inverse Poisson cumulative distribution function"); its polynomials are fitted here, to
-  1.6e-3/λ. Where x is farther than 2e-3/λ + 2e-5 + 2.5e-7 λ from a whole number (the latter two for single
-  precision), N is its whole part beyond doubt.
-- Lower means: u is compared with P(≤ 0), P(≤ 1), … in single precision, and settles where it is not within
-  `_MARGIN_LOW` of any.
-- Everything else, 1 pixel in 1,000, the tails and the cores of bright stars: the distribution function in double
-  precision (`quantile`).
+- Means from `LOWEST` to `HIGHEST`: P(< x) = u, continued from integer n to real x by the incomplete gamma function, has
+  the uniform expansion x = λ g(s) + b(s) + c(s)/λ, s = Φ⁻¹(u)/√λ (Temme 1992; Giles 2016, "Algorithm 955: approximation
+  of the inverse Poisson cumulative distribution function"); its polynomials were fitted to 1.6e-3/λ. If x differs by
+  more than 2e-3/λ + 2e-5 + 2.5e-7 λ from an integer (the last two terms for single precision), N is its integer part.
+- Lower means: u is compared with P(≤ 0), P(≤ 1), … in single precision; the result is used if u is not within
+  `_MARGIN_LOW` of any of them.
+- All other pixels (1 in 1,000, the tails and the cores of bright stars): the distribution function in double precision
+  (`quantile`).
 
-So no approximation decides anything, and the numbers are exact to the rounding of a double. The normal distribution is
-nowhere taken for a Poisson one.
+No result depends on an approximation; the deviates are exact to double precision. The Gaussian approximation of the
+Poisson distribution is not used anywhere.
 """
 
 from __future__ import annotations
@@ -33,16 +32,16 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
 LARGEST_MEAN = 1e18
-"""Largest mean that can be counted in 64 bits with its noise."""
+"""Largest mean whose Poisson deviates fit into 64 bits."""
 LOWEST, HIGHEST = np.float32(6.0), np.float32(65536.0)
-"""Means of the expansion."""
+"""Range of means for the expansion."""
 LOW_NUMBERS = 16
-"""Numbers that the comparison of low means looks at; more have a probability of 1e-4."""
+"""Largest number tested by the comparison for low means; larger ones have a probability of 1e-4."""
 
 _MARGIN, _MARGIN_EACH, _MARGIN_SHARE = np.float32(2e-5), np.float32(2e-3), np.float32(2.5e-7)
 _MARGIN_LOW = np.float32(2e-6)
 _FEW = 256
-"""Where fewer than one mean in so many is low, or is not, these few are not worth a pass of their own."""
+"""If less than this fraction of the means is low (or high), there is no separate pass for them."""
 _OPEN = np.float32(-1.0)
 _LOWER_HALF, _BELOW_LOWEST = np.uint32(2**31), np.float32(2.0**-32)
 _DECIDE, _ROUNDING = 4096.0, 2.0**40
@@ -79,19 +78,19 @@ _STIRLING = np.array(
 
 @kernel
 def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
-    """Poisson numbers in place of the means of the pixels first, first + 1, …; False where one of them is negative,
-    NaN or above `LARGEST_MEAN`.
+    """Replace the means of the pixels first, first + 1, … by Poisson deviates; returns False if one of the means is
+    negative, NaN or above `LARGEST_MEAN`.
 
     Parameters
     ----------
     signal : (N,) float64
-        Means; changed in place.
+        Means; modified in place.
     key : (2,) uint64
-        Of the stream.
+        Key of the stream.
     first : int
         Number of the first pixel.
     bits : (≥ N,) uint32
-        Random words of the pixels.
+        Random bits of the pixels.
     mean, number : (≥ N,) float32
         Scratch space.
     """
@@ -117,7 +116,7 @@ def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: Singl
 
 @kernel
 def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleArray) -> None:
-    """Numbers in place of the means: those found, and for the rest the quantile itself."""
+    """Replace the means by the deviates found, and by exact quantiles for the other pixels."""
     for start in range(0, signal.size, BLOCK):
         stop = min(start + BLOCK, signal.size)
         if outside(number[start:stop], _ZERO, _MOST) > 0:
@@ -149,7 +148,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
 
 @kernel_with(inline="always")
 def _exp_minus(rate: np.float32) -> np.float32:
-    """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, for many numbers at once."""
+    """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, vectorised."""
     m = np.float32(np.rint(rate * _LOG2_E))
     r = fma(-m, _LN2, rate)
     poly = fma(fma(fma(fma(fma(fma(_E7, r, _E6), r, _E5), r, _E4), r, _E3), r, _E2), r, -_ONE)
@@ -167,7 +166,7 @@ def _next(
     number: np.float32,
     near: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """One more number, k, of the comparison."""
+    """Comparison with one more number, k."""
     probability = probability * (rate * np.float32(1.0 / k))
     cumulative = cumulative + probability
     return (
@@ -180,7 +179,7 @@ def _next(
 
 @kernel
 def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
-    """Quantiles of the means below `LOWEST` into `number`, −1 where not settled; others are left alone."""
+    """Quantiles of the means below `LOWEST` into `number`, −1 if not decided; others are unchanged."""
     for i in range(bits.size):
         rate = mean[i]
         p = _exp_minus(rate)
@@ -208,11 +207,11 @@ def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
 
 @kernel
 def quantile(word: np.uint32, fraction: float, mean: float) -> float:
-    """Least n with P(≤ n) > u, u = (word + fraction)/2³², by the distribution function itself in double precision.
+    """Smallest n with P(≤ n) > u, u = (word + fraction)/2³², from the distribution function in double precision.
 
-    The search starts from the Cornish–Fisher expansion (Giles 2016), which for means from 4,096 on is good to 1e-4 and
-    then settles most at once. Beyond 2⁴⁰, where a double has no digits left for a probability of whole numbers, it
-    stands alone: right to the rounding of a double.
+    The search starts at the Cornish–Fisher expansion (Giles 2016), which is accurate to 1e-4 for means from 4,096 and
+    then usually sufficient. Beyond 2⁴⁰, where double precision cannot resolve the probability of single integers, the
+    expansion is used alone; it is correct to the rounding of a double.
     """
     if mean == 0.0:
         return 0.0
@@ -229,7 +228,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
             return float(math.floor(x))
     n = max(float(math.floor(x)), 0.0)
     if lower:
-        n = min(n, float(math.floor(mean)))  # half of the numbers exceed λ − 1, however low λ
+        n = min(n, float(math.floor(mean)))  # half of the deviates exceed λ − 1 for any λ
         below = cumulative(n, mean)
         while n > 0 and below - probability(n, mean) > tail:
             below -= probability(n, mean)
@@ -250,7 +249,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
 
 @kernel
 def probability(n: float, mean: float) -> float:
-    """Poisson probability of n, by its distance from the peak (Loader 2000): no large terms cancel."""
+    """Poisson probability of n, computed from its distance to the peak to avoid cancellation (Loader 2000)."""
     if n == 0.0:
         return math.exp(-mean)
     if n < 16.0:
@@ -275,7 +274,7 @@ def probability(n: float, mean: float) -> float:
 
 @kernel
 def cumulative(n: float, mean: float) -> float:
-    """P(≤ n) of Poisson's distribution."""
+    """P(≤ n) of the Poisson distribution."""
     term, total, k = 1.0, 1.0, n
     while k > 0.0 and term > 1e-17 * total:
         term *= k / mean
@@ -286,7 +285,7 @@ def cumulative(n: float, mean: float) -> float:
 
 @kernel
 def exceeding(n: float, mean: float) -> float:
-    """P(> n) of Poisson's distribution."""
+    """P(> n) of the Poisson distribution."""
     term, total, k = 1.0, 1.0, n + 2.0
     while term > 1e-17 * total:
         term *= mean / k

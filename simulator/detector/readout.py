@@ -1,7 +1,7 @@
 """From charge to digital numbers: output node, amplifier, converter.
 
-Kernels work in place on runs of pixels. Reset noise and read noise, sums of very many thermal motions and not counts,
-are the Gaussian noise of `gaussian.py`.
+Kernels work in place on runs of pixels. Reset noise and read noise are Gaussian (`gaussian.py`), as sums of very many
+thermal fluctuations.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 SATURATION_MARGIN_SIGMA = 3.0
-"""A full pixel reads less than this many standard deviations of the readout noise below its mean in 0.1 % of cases."""
+"""A full pixel reads lower than its mean by more than this many standard deviations of the readout noise in 0.1 % of
+cases."""
 
 
 def reset_noise_e(capacitance_f: float, temperature_c: float) -> float:
-    """Noise of charging the output node to its reference, electrons.
+    """Reset (kTC) noise of the output node, electrons.
 
     √(k T C) / q (Greyling 1995, eq. 3.12), 400 electrons × √(C / pF) at 25 °C.
 
@@ -39,16 +40,16 @@ def reset_noise_e(capacitance_f: float, temperature_c: float) -> float:
 
 
 def detector_reset_noise_e(detector: DetectorParameters) -> float:
-    """Reset noise of a detector as its scenario describes it, electrons; 0 with correlated double sampling."""
+    """Reset noise of a detector, electrons; 0 with correlated double sampling."""
     return reset_noise_e(detector.reset_capacitance_ff * 1e-15, detector.temperature_c)
 
 
 @kernel
 def bend(electrons: FloatArray, full_well_e: float, second: float, third: float) -> None:
-    """Signal (N,) of an output stage that is not quite linear, electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
+    """Signal (N,) of a slightly non-linear output stage, electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
 
-    c₂ and c₃ are the relative departures from a straight line at the full well that the terms of second and third order
-    bring; small signals keep the gain (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the few percent
+    c₂ and c₃ are the relative deviations from linearity at the full well by the terms of second and third order; the
+    gain of small signals is unchanged (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the few percent
     of a source follower, not the knee of a saturating amplifier.
     """
     for i in range(electrons.size):
@@ -65,23 +66,23 @@ def amplify(electrons: FloatArray, gain_e_per_dn: float, offset_dn: float) -> No
 
 @kernel
 def convert(signal_dn: FloatArray, highest_dn: float) -> None:
-    """Digital numbers (N,) of the converter: rounded to the nearest and clipped to 0 … `highest_dn`."""
+    """Digital numbers (N,) of the converter: rounded to nearest and clipped to 0 … `highest_dn`."""
     for i in range(signal_dn.size):
         signal_dn[i] = min(max(np.rint(signal_dn[i]), 0.0), highest_dn)
 
 
 def highest_dn(detector: DetectorParameters) -> int | None:
-    """Top of the converter, 2^bits − 1; None without one."""
+    """Largest digital number, 2^bits − 1; None without a converter."""
     return None if detector.adc_bits is None else 2**detector.adc_bits - 1
 
 
 def gain_e_per_dn(detector: DetectorParameters) -> float:
-    """Electrons a DN. ``auto``: the full well, on top of the offset, is the top of the converter; 1 without one.
+    """Electrons per DN. ``auto``: full well plus offset is the largest digital number; 1 without a converter.
 
     Raises
     ------
     InputError
-        When the gain is to be automatic and the offset fills the converter.
+        If the gain is automatic and the offset exceeds the range of the converter.
     """
     top = highest_dn(detector)
     if detector.gain_e_per_dn != "auto":
@@ -97,7 +98,7 @@ def gain_e_per_dn(detector: DetectorParameters) -> float:
 
 
 def noise_gain_e_per_dn(detector: DetectorParameters) -> float:
-    """Signal over variance of the light, electrons a DN: what a photon-transfer curve of large areas gives.
+    """Signal over variance of the light, electrons per DN, as measured by a photon-transfer curve of large areas.
 
     `gain_e_per_dn` without an intensifier; with one, K / (⟨g⟩ F²).
     """
@@ -105,17 +106,17 @@ def noise_gain_e_per_dn(detector: DetectorParameters) -> float:
 
 
 def electronics_noise_e(detector: DetectorParameters) -> float:
-    """Standard deviation of what the electronics add: reset, read and video noise, electrons of the detector."""
+    """Standard deviation of the noise of the electronics (reset, read and video noise), electrons of the detector."""
     video_e = detector.video.noise_dn * gain_e_per_dn(detector)
     return math.hypot(detector.read_noise_e, detector_reset_noise_e(detector), video_e)
 
 
 def saturation_dn(detector: DetectorParameters) -> float:
-    """DN from which on a pixel counts as saturated.
+    """DN from which a pixel counts as saturated.
 
-    The top of the converter or the DN of the full well, whichever is lower. The charge of a full pixel is blurred by
-    the readout noise, so the latter is taken `SATURATION_MARGIN_SIGMA` below its mean; without readout noise it is the
-    full well itself. Rounded as the converter rounds.
+    The largest digital number or the DN of the full well, whichever is lower. Because of the readout noise of a full
+    pixel, the latter is taken `SATURATION_MARGIN_SIGMA` below its mean; without readout noise it is the full well.
+    Rounded as by the converter.
     """
     gain = gain_e_per_dn(detector)
     noise_e = electronics_noise_e(detector)

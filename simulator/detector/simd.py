@@ -1,11 +1,11 @@
 """Helpers of kernels that the compiler vectorises: fused multiply-add, and the rare-case mask.
 
-`fma` rounds a b + c once: polynomials take half the time, and give the same number on every machine, which they would
-not if the compiler were free to contract products and sums.
+`fma` rounds a b + c once: polynomials take half the time and give the same result on every machine, unlike with
+optional contraction of products and sums by the compiler.
 
 A loop that branches on each element is not vectorised. A kernel therefore computes the common case for all elements,
-marks those that it leaves open, and looks for them afterwards by blocks: `outside` counts those of a block at vector
-speed, and only blocks that hold one are searched.
+marks the undecided ones and processes them afterwards in blocks: `outside` counts those of a block at vector speed, and
+only blocks that contain one are searched.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 @kernel
 def outside(values: NDArray[Any], low: float, high: float) -> int:
-    """How many of the values (N,) do not lie in low … high; NaN lies nowhere."""
+    """Number of the values (N,) that are not in low … high; NaN counts as outside."""
     count = np.int32(0)
     for i in range(values.size):
         count = np.int32(count + np.int32(not ((values[i] >= low) & (values[i] <= high))))

@@ -1,8 +1,8 @@
-"""Effects that act on every pixel by itself, as steps: which kernel, with which values. `chain.py` has their order.
+"""Steps of the per-pixel pipeline: kernels and their values. Their order is defined in `chain.py`.
 
-A sequence of them begins with what makes mean charge of light, if anything does: `LIGHT`, `PHOTO_RESPONSE`,
-`DARK_CURRENT`. These alone may have a value of its own for each pixel, and are done together, while the pixels are
-fetched.
+A sequence begins with the steps that convert light to mean charge, if there are any: `LIGHT`, `PHOTO_RESPONSE`,
+`DARK_CURRENT`. Only these can have a separate value for each pixel, and they are applied together while the pixels are
+read.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
 TILE = 2048
-"""Pixels at a time. Part of what a seed means: pixel k takes word (k mod TILE) div (TILE/4) of the block of counter
-(k div TILE) (TILE/4) + k mod (TILE/4)."""
+"""Pixels per tile. The noise of a seed depends on it: pixel k uses the 32 bits (k mod TILE) div (TILE/4) of the block
+with counter (k div TILE) (TILE/4) + k mod (TILE/4)."""
 
 LIGHT, PHOTO_RESPONSE, DARK_CURRENT, SHOT_NOISE, CLIP, GAUSSIAN_NOISE, BEND, AMPLIFY, CONVERT = range(9)
 _BEGINNING = (LIGHT, PHOTO_RESPONSE, DARK_CURRENT)
@@ -28,7 +28,7 @@ _NO_MAP: SingleArray = np.zeros(0, dtype=np.float32)
 
 @dataclass(frozen=True)
 class Step:
-    """One effect on each pixel: the kernel's number, its values, a value for each pixel, the stream or its name."""
+    """One effect: number of the kernel, its values, a value for each pixel, the stream or its name."""
 
     kernel: int
     values: tuple[float, ...] = ()
@@ -37,25 +37,25 @@ class Step:
 
 
 def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
-    """Step with a value for each pixel, to seven digits, or the same for all."""
+    """Step with a value for each pixel, in single precision, or the same for all."""
     if np.ndim(map_) == 0:
         return Step(kernel, (float(map_),))
     return Step(kernel, map=np.ascontiguousarray(map_, dtype=np.float32).reshape(-1))
 
 
 class Collection(NamedTuple):
-    """How the pipeline begins: mean charge = light × response + dark current × exposure.
+    """First part of the pipeline: mean charge = light × response + dark current × exposure.
 
     Parameters
     ----------
     is_light : bool
-        Whether the signal is light, which has to be finite and not negative.
+        Whether the signal is light, which must be finite and not negative.
     response, dark_e_s : float
         Common to all pixels.
     response_map : (N,) float32
-        Times `response`: of each pixel of the image, or ones for one tile, where `response_mapped` is false.
+        Factor of each pixel, or ones for one tile if `response_mapped` is false.
     dark_map_e_s : (N,) float32
-        On top of `dark_e_s`: of each pixel, or zeros for one tile.
+        Dark current of each pixel in addition to `dark_e_s`, or zeros for one tile.
     """
 
     is_light: bool
@@ -68,19 +68,19 @@ class Collection(NamedTuple):
 
 
 def begin(steps: Sequence[Step]) -> tuple[Collection, list[Step]]:
-    """How the pipeline begins, and the steps that are left."""
+    """Charge collection, and the remaining steps."""
     rest, first = list(steps), {}
     for kernel in _BEGINNING:
         if rest and rest[0].kernel == kernel:
             first[kernel] = rest.pop(0)
     if any(step.kernel in _BEGINNING for step in rest):
-        raise ValueError("light, photo response and dark signal begin a sequence of steps, in this order")
+        raise ValueError("a sequence of steps must begin with light, photo response and dark signal, in this order")
     response = _of_pixels(first.get(PHOTO_RESPONSE), 1.0)
     return Collection(LIGHT in first, *response, *_of_pixels(first.get(DARK_CURRENT), 0.0)), rest
 
 
 def _of_pixels(step: Step | None, neutral: float) -> tuple[float, SingleArray, bool]:
-    """Common value, value of each pixel, and whether there is one; without a map the neutral one for a tile."""
+    """Common value, map of values, and whether there is one; otherwise a neutral map for one tile."""
     if step is not None and step.map.size:
         return neutral, step.map, True
     return neutral if step is None else step.values[0], np.full(TILE, neutral, dtype=np.float32), False

@@ -1,10 +1,10 @@
-"""Charge transfer of a CCD: what each transfer leaves behind trails the star.
+"""Charge-transfer inefficiency of a CCD: charge left behind at each transfer trails the stars.
 
-To first order a transfer moves every electron on with the probability 1 − c, whatever the size of the packet, and
-leaves it to the next packet otherwise (Janesick 2001, chapter 5). An electron that needs n transfers is therefore read
-k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, the negative binomial distribution; (1 − c)ⁿ arrives in
-time. The expected values are taken: the deferred charge's own noise, √(n c S), is far below the shot noise. Traps with
-release times of many transfers make longer tails than this.
+To first order a transfer moves each electron with the probability 1 − c, independent of the size of the packet, and
+otherwise leaves it to the next packet (Janesick 2001, chapter 5). An electron that needs n transfers is therefore read
+k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, a negative binomial distribution; (1 − c)ⁿ is not
+delayed. Expected values are used: the noise of the deferred charge, √(n c S), is far below the shot noise. Traps with
+release times of many transfers give longer tails than this.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 _TAIL = 1e-17
-"""Charge that trails as far as less than this share of a packet is left out."""
+"""Trails are truncated below this fraction of a packet."""
 
 
 def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corner: str = "top_left") -> FloatArray:
-    """Charge as it arrives at the output node, put where the pixel number says, (H, W) electrons, a new array.
+    """Charge at the output node by pixel, (H, W) electrons, a new array.
 
-    Columns move in parallel into the serial register at the corner's edge (row r at distance r takes r + 1 transfers),
-    then along the register to the corner (column x takes x + 1). What trails beyond the last row or column would be
-    read in the overscan and is lost to the frame.
+    Columns are shifted in parallel into the serial register at the corner's edge (row r at distance r takes r + 1
+    transfers), then along the register to the corner (column x takes x + 1). Charge that trails beyond the last row or
+    column would be read in the overscan and is lost.
 
     Parameters
     ----------
     electrons : (H, W) float64
         Charge at the end of the exposure.
     cti_parallel, cti_serial : float
-        Charge transfer inefficiency: share left behind in each transfer, 0 to below 1.
+        Charge-transfer inefficiency: fraction left behind in each transfer, 0 to below 1.
     corner : str
-        ``top_left`` (pixel (0, 0)), ``top_right``, ``bottom_left`` or ``bottom_right``: where the output node is.
+        Position of the output node: ``top_left`` (pixel (0, 0)), ``top_right``, ``bottom_left`` or ``bottom_right``.
     """
     flip_rows, flip_columns = corner.startswith("bottom"), corner.endswith("right")
     seen = electrons[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
@@ -52,9 +52,9 @@ def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corn
 
 @lru_cache(maxsize=8)
 def late_shares(pixels: int, cti: float) -> FloatArray:
-    """Share of a packet that is read k pixels late, (K, pixels) float64: [k, p] where it takes p + 1 transfers.
+    """Fraction of a packet that is read k pixels late, (K, pixels) float64: [k, p] for p + 1 transfers.
 
-    K is where the share of the last pixel falls below 1e-17.
+    K is such that the fraction for the last pixel falls below 1e-17.
     """
     n = np.arange(1, pixels + 1, dtype=np.float64)
     share = np.exp(n * np.log1p(-cti))

@@ -1,4 +1,4 @@
-"""Analogue video: what a line and a recorder of limited bandwidth do to a frame before it is digitised."""
+"""Analogue video: noise and limited bandwidth of a link or recorder before digitisation."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _KERNEL_SIGMAS = 5.0
 
 
 def video_signal(signal_dn: FloatArray, video: Video, rng: np.random.Generator) -> FloatArray:
-    """Video signal (H, W), fractional DN: spread along the lines, with noise of the same bandwidth.
+    """Video signal (H, W), fractional DN: blurred along the lines, with noise of the same bandwidth.
 
-    The signal runs through a channel whose impulse response is a Gaussian of `line_blur_px` along the line. The noise
-    of the channel passes the same bandwidth: normal, of standard deviation `noise_dn`, its correlation between pixels
-    k apart on a line exp(−k² / 4 σ²), the Gaussian's with itself (Rice 1944, Bell Syst. Tech. J. 23, 282). Lines are
-    independent of one another.
+    The impulse response of the channel is a Gaussian of `line_blur_px` along the line. The noise has the same
+    bandwidth: it is Gaussian with standard deviation `noise_dn` and correlation exp(−k² / 4 σ²) between pixels k apart
+    on a line, the autocorrelation of the impulse response (Rice 1944, Bell Syst. Tech. J. 23, 282). Lines are
+    independent.
 
     Parameters
     ----------
     signal_dn : (H, W) float64
-        From the amplifier.
+        Signal of the amplifier.
     video : Video
         Noise and bandwidth.
     rng : Generator
-        Draws the noise; not used without any.
+        For the noise; not used if there is none.
     """
     out = _band_limit(signal_dn, video.line_blur_px)
     if video.noise_dn > 0.0:
@@ -46,7 +46,7 @@ def video_signal(signal_dn: FloatArray, video: Video, rng: np.random.Generator) 
 
 
 def _band_limit(lines: FloatArray, sigma_px: float) -> FloatArray:
-    """Lines (…, W) convolved with a Gaussian of sum 1; what is beyond their ends mirrors what is within."""
+    """Lines (…, W) convolved with a normalised Gaussian, with reflection at the ends."""
     if sigma_px == 0.0:
         return lines
     from scipy.ndimage import gaussian_filter1d

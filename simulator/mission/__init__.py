@@ -1,1 +1,1 @@
-"""Where the spacecraft is, how it is turned, and when: clock, orbit, pointing."""
+"""Time, position and attitude of the spacecraft: clock, orbit, pointing."""

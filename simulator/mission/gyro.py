@@ -1,4 +1,4 @@
-"""A three-axis gyro: what it measures of the body's turning from frame to frame."""
+"""A three-axis gyro: measured rotation of the body from frame to frame."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def gyro_samples(
     gyro : Gyro
         Its noise.
     turns_rad : array, shape (N, 3)
-        True rotation vector of each step, in the gyro's axes: what a gyro whose coning is compensated adds up.
+        True rotation vector of each step in the gyro's axes, as integrated by a gyro with coning compensation.
     step_s : float
         Length of a step.
     rng : Generator

@@ -1,4 +1,4 @@
-"""Where the camera looks: local level → body (offset, random error) → camera (mounting), and how fast it turns.
+"""Attitude and rate of the camera: local level → body (offset, random error) → camera (mounting).
 
 Local level (also the nominal body): +X along the velocity, +Y = minus the orbit normal, +Z to the Earth's centre.
 Angles about X, Y, Z are roll, pitch, yaw, taken as one rotation vector.

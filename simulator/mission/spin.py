@@ -1,4 +1,4 @@
-"""A body that spins freely: its axis of symmetry cones about the angular momentum, which stands still.
+"""A freely spinning body: its axis of symmetry precesses about the angular momentum, which is inertially fixed.
 
 With equal moments of inertia I across the axis of symmetry (body +Z) and r I about it, Euler's equations without a
 torque are solved by steady turns (Goldstein, Poole & Safko 2002, *Classical Mechanics*, section 5.6). With ω the

@@ -1,1 +1,1 @@
-"""Optics: curves over wavelength, point-spread functions, smear, and light onto pixels."""
+"""Optics: spectral curves, point-spread functions, smear, and rendering onto pixels."""

@@ -35,8 +35,8 @@ def first_ring(obscuration: float = 0.0) -> float:
 def intensity(x: ArrayLike, obscuration: float = 0.0) -> FloatArray:
     """Airy pattern at x = r/(λN), normalised to 1 over the plane of x.
 
-    I = π/(4(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πx; Born & Wolf, § 8.6.2 (there relative to its middle, where
-    it is π(1−ε²)/4).
+    I = π/(4(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πx; Born & Wolf, § 8.6.2 (there relative to the central value,
+    which is π(1−ε²)/4).
     """
     v = np.maximum(np.pi * np.abs(np.asarray(x, dtype=float)), 1e-9)
     amplitude = 2.0 * j1(v) / v
@@ -46,7 +46,7 @@ def intensity(x: ArrayLike, obscuration: float = 0.0) -> FloatArray:
 
 
 def encircled_energy(x: FloatArray | float, obscuration: float = 0.0) -> FloatArray:
-    """Share of the light within x = r/(λN) of the centre.
+    """Fraction of the light within x = r/(λN) of the centre.
 
     1 − J₀²(v) − J₁²(v), v = πx, for a clear aperture (Born & Wolf, § 8.5.2); with a central obscuration ε
     [1 − J₀²(v) − J₁²(v) + ε²(1 − J₀²(εv) − J₁²(εv)) − 4ε ∫₀ᵛ J₁(t) J₁(εt)/t dt]/(1 − ε²), the integral of the
@@ -74,7 +74,7 @@ def _cross_term(v: FloatArray, obscuration: float) -> FloatArray:
 def transfer_function(s: FloatArray, obscuration: float = 0.0) -> FloatArray:
     """Optical transfer function of a circular pupil at s = λN × spatial frequency; zero from s = 1 on.
 
-    The area that the pupil and its shifted copy share, over the pupil's own: disk on disk, less twice disk on
+    The common area of the pupil and its shifted copy over the area of the pupil: disk on disk, minus twice disk on
     obscuration, plus obscuration on obscuration (O'Neill 1956, JOSA 46, 285).
     """
     s = np.abs(s)
@@ -85,7 +85,7 @@ def transfer_function(s: FloatArray, obscuration: float = 0.0) -> FloatArray:
     e = obscuration
     scaled = np.minimum(s / e, 1.0)
     hole = e * e * 2.0 / np.pi * (np.arccos(scaled) - scaled * np.sqrt(1.0 - scaled * scaled))
-    d = np.clip(2.0 * s, 1.0 - e, 1.0 + e)  # distance of the centres; nearer the obscuration lies all inside
+    d = np.clip(2.0 * s, 1.0 - e, 1.0 + e)  # distance of the centres; below this the obscuration is entirely inside
     big = np.arccos(np.clip((d * d + 1.0 - e * e) / (2.0 * d), -1.0, 1.0))
     small = np.arccos(np.clip((d * d + e * e - 1.0) / (2.0 * d * e), -1.0, 1.0))
     product = (1.0 + e - d) * (d + e - 1.0) * (d + 1.0 - e) * (d + 1.0 + e)
@@ -101,11 +101,11 @@ def pixel_integrals(
     obscuration: float = 0.0,
     diffusion_px: float = 0.0,
 ) -> FloatArray:
-    """Share of the light in a pixel whose centre lies (u, v) pixels from the star.
+    """Fraction of the light in a pixel whose centre is (u, v) pixels from the star.
 
-    The Fourier series of the Airy pattern convolved with the pixel, whose spectrum ends at 1/(λN): an exact sum over a
-    finite set of frequencies. The period of the series lies so far out that the neighbours it implies add less than
-    1e-6 of the light to any pixel.
+    Fourier series of the Airy pattern convolved with the pixel. The spectrum ends at 1/(λN), so that this is an exact
+    sum over a finite set of frequencies. The period is so large that the periodic copies add less than 1e-6 of the
+    light to any pixel.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def pixel_integrals(
     aspect : float
         Pitch along columns over pitch along rows: λN along rows is `lambda_n_px` × `aspect` pixels.
     obscuration : float
-        Central obscuration, share of the diameter.
+        Central obscuration, fraction of the diameter.
     diffusion_px : float
         Standard deviation of a Gaussian blur, pixels along columns.
 
@@ -137,13 +137,13 @@ def pixel_integrals(
 
 
 def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float, obscuration: float = 0.0) -> FloatArray:
-    """Share of the light in a pixel at distance r (pixels along columns) far out in the wings.
+    """Fraction of the light in a pixel at distance r (pixels along columns), far out in the wings.
 
     The mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the pixels
-    beyond any radius add up to the light beyond it. Dark rings closer than two pixels are averaged out: the ring is
-    then a whole number of λN wide, since sums over pixels of rings about as far apart as they would hang on where the
-    star stands. It is within λN/(31 (1−ε) r³) of the truth (the pattern itself is about that): for a clear aperture
-    and r ≥ 4 λN + 3 less than 8e-5 of the light.
+    beyond a radius sum to the light beyond it. Dark rings closer than two pixels are averaged: the width of the ring is
+    then an integer multiple of λN, as otherwise the sum over pixels would depend on the sub-pixel position of the star.
+    The error is below λN/(31 (1−ε) r³) (about the pattern itself): less than 8e-5 of the light for a clear aperture and
+    r ≥ 4 λN + 3.
     """
     side = 1.0 / math.sqrt(aspect)  # the pixel's area in units of columns squared is 1/aspect
     width = lambda_n_px * math.ceil(side / lambda_n_px) if lambda_n_px < 2.0 * side else side

@@ -1,7 +1,7 @@
 """Moon and planets with a disk: lit side, terminator, blur by the optics, smear.
 
-A disk is drawn on a grid finer than the pixels, at every moment of the exposure, and then convolved with the PSF,
-whose own tables hold the integration over pixels.
+A disk is rendered on a grid finer than the pixels, at every moment of the exposure, and convolved with the PSF, whose
+tables include the integration over pixels.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ __all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "draw_body", "share_before_
 FloatArray = NDArray[np.float64]
 
 CONVOLVED_PX = 256.0
-"""Disks of a larger radius are drawn without blur: their rim is a hundred times wider than a PSF."""
+"""Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
 
 _CORE_HALF_PX = 16
-"""The PSF within this many pixels is convolved at every position inside a pixel, beyond it at one."""
+"""Within this many pixels the PSF is convolved at every sub-pixel position, beyond it at one."""
 
 LOMMEL_SEELIGER, LAMBERT = 0, 1
 LAWS = {"lommel_seeliger": LOMMEL_SEELIGER, "lambert": LAMBERT}
-"""Scattering laws: Lommel–Seeliger, I ∝ μ₀/(μ₀ + μ), for dark airless ground (Moon, Mercury), whose full disk is
-evenly bright; Lambert, I ∝ μ₀, for clouds. μ₀ and μ are the cosines of the angles of the Sun and of the observer to the
-vertical (Hapke 2012, *Theory of Reflectance and Emittance Spectroscopy*, chapters 8 and 10)."""
+"""Scattering laws: Lommel–Seeliger, I ∝ μ₀/(μ₀ + μ), for dark airless surfaces (Moon, Mercury), whose full disk has a
+uniform brightness; Lambert, I ∝ μ₀, for clouds. μ₀ and μ are the cosines of the zenith angles of the Sun and of the
+observer (Hapke 2012, *Theory of Reflectance and Emittance Spectroscopy*, chapters 8 and 10)."""
 
 
 LAW_OF_BODY = {"Moon": "lommel_seeliger", "Mercury": "lommel_seeliger", "Sun": "lommel_seeliger"}
-"""Scattering law by name of body; all others have clouds or dust: ``lambert``. The Sun is drawn as an even disk, which
-the law makes of a full one."""
+"""Scattering law by name of body; all others have clouds or dust: ``lambert``. The Sun is a uniform disk, which is what
+the law gives for a full disk."""
 
 
 Limb = tuple[float, float, float]
-"""Edge of a nearer body across a disk, in radii of the disk: hidden is t > offset + ½ curvature p², with t along the
-angle (from +x to +y, radians) and p across it: (offset, curvature, angle)."""
+"""Limb of a nearer body across a disk, in radii of the disk: (offset, curvature, angle). Points with
+t > offset + ½ curvature p² are occulted, with t along the angle (from +x to +y, radians) and p perpendicular to it."""
 
 NO_LIMB: Limb = (2.0, 0.0, 0.0)
 
@@ -53,16 +53,16 @@ _SHARE_SAMPLES = 400
 def share_before_limb(
     offset: float, curvature: float, between_rad: float, illuminated_fraction: float, law: str
 ) -> float:
-    """Share of the light of a body that a limb across its disk leaves free (0 to 1, to 1e-3).
+    """Fraction of the light of a body that is not occulted by a limb across its disk (0 to 1, accurate to 1e-3).
 
     Parameters
     ----------
     offset, curvature : float
         Of the limb, see `Limb`.
     between_rad : float
-        Angle, at the middle of the disk, between the directions of the Sun and of what hides it.
+        Angle, at the centre of the disk, between the directions of the Sun and of the occulting body.
     illuminated_fraction : float
-        Lit share of the disk's area.
+        Illuminated fraction of the disk.
     law : str
         Key of `LAWS`.
     """
@@ -72,7 +72,7 @@ def share_before_limb(
 
 @kernel
 def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
-    """Kernel of `share_before_limb`: the Sun along +x, lines of samples along the way to the limb, cut where it is."""
+    """Kernel of `share_before_limb`: the Sun along +x; lines of samples towards the limb, truncated there."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
     along_x, along_y = math.cos(limb[2]), math.sin(limb[2])
     whole, free = 0.0, 0.0
@@ -95,10 +95,10 @@ def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
 
 
 def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: ArrayLike) -> float:
-    """Where on a body's disk the light comes from: angle from +x (columns) towards +y (rows), radians.
+    """Direction of the Sun on the disk of a body: angle from +x (columns) towards +y (rows), radians.
 
     Sun, body and observer lie in one plane, so the lit limb faces the Sun along the great circle through both. The
-    angle is that of angles on the sky, not of pixels that are not square; 0 for a body out of sight.
+    angle is measured on the sky, also if pixels are not square; 0 for a body outside the field.
 
     Parameters
     ----------
@@ -132,38 +132,38 @@ def draw_body(
 ) -> None:
     """Add the lit disk of a body to `mean_e` in place.
 
-    Brightness over the disk by the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated fraction;
-    electrons are those of all that is seen of the body, whatever its phase (its magnitude has the phase in it), and all
-    of them are drawn, less what the PSF throws beyond where it ends.
+    The brightness over the disk follows the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated
+    fraction. `electrons` is the total for any phase (the magnitude includes the phase); all of it is rendered, except
+    for light beyond the end of the PSF.
 
     Parameters
     ----------
     mean_e : (rows, columns) float64 array
         Mean photo-electrons.
     xy_path : (K, 2) array
-        Centre at K moments of the exposure, pixels, on or off the image; a moment with a NaN leaves no light.
+        Centre at K moments of the exposure, pixels, on the image or outside; moments with NaN are skipped.
     weights : (K,) array
-        Share of the exposure of each moment.
+        Fraction of the exposure of each moment.
     radius_px : (float, float)
         Radius along columns and rows.
     electrons : float
         Electrons of the body over the exposure.
     illuminated_fraction : float
-        Lit share of the disk's area, 0 to 1.
+        Illuminated fraction of the disk, 0 to 1.
     sun_angle_rad : float
-        Direction of the Sun from the disk's middle (`sun_angle_rad`).
+        Direction of the Sun from the centre of the disk (`sun_angle_rad`).
     psf : Psf
-        Image of a point, which blurs disks of up to 256 pixels radius.
+        Point-spread function; blurs disks of up to 256 pixels radius.
     law : str
         Key of `LAWS`.
     limb : Limb
-        Edge beyond which something nearer hides the disk.
+        Limb of a nearer body beyond which the disk is occulted.
 
     Notes
     -----
-    The fine grid has 4 to 8 cells a pixel; the image is within 1e-3 of its peak of the sum over all points of the
-    disk (2e-3 for an Airy pattern narrower than a pixel). The Moon's maria, its opposition surge and the planets'
-    belts, limb darkening other than the law's, rings and flattening are left out.
+    The fine grid has 4 to 8 cells per pixel; the image agrees to 1e-3 of its peak with the sum over all points of the
+    disk (2e-3 for an Airy pattern narrower than a pixel). Not modelled: the Moon's maria and opposition surge, belts of
+    planets, limb darkening other than that of the law, rings and flattening.
     """
     path = np.atleast_2d(np.asarray(xy_path, dtype=float))
     share = np.asarray(weights, dtype=float)
@@ -172,7 +172,7 @@ def draw_body(
     blurred = max(rx, ry) <= CONVOLVED_PX
     reach = _reach_px(psf, electrons) if blurred else 0
     reach_y = math.ceil(reach * psf.sigma_y_px / psf.sigma_px)
-    # moments from which light may reach the image
+    # moments at which light may reach the image
     near = (
         np.isfinite(path).all(axis=1)
         & (path[:, 0] > -1.0 - rx - reach)
@@ -211,7 +211,7 @@ def draw_body(
 
 
 def _reach_px(psf: Psf, electrons: float) -> int:
-    """How far the light of a point of this many electrons reaches, pixels along columns."""
+    """Radius to which the light of a point with this number of electrons extends, pixels along columns."""
     radius = math.ceil(float(psf.radius_px(np.array([electrons]))[0])) + 1
     return radius if psf.core is None else max(radius + math.ceil(TAPER_PX), psf.core_half_px)
 
@@ -238,8 +238,8 @@ def add_lit_disk(
     samples: int,
     limb: Limb = NO_LIMB,
 ) -> None:
-    """Kernel: light of a lit sphere, sampled at `samples`² points a cell; `amounts` (K,) of it at each of the centres
-    (K, 2), of which the image gets what falls on it. Beyond the limb there is none."""
+    """Kernel: light of a lit sphere, sampled at `samples`² points per cell, added with `amounts` (K,) at the centres
+    (K, 2); nothing beyond the limb of an occulting body."""
     height, width = image.shape
     offset, bend, along_x, along_y = limb[0], 0.5 * limb[1], math.cos(limb[2]), math.sin(limb[2])
     cut = offset < 1.0
@@ -272,7 +272,7 @@ def add_lit_disk(
                                 light += mu_0 if law == LAMBERT else mu_0 / (mu_0 + mu)
                 box[j, i] = light
                 total += light
-        if total <= 0.0:  # a crescent thinner than the samples' distance: all of it at the limb
+        if total <= 0.0:  # a crescent thinner than the sampling distance: all light at the limb
             i = min(max(math.floor(x + radius_x * math.cos(sun_angle) + 0.5), 0), box.shape[1] - 1)
             j = min(max(math.floor(y + radius_y * math.sin(sun_angle) + 0.5), 0), box.shape[0] - 1)
             box[j, i] = total = 1.0
@@ -293,10 +293,10 @@ def _convolve(
     electrons: float,
     psf: Psf,
 ) -> None:
-    """Add a disk on a grid of `fine`² cells a pixel, blurred: the PSF's core at each cell, its wings at each pixel.
+    """Add a blurred disk on a grid of `fine`² cells per pixel: the PSF's core for each cell, its wings for each pixel.
 
-    Cells stand as points at their middles, which blurs by a variance of 1/12 cell²; (−1, 26, −1)/24 along both axes
-    takes that out again.
+    Cells are represented by points at their centres, which adds a variance of 1/12 cell²; the filter (−1, 26, −1)/24
+    along both axes corrects for this.
     """
     disk = np.pad(disk, fine)
     left, top = left - 1, top - 1
@@ -316,8 +316,8 @@ def _convolve(
 
 
 def _convolved(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Sum of the full convolutions of pairs of images (N, ., .) by Fourier transforms, as
-    ``scipy.signal.fftconvolve`` does one; to import that takes a fifth of a cold start."""
+    """Sum of the full convolutions of pairs of images (N, ., .) by Fourier transforms, as ``scipy.signal.fftconvolve``,
+    whose import takes a fifth of a cold start."""
     rows, columns = (a + b - 1 for a, b in zip(first.shape[1:], second.shape[1:], strict=True))
     size = [fft.next_fast_len(n, real=True) for n in (rows, columns)]
     product = np.einsum("nij,nij->ij", fft.rfft2(first, size), fft.rfft2(second, size))
@@ -325,14 +325,14 @@ def _convolved(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _stamp(psf: Psf, electrons: float, half_x: int, half_y: int, offset: tuple[float, float]) -> FloatArray:
-    """Share of a star's light in each pixel of a stamp, drawn as far out as one of this many electrons."""
+    """Fraction of a star's light in each pixel of a stamp, to the radius for this number of electrons."""
     shape = (2 * half_y + 1, 2 * half_x + 1)
     position = np.array([[half_x + offset[0], half_y + offset[1]]])
     return render_stars(shape, position, np.ones(1), np.array([electrons]), psf) / electrons
 
 
 def _add(image: FloatArray, patch: FloatArray, left: int, top: int) -> None:
-    """Add a patch whose first pixel lies at (left, top) to the part of the image that it covers."""
+    """Add a patch with its first pixel at (left, top) to the image."""
     height, width = image.shape
     x0, x1 = max(left, 0), min(left + patch.shape[1], width)
     y0, y1 = max(top, 0), min(top + patch.shape[0], height)

@@ -1,4 +1,4 @@
-"""Curves over wavelength: transmission of a lens, quantum efficiency of a detector, passband of a filter."""
+"""Spectral curves: transmission of a lens, quantum efficiency of a detector, passband of a filter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 CurveKind = Literal["transmission", "quantum_efficiency", "passband"]
 
 FLAT_RANGE_NM = (300.0, 1100.0)
-"""Where a curve given as one number reaches: from the edge of optical glass to the band edge of silicon."""
+"""Range of a curve given as one number: from the absorption edge of optical glass to the band edge of silicon."""
 
 _PREFIX: dict[str, str] = {"transmission": "transmission", "quantum_efficiency": "qe", "passband": "passband"}
 _PRODUCT_STEP_NM = 1.0
@@ -26,27 +26,27 @@ _PRODUCT_STEP_NM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A function of wavelength, straight lines between its points, zero outside them.
+    """A function of wavelength, linear between its points and zero outside.
 
     Raises
     ------
     InputError
-        When the two differ in length, hold anything but finite numbers, or the wavelengths do not rise.
+        If the lengths differ, a value is not finite, or the wavelengths are not ascending.
     """
 
     wavelength_nm: FloatArray
-    """(N,): Rising, N ≥ 2, nanometres."""
+    """(N,): Ascending, N ≥ 2, nanometres."""
     value: FloatArray
-    """(N,): Values there; a share between 0 and 1 where it comes from `load_curve`."""
+    """(N,): Values; a fraction between 0 and 1 if from `load_curve`."""
 
     def __post_init__(self) -> None:
         wavelength_nm, value = np.array(self.wavelength_nm, dtype=float), np.array(self.value, dtype=float)
         if wavelength_nm.ndim != 1 or wavelength_nm.shape != value.shape or len(wavelength_nm) < 2:
             raise InputError("a curve needs two or more points, each with a wavelength and a value")
         if not (np.isfinite(wavelength_nm).all() and np.isfinite(value).all()):
-            raise InputError("a curve holds finite numbers only")
+            raise InputError("a curve must have finite values only")
         if not (np.diff(wavelength_nm) > 0).all():
-            raise InputError("the wavelengths of a curve must rise from point to point")
+            raise InputError("the wavelengths of a curve must be ascending")
         for array in (wavelength_nm, value):
             array.flags.writeable = False
         object.__setattr__(self, "wavelength_nm", wavelength_nm)
@@ -63,10 +63,10 @@ class Curve:
         return np.asarray(np.interp(points, self.wavelength_nm, self.value, left=0.0, right=0.0))
 
     def __mul__(self, other: Curve) -> Curve:
-        """Product, where both are given.
+        """Product over the common range.
 
-        Sampled at the points of both and at least every nanometre, so that the straight lines between follow the
-        parabolas of the exact product to h²/8 of their curvature.
+        Sampled at the points of both and at least every nanometre, so that linear interpolation approximates the
+        piecewise quadratic product to h²/8 of its curvature.
         """
         low = max(self.wavelength_nm[0], other.wavelength_nm[0])
         high = min(self.wavelength_nm[-1], other.wavelength_nm[-1])
@@ -84,7 +84,7 @@ class Curve:
 
 
 def shipped_curves(kind: CurveKind) -> list[str]:
-    """Names of the curves of a kind that ship with boresight."""
+    """Names of the included curves of a kind."""
     prefix = _PREFIX[kind] + "_"
     folder = resources.files("simulator.optics") / "data"
     names = (entry.name for entry in folder.iterdir())
@@ -92,23 +92,23 @@ def shipped_curves(kind: CurveKind) -> list[str]:
 
 
 def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None = None) -> Curve:
-    """Curve from a number, a shipped name or a CSV file.
+    """Curve from a number, the name of an included curve, or a CSV file.
 
     Parameters
     ----------
     spec : str or float
-        One number between 0 and 1 (flat over `FLAT_RANGE_NM`); the name of a shipped curve; or the path of a CSV file
-        whose header is ``wavelength_nm`` and a name of the value, with rising wavelengths and values between 0 and 1.
-        Lines that start with ``#`` are comments.
+        A number between 0 and 1 (constant over `FLAT_RANGE_NM`); the name of an included curve; or the path of a CSV
+        file whose header is ``wavelength_nm`` and a name of the value, with ascending wavelengths and values between 0
+        and 1. Lines that start with ``#`` are comments.
     kind : {"transmission", "quantum_efficiency", "passband"}
-        Which of the shipped curves a name means.
+        Kind of the included curve.
     base_dir : path, optional
-        Folder that relative paths start from; left out, the current one.
+        Base folder of relative paths; by default the current one.
 
     Raises
     ------
     InputError
-        For a number outside 0 to 1, an unknown name, or a file that is missing or wrong (with its line).
+        For a number outside 0 to 1, an unknown name, or a missing or invalid file (with its line).
     """
     what = kind.replace("_", " ")
     if isinstance(spec, bool) or not isinstance(spec, str | int | float):

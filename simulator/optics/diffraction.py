@@ -19,13 +19,13 @@ def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> flo
     """Zernike defocus (waves rms) of a detector δ away from the focus.
 
     The wavefront at the edge of the pupil is W₀₂₀ = δ/(8N²) (Born & Wolf, § 8.8; paraxial, error about 1/(16N²) of
-    it), and W₀₂₀ρ² is W₀₂₀/(2√3) of Noll's Z4 = √3(2ρ² − 1), and a piston. Positive δ: the detector behind the focus.
+    it), and W₀₂₀ρ² is W₀₂₀/(2√3) of Noll's Z4 = √3(2ρ² − 1) plus piston. Positive δ: the detector is behind the focus.
     """
     return shift_um / (8.0 * f_number**2) / (wavelength_nm * 1e-3) / (2.0 * math.sqrt(3.0))
 
 
 def axial_coefficients(psf_model: PsfModel, f_number: float) -> FloatArray:
-    """Zernike coefficients (Noll 1 … 11), waves rms at `wavelength_nm`, in the middle of the field."""
+    """Zernike coefficients (Noll 1 … 11), waves rms at `wavelength_nm`, at the centre of the field."""
     coefficients = np.zeros(pupil.TERMS)
     for name, index in NOLL.items():
         coefficients[index - 1] = getattr(psf_model.zernike_waves, name)
@@ -44,7 +44,7 @@ def field_coefficients(field: FieldAberrations, h: ArrayLike, azimuth_rad: Array
     field : FieldAberrations
         Values at the corners, h = 1.
     h, azimuth_rad : (...) arrays
-        Distance from the centre of the image relative to the corners', and azimuth from +x (columns) to +y (rows).
+        Distance from the image centre relative to that of the corners, and azimuth from +x (columns) to +y (rows).
 
     Returns
     -------
@@ -61,8 +61,8 @@ def field_coefficients(field: FieldAberrations, h: ArrayLike, azimuth_rad: Array
 
 
 def mirrored(coefficients: FloatArray, swap: bool, sign_x: int, sign_y: int) -> FloatArray:
-    """Zernike coefficients (11,) of W(±x, ±y) or, swapped, W(±y, ±x), the first sign `sign_x` where x stands and
-    `sign_y` where y does."""
+    """Zernike coefficients (11,) of W(±x, ±y) or, swapped, W(±y, ±x), with `sign_x` the sign of x and `sign_y` that of
+    y."""
     c = coefficients.copy()
     if swap:  # θ → π/2 − θ
         c[[1, 2, 6, 7]] = c[[2, 1, 7, 6]]
@@ -84,20 +84,20 @@ def spread_px(waves: FloatArray, lambda_n_px: FloatArray, obscuration: float) ->
 
 
 class Images:
-    """Monochromatic images of a point on a common grid, and what pixels make of their sums.
+    """Monochromatic images of a point on a common grid, and their sums integrated over pixels.
 
     Parameters
     ----------
     waves : (K, T) array
-        Zernike coefficients of each wavelength, in its own waves rms.
+        Zernike coefficients for each wavelength, in waves rms of that wavelength.
     lambda_n_px : (K,) array
         λN of each, pixels along columns.
     obscuration : float
-        Central obscuration, share of the diameter.
+        Central obscuration, fraction of the diameter.
     aspect : float
         Pitch along columns over pitch along rows.
     diffusion_px : float
-        Standard deviation of the spreading of charge, pixels along columns.
+        Standard deviation of the charge diffusion, pixels along columns.
     half_px : int
         Half width of the stamp, pixels (columns and rows).
     """
@@ -134,5 +134,5 @@ class Images:
         return along_x, pixel_matrix(y * size, self.samples, self.finest, self.diffusion_px, size)
 
     def shares(self, weights: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-        """Share of the light in pixels at the offsets of the matrices, (rows, columns), for a spectrum (K,)."""
+        """Fraction of the light in pixels at the offsets of the matrices, (rows, columns), for a spectrum (K,)."""
         return np.asarray(along_y @ np.tensordot(weights, self.light, 1) @ along_x.T)

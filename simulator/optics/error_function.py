@@ -1,7 +1,7 @@
-"""The error function, for Gaussians integrated over pixels: its Taylor series about the nearest of 97 points.
+"""The error function, for Gaussians integrated over pixels, by a Taylor series about the nearest of 97 points.
 
-The nth derivative is erf⁽ⁿ⁾(x) = 2/√π (−1)ⁿ⁻¹ Hₙ₋₁(x) e^(−x²), H the Hermite polynomials (Abramowitz & Stegun 1964,
-7.1.19). Within 1/32 of a point eight of them leave 2e-16; that takes half the time of the C library's.
+The nth derivative is erf⁽ⁿ⁾(x) = 2/√π (−1)ⁿ⁻¹ Hₙ₋₁(x) e^(−x²), with Hermite polynomials H (Abramowitz & Stegun 1964,
+7.1.19). Within 1/32 of a point eight terms give an error of 2e-16, in half the time of the C library's function.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ __all__ = ["error_function", "shares_of_pixels"]
 FloatArray = NDArray[np.float64]
 
 _PER_UNIT, _END = 16, 6
-"""Points a unit, and where the function is 1 to all digits."""
+"""Points per unit, and the argument from which the function is 1 to all digits."""
 _TERMS = 9
 
 
 def _series() -> FloatArray:
-    """Coefficients (points, terms) of the powers of the distance from each point."""
+    """Taylor coefficients (points, terms) about each point."""
     x = np.arange(_PER_UNIT * _END + 1) / _PER_UNIT
     out = np.empty((len(x), _TERMS))
     out[:, 0] = [math.erf(point) for point in x]
@@ -39,7 +39,7 @@ _SERIES = _series()
 
 @kernel_with(inline="always")
 def error_function(x: float) -> float:
-    """Kernel: erf x of any finite or infinite x, within 4e-16."""
+    """Kernel: erf x for any finite or infinite x, accurate to 4e-16."""
     size = min(abs(x), float(_END))
     point = int(size * _PER_UNIT + 0.5)
     d = size - point / _PER_UNIT
@@ -52,7 +52,7 @@ def error_function(x: float) -> float:
 
 @kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
-    """Kernel: share of a Gaussian about `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
+    """Kernel: fraction of a Gaussian at `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
     low = error_function((first - 0.5 - centre) * scale)
     for i in range(last - first + 1):
         high = error_function((first + i + 0.5 - centre) * scale)

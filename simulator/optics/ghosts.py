@@ -1,15 +1,15 @@
-"""Ghosts: weak, blurred second images by two reflections between the surfaces of the lens.
+"""Ghosts: weak, defocused second images from two reflections between the surfaces of the lens.
 
-Light that is reflected twice leaves a lens of rotational symmetry as a pencil whose chief ray still goes through the
-axis, so that to first order the ghost of a star at x stands on the line through the principal point c, at
+In a rotationally symmetric lens, the chief ray of light that is reflected twice remains in the meridional plane, so
+that to first order the ghost of a star at x is on the line through the principal point c, at
 
     x_g = c + scale · (x − c),      electrons_g = flux · electrons,
 
-drawn as an even disk of the radius of the defocused pencil. `scale` is negative for ghosts on the other side.
+rendered as a uniform disk with the radius of the defocused pencil. `scale` is negative for ghosts on the opposite side.
 
-Validity: paraxial; one scale, flux and radius a pair of surfaces over the whole field, no cut by stops. `flux` is about
-R₁R₂, the product of the two reflectances: 1e-4 for two surfaces of 1 %. Source: W. J. Smith, *Modern
-Optical Engineering* (2008), section on ghost images; the first-order formula follows from symmetry alone.
+Validity: paraxial; one scale, flux and radius per pair of surfaces for the whole field, no clipping by stops. `flux` is
+about R₁R₂, the product of the two reflectances: 1e-4 for two surfaces of 1 %. Source: W. J. Smith, *Modern Optical
+Engineering* (2008), section on ghost images; the first-order formula follows from symmetry alone.
 """
 
 from __future__ import annotations
@@ -27,39 +27,39 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ghost:
-    """Second image by two reflections in the lens."""
+    """Second image from two reflections in the lens."""
 
     flux: float
-    """Share of the star's light."""
+    """Fraction of the star's light."""
     scale: float
-    """Distance from the principal point, against the star's; negative: on the other side."""
+    """Distance from the principal point relative to that of the star; negative: on the opposite side."""
     radius_px: float
-    """Radius of the even disk."""
+    """Radius of the uniform disk."""
 
 
 LEAST_ELECTRONS = 0.1
-"""Ghosts of fewer electrons over their whole disk are left out."""
+"""Ghosts with fewer electrons in total are omitted."""
 
 
 def ghost_sources(
     camera: Camera, xy: FloatArray, electrons: FloatArray, ghosts: Sequence[Ghost]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Disks to draw for the ghosts of stars and bodies.
+    """Disks of the ghosts of stars and bodies.
 
     Parameters
     ----------
     camera : Camera
         For its principal point and size.
     xy : (N, 2) array
-        Places of the sources, pixels; NaN has no ghost.
+        Positions of the sources, pixels; NaN has no ghost.
     electrons : (N,) array
         Electrons of the sources over the exposure.
     ghosts : sequence of Ghost
-        The pairs of reflecting surfaces.
+        One entry per pair of reflecting surfaces.
 
     Returns
     -------
-    xy (G, 2), electrons (G,), radius_px (G,) of those that reach into the image, pair by pair
+    xy (G, 2), electrons (G,), radius_px (G,) of those that overlap the image, by pair of surfaces
     """
     centre = np.array([camera.cx, camera.cy])
     positions, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]

@@ -1,21 +1,21 @@
-"""Light by position in the field: vignetting of stars, and of an even sky, which each pixel sees a piece of.
+"""Illumination by field position: vignetting of stars and of a uniform sky.
 
-A star's light passes the pupil: seen from the angle θ its area is cos θ times that seen from the front, and the share
-of it that the rims of the barrel leave open is V(θ). The sky's light in a pixel is that times the solid angle Ω of the
-pixel, whether a lens vignettes or not. For an undistorted pinhole, whose pixel (x, y) looks along (x/f, y/f, 1), it is
-the Jacobian of the projection, Ω = cos³ θ/f²; with the cos θ of the pupil it makes the cos⁴ law of an extended source.
+At the angle θ the projected area of the pupil is cos θ times that on axis, and the fraction of it that is not
+obstructed by the barrel is V(θ). The sky's light in a pixel is also proportional to the solid angle Ω of the pixel, for
+every lens. For an undistorted pinhole, whose pixel (x, y) has the direction (x/f, y/f, 1), Ω = cos³ θ/f² is the
+Jacobian of the projection; with the cos θ of the pupil this is the cos⁴ law of an extended source.
 
     star:        cos θ · V(θ) · P(ρ)
     background:  cos θ · V(θ) · P(ρ) · Ω(x, y)/Ω(0)        = cos⁴ θ · V · P for the ideal pinhole
 
-`natural` switches cos θ; V is the area two circles have in common, the pupil and the shadow of a rim
-behind or before it, which drift apart with the image radius ρ; P = 1 + a₁ρ² + a₂ρ⁴ + a₃ρ⁶ is for measured curves.
-ρ is the image radius in focal lengths without distortion: tan θ for a pinhole, θ for a fisheye, 2 sin(θ/2) for an
-equisolid one. All factors are 1 at the principal point.
+`natural` switches cos θ. V is the common area of two circles, the pupil and the shadow of a rim behind or before it,
+whose distance is proportional to the image radius ρ. P = 1 + a₁ρ² + a₂ρ⁴ + a₃ρ⁶ is for measured curves. ρ is the
+undistorted image radius in focal lengths: tan θ for a pinhole, θ for a fisheye, 2 sin(θ/2) for an equisolid one. All
+factors are 1 at the principal point.
 
-Validity: a flat pupil. Fisheyes and many wide lenses turn and widen their pupils towards the edge (Slyusarev 1941)
-and beat the law: leave `natural` off there and give P. Source: M. Reiss, "The cos⁴ law of illumination", J. Opt. Soc.
-Am. 35 (1945) 283; R. Kingslake, *Optics in Photography* (1992), chapter 6.
+Validity: a flat pupil. In fisheyes and many wide-angle lenses the pupil tilts and grows towards the edge (Slyusarev
+1941), so that they are brighter than this law: leave `natural` off for them and give P. Source: M. Reiss, "The cos⁴ law
+of illumination", J. Opt. Soc. Am. 35 (1945) 283; R. Kingslake, *Optics in Photography* (1992), chapter 6.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Vignetting:
-    """Loss of light towards the edge of the field; all off by default."""
+    """Vignetting; off by default."""
 
     natural: bool = False
-    """Projected area of the pupil for stars, and with the solid angle of the pixels the cos⁴ law for the background."""
+    """Projected area of the pupil for stars; with the solid angle of pixels the cos⁴ law for the background."""
     mechanical_start_deg: float = 0.0
-    """Angle off the axis up to which the barrel leaves the pupil open."""
+    """Off-axis angle at which the barrel begins to obstruct the pupil."""
     mechanical_end_deg: float | None = None
-    """Angle from which it closes it; null: no mechanical vignetting."""
+    """Off-axis angle at which it obstructs the pupil completely; null: no mechanical vignetting."""
     polynomial: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Measured: factor 1 + a1 ρ² + a2 ρ⁴ + a3 ρ⁶, ρ the undistorted image radius in focal lengths."""
+    """Measured factor 1 + a1 ρ² + a2 ρ⁴ + a3 ρ⁶ of the undistorted image radius ρ in focal lengths."""
 
     @property
     def is_off(self) -> bool:
-        """Whether everything is left as it is."""
+        """Whether there is no vignetting."""
         return not self.natural and self.mechanical_end_deg is None and not any(self.polynomial)
 
 
@@ -55,14 +55,14 @@ _CHEBYSHEV: FloatArray = chebyshev.chebpts1(33)
 
 
 def relative_illumination(camera: Camera, vignetting: Vignetting, theta_rad: ArrayLike) -> FloatArray:
-    """Share of a star's light, against one at the principal point, by its angle from the boresight.
+    """Relative illumination of a star by its angle from the boresight, 1 at the principal point.
 
     Parameters
     ----------
     camera : Camera
         For its projection.
     vignetting : Vignetting
-        Which laws hold.
+        Vignetting model.
     theta_rad : array
         Angles from the boresight, of any shape; NaN gives 0.
 
@@ -92,8 +92,8 @@ def star_illumination(camera: Camera, vignetting: Vignetting, directions: ArrayL
 
 
 def illumination_map(camera: Camera, vignetting: Vignetting) -> FloatArray:
-    """Light of an even sky in every pixel (height, width), against that at the principal point of a lens without
-    distortion: solid angle times vignetting. Pixels that see nothing are 0.
+    """Illumination of every pixel (height, width) by a uniform sky, relative to that at the principal point of a lens
+    without distortion: solid angle times vignetting. Pixels without a direction are 0.
     """
     share = solid_angle_map(camera) * (camera.fx * camera.fy)
     if vignetting.is_off:
@@ -107,11 +107,11 @@ def illumination_map(camera: Camera, vignetting: Vignetting) -> FloatArray:
 
 
 def solid_angle_map(camera: Camera) -> FloatArray:
-    """Solid angle of every pixel (height, width), sr, distortion and projection included; 0 where it sees nothing.
+    """Solid angle of every pixel (height, width), sr, with distortion and projection; 0 for pixels without a direction.
 
-    The area of the quadrilateral that the pixel's corners span on the sphere, 1e-6 from exact for pixels of 0.1°. It is
-    smooth over the image: known at Chebyshev's points, the polynomial through them gives all pixels to 1e-8 for a
-    pinhole of 120°. Where a part of the image has no direction, each pixel is computed.
+    The area of the quadrilateral of the pixel's corners on the sphere, accurate to 1e-6 for pixels of 0.1°. It is
+    smooth over the image and is interpolated by a polynomial through Chebyshev points, accurate to 1e-8 for a pinhole
+    of 120°. If part of the image has no direction, each pixel is computed.
     """
     x, y = ((side * (_CHEBYSHEV + 1.0) - 1.0) / 2.0 for side in (camera.width, camera.height))
     nodes = _solid_angles(camera, np.stack(np.meshgrid(x, y), axis=-1))
@@ -139,16 +139,16 @@ def _solid_angles(camera: Camera, xy: FloatArray) -> FloatArray:
 
 
 def _image_radius(camera: Camera, theta: FloatArray) -> FloatArray:
-    """Image radius in focal lengths, without distortion; infinite where a pinhole sees nothing."""
+    """Undistorted image radius in focal lengths; infinite outside the range of a pinhole."""
     if camera.projection == "pinhole":
         return np.where(theta < np.pi / 2, np.tan(np.minimum(theta, np.pi / 2)), np.inf)
     return 2.0 * np.sin(theta / 2.0) if camera.projection == "equisolid" else theta
 
 
 def _open_share(rho: FloatArray, start: float, end: float) -> FloatArray:
-    """Share of a circle of radius 1 inside one of radius R whose centre is d away, from 1 at `start` to 0 at `end`.
+    """Fraction of a circle of radius 1 inside one of radius R at distance d, from 1 at `start` to 0 at `end`.
 
-    d grows in proportion to ρ and leaves the circle whole until d = R − 1 and dark from d = R + 1, whence
+    d is proportional to ρ; the circle is unobstructed until d = R − 1 and dark from d = R + 1, hence
     R = (end + start)/(end − start), d = 2ρ/(end − start). The area is that of two circular segments.
     """
     big = (end + start) / (end - start)

@@ -1,15 +1,15 @@
-"""Jitter: a small random turning of the camera during the exposure, with a given power spectrum.
+"""Jitter: a small random rotation of the camera during the exposure, with a given power spectrum.
 
 About each axis the angle is a stationary Gaussian process of variance rms² and one-sided power spectral density
 rms² s(f), ∫ s df = 1, made of M cosines:
 
     φ(t) = Σ_m  a_m cos 2π f_m t + b_m sin 2π f_m t,      a_m, b_m ~ N(0, rms²/M)
 
-The band is cut into M parts of equal variance and f_m drawn within each by s, so that the expected autocovariance is
-that of the spectrum at every lag, and φ repeats at no period. It can be evaluated at any moment.
+The band is divided into M parts of equal variance, and f_m is random within each with density s, so that the expected
+autocovariance is that of the spectrum at every lag, and φ is not periodic. It can be evaluated at any time.
 
 Source: spectral representation of Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191, with random frequencies within
-the parts. Spectra of real spacecraft go in as tables.
+the parts. Spectra of real spacecraft are given as tables.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Jitter:
-    """Random turning of the camera, during exposures and, in a sequence, between them."""
+    """Random rotation of the camera during exposures and, in a sequence, between them."""
 
     rms_arcsec: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Root mean square of the angle about x, y, z; 0: none."""
@@ -38,23 +38,24 @@ class Jitter:
     corner_hz: float = 10.0
     """Corner frequency."""
     table: str | None = None
-    """CSV file (frequency_hz, psd) whose shape is taken for ``table``."""
+    """CSV file (frequency_hz, psd) with the shape for ``table``."""
     axes: str = "camera"
     """Axes of `rms_arcsec`."""
 
     @property
     def is_off(self) -> bool:
-        """Whether nothing turns."""
+        """Whether there is no jitter."""
         return not any(self.rms_arcsec)
 
 
 NO_JITTER = Jitter()
 
 COMPONENTS = 256
-"""Cosines an axis."""
+"""Number of cosines per axis."""
 
 LORENTZ_BAND = 8.0
-"""A Lorentz spectrum ends at this many corner frequencies; the 8 % of its variance beyond are spread over the rest."""
+"""A Lorentz spectrum is truncated at this multiple of the corner frequency; the 8 % of its variance beyond are
+distributed over the rest."""
 
 _TABLE_STEPS = 8193
 
@@ -67,14 +68,14 @@ class Spectrum:
     """``white``, ``lorentz`` or ``table``."""
     corner_hz: float
     max_hz: float
-    """Corner of the first two; where the band ends."""
+    """Corner of the first two; upper limit of the band."""
     frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
     density: FloatArray = field(default_factory=lambda: np.empty(0))
     cumulative: FloatArray = field(default_factory=lambda: np.empty(0))
-    """(F,): Of a table: density per Hz normalised to 1, linear between its points, and its integral."""
+    """(F,): For a table: density per Hz normalised to 1, linear between its points, and its integral."""
 
     def per_hz(self, frequency_hz: ArrayLike) -> FloatArray:
-        """One-sided density s(f) of a process of variance 1, 1/Hz."""
+        """One-sided density s(f) of a process with variance 1, 1/Hz."""
         f = np.asarray(frequency_hz, dtype=float)
         if self.name == "white":
             inside = np.full_like(f, 1.0 / self.corner_hz)
@@ -85,7 +86,7 @@ class Spectrum:
         return np.where((f >= 0.0) & (f <= self.max_hz), inside, 0.0)
 
     def quantile(self, share: ArrayLike) -> FloatArray:
-        """Frequency below which the given share (0 … 1) of the variance lies."""
+        """Frequency below which the given fraction (0 … 1) of the variance lies."""
         u = np.asarray(share, dtype=float)
         if self.name == "white":
             return np.asarray(self.corner_hz * u)
@@ -97,13 +98,13 @@ class Spectrum:
 def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     """Spectrum: ``white`` up to the corner, ``lorentz`` 1/(1 + (f/corner)²), or a CSV ``table``.
 
-    A table has the columns frequency (Hz, rising, from 0 or more) and power spectral density (any unit: `rms_arcsec`
-    sets the variance); lines that begin with ``#`` or a letter are passed over.
+    A table has the columns frequency (Hz, ascending, from 0 or more) and power spectral density (any unit: `rms_arcsec`
+    sets the variance); lines that begin with ``#`` or a letter are skipped.
 
     Raises
     ------
     InputError
-        When the table is missing, cannot be read, or is no spectrum.
+        If the table is missing, cannot be read, or is not a valid spectrum.
     """
     if parameters.psd == "white":
         return Spectrum("white", parameters.corner_hz, parameters.corner_hz)
@@ -139,17 +140,17 @@ class JitterPath:
     frequency_hz: FloatArray
     cosine_rad: FloatArray
     sine_rad: FloatArray
-    """(M, 3): Of the components about each axis."""
+    """(M, 3): Amplitudes of the components about each axis."""
     max_hz: float
-    """No component is faster."""
+    """Upper limit of the frequencies."""
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))
-    """(3, 3): From those axes into the camera's."""
+    """(3, 3): From those axes to camera axes."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,): Taken off the sum, camera axes."""
+    """(3,): Subtracted from the sum, camera axes."""
 
     def at(self, t_s: ArrayLike) -> FloatArray:
-        """Rotation vectors (..., 3) in camera axes, radians, at seconds from mid-exposure: how the camera has turned
-        from its undisturbed attitude."""
+        """Rotation vectors (..., 3) in camera axes, radians, from the undisturbed attitude, at seconds from
+        mid-exposure."""
         t = np.asarray(t_s, dtype=float)
         own = np.empty((*t.shape, 3))
         for axis in range(3):
@@ -172,7 +173,7 @@ class JitterPath:
         return np.asarray((ends[1] - ends[0]) / exposure_s)
 
     def shifted(self, t_s: float) -> JitterPath:
-        """The same path with its time counted from `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
+        """The same path with time relative to `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
         phase = 2.0 * np.pi * self.frequency_hz * t_s
         cosine, sine = np.cos(phase), np.sin(phase)
         return replace(
@@ -193,14 +194,14 @@ def draw_jitter(
     rng: np.random.Generator,
     body_to_camera: ArrayLike | None = None,
 ) -> JitterPath | None:
-    """One realisation, for one exposure or a whole sequence; None, and nothing drawn, where there is no jitter.
+    """One realisation, for one exposure or a whole sequence; None, without using random numbers, if there is no jitter.
 
     Parameters
     ----------
     parameters : Jitter
         Variances and axes.
     spectrum : Spectrum
-        Of `load_spectrum`.
+        From `load_spectrum`.
     rng : Generator
         Stream ``jitter`` of the trial, or of the sequence.
     body_to_camera : (3, 3) array, optional
@@ -208,9 +209,8 @@ def draw_jitter(
 
     Notes
     -----
-    The true attitude of a frame is that of mid-exposure turned by the mean of the jitter over the exposure, which is
-    where the stars' images have their centres; `JitterPath.mean` gives it and `JitterPath.centred` the rest, which
-    blurs.
+    The true attitude of a frame is that at mid-exposure plus the mean jitter over the exposure, at which the star
+    images are centred. `JitterPath.mean` is this mean and `JitterPath.centred` the remaining jitter, which blurs.
     """
     if parameters.is_off:
         return None

@@ -1,4 +1,4 @@
-"""Where a star image is measured to be: the mean, over its positions in a pixel, of what a fit of a Gaussian finds."""
+"""Measured position of a star image: the result of a Gaussian fit, averaged over sub-pixel positions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["measured_centroid"]
 FloatArray = NDArray[np.float64]
 
 CONTRAST = 50.0
-"""Photon noise over background noise (variances) in the brightest pixel of the star that defines the position: that of
-the stars that calibrations and attitudes rest upon."""
+"""Ratio of photon noise to background noise (variances) in the brightest pixel of the star that defines the position,
+typical of the stars that dominate calibrations and attitudes."""
 _PHASES = 7
-"""Positions in a pixel along each axis; odd, so that mirrored images have mirrored positions."""
+"""Number of sub-pixel positions along each axis; odd, so that mirrored images have mirrored positions."""
 _LEAST_HALF_PX, _WIDTHS = 2, 2.5
 """Half width of the fitted window, pixels and standard deviations of the Gaussian."""
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -29,27 +29,27 @@ _TOLERANCE_PX = 1e-6
 _MOST_STEPS = 60
 _LEAST_VARIANCE_PX2 = 0.01
 _PIXEL_PX2, _NARROW_PX2 = 1.0 / 12.0, 0.05
-"""Variance of a pixel, and the least one at which fits start."""
+"""Variance of a uniform pixel, and the minimum variance at the start of a fit."""
 
 
 def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tuple[float, float]:
-    """Position (x, y), pixels, at which fits of a Gaussian find an image whose geometric centroid is at (0, 0).
+    """Mean position (x, y), pixels, from Gaussian fits of an image whose geometric centroid is at (0, 0).
 
-    A camera is calibrated with many stars at random positions in their pixels, so that the shift of its centroids from
-    the geometric one, averaged over the pixel, is part of its distortion and alignment. The image integrated over
-    pixels, at `_PHASES`² positions, is fitted with an elliptical Gaussian integrated over pixels; all are fitted again
-    with the median ellipse, as a frame's stars are; the position is the mean of these fits. Weights are 1/(1 + q p/m)
-    with p the model, m its maximum and q = `CONTRAST`. Positions of much brighter and fainter stars differ: for coma by
-    up to a third of the distance to the geometric centroid.
+    A camera is calibrated with many stars at random sub-pixel positions, so that the shift of its centroids from the
+    geometric one, averaged over the pixel, is part of its distortion and alignment. The pixel-integrated image at
+    `_PHASES`² sub-pixel positions is fitted with a pixel-integrated elliptical Gaussian, and again with the median
+    ellipse, as the stars of a frame are. The position is the mean of these fits. Weights are 1/(1 + q p/m) with the
+    model p, its maximum m and q = `CONTRAST`. Positions of much brighter and fainter stars differ: for coma by up to a
+    third of the distance to the geometric centroid.
 
     Parameters
     ----------
     images : Images
         Images by wavelength.
     spectrum : (K,) array
-        Share of the light at each wavelength.
+        Fraction of the light at each wavelength.
     half_px : int
-        How far from the geometric centroid the light is looked at.
+        Half width of the region around the geometric centroid that is used.
     """
     count = half_px * _PHASES
     at: FloatArray = np.arange(-count, count + 1, dtype=np.float64) / _PHASES
@@ -68,8 +68,8 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
 
 
 def _stamps(light: FloatArray, at: FloatArray, x: int, y: int, half: int) -> tuple[FloatArray, FloatArray]:
-    """Middles of the pixels (P, 2, W), x and y, and light in them (P, W, W), of windows about the pixel nearest to the
-    peak at column x and row y of `light`, for all positions of the star in a pixel."""
+    """Pixel centres (P, 2, W), x and y, and light (P, W, W) of windows around the pixel closest to the peak at column x
+    and row y of `light`, for all sub-pixel positions."""
     shifts = np.arange(_PHASES) - _PHASES // 2
     pixels, stamps = [], []
     steps = np.arange(-half, half + 1) * _PHASES
@@ -83,8 +83,8 @@ def _stamps(light: FloatArray, at: FloatArray, x: int, y: int, half: int) -> tup
 
 
 def _fit(pixels: FloatArray, stamps: FloatArray, start: FloatArray, free: int) -> FloatArray:
-    """Parameters (P, 5) x, y, variances and covariance of Gaussians, the first `free` of them fitted by Gauss-Newton;
-    the flux is fitted along."""
+    """Parameters (P, 5) x, y, variances and covariance of Gaussians, the first `free` of them and the flux fitted by
+    the Gauss–Newton method."""
     fits = start.copy()
     data = stamps.reshape(len(stamps), -1)
     for _ in range(_MOST_STEPS):
@@ -114,7 +114,7 @@ def _fit(pixels: FloatArray, stamps: FloatArray, start: FloatArray, free: int) -
 
 
 def _gaussian(pixels: FloatArray, fits: FloatArray) -> FloatArray:
-    """Elliptical Gaussians (P, W²) integrated over pixels: along x exactly, by Gauss and Legendre's rule along y."""
+    """Elliptical Gaussians (P, W²) integrated over pixels: exactly along x, by Gauss–Legendre quadrature along y."""
     x, y, xx, yy, xy = fits.T[:, :, None, None]
     rows = (pixels[:, 1, :, None] + 0.5 * _NODES).reshape(len(fits), -1)[:, :, None] - y
     density = np.exp(-0.5 * rows**2 / yy) / np.sqrt(2.0 * math.pi * yy)

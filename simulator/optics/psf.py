@@ -1,4 +1,4 @@
-"""Point-spread functions integrated over pixels, laid down in tables: drawing a star evaluates no optics."""
+"""Point-spread functions integrated over pixels, as tables, so that rendering does not evaluate the optics."""
 
 from __future__ import annotations
 
@@ -22,32 +22,31 @@ FloatArray = NDArray[np.float64]
 
 SIGMA_PER_RING = 1.34985 / 3.831705970207512
 """σ of the Gaussian that fits the core of an Airy pattern, over the radius of its first dark ring: the minimax fit of
-Greyling 1995, § 4.1. His 1.34985 is in units of the argument of [2J₁(v)/v]², whose first dark ring lies at v =
-3.8317: σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as in his § 4.3.3, it belongs to a ring at 3.83 px,
-not 2.)"""
+Greyling 1995, § 4.1. His 1.34985 is in units of the argument of [2J₁(v)/v]², whose first dark ring is at v = 3.8317:
+σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as in § 4.3.3 there, it would be for a ring at 3.83 px, not 2.)"""
 
 WING_LIMIT_E = 0.02
-"""A star is drawn outwards until a pixel gets fewer electrons than this."""
+"""A star is rendered outwards until a pixel gets fewer electrons than this."""
 
 FLUX_LOSS = 1e-6
-"""A Gaussian star is drawn at least so far out that no more than this share of it is left out."""
+"""A Gaussian star is rendered at least to the radius beyond which this fraction of its light remains."""
 
 MIN_LAMBDA_N_PX = 1.0 / 12.0
-"""An Airy pattern sharper than this is drawn at it, so that the tables stay small. Diffraction throws 0.36 λN of the
-light out of the pixel of a centred star, so that such a pixel gets 3 % too little at the most."""
+"""A sharper Airy pattern is rendered with this value, to limit the size of tables. Diffraction scatters 0.36 λN of the
+light out of the pixel of a centred star, so that this pixel gets at most 3 % too little."""
 
 WING_RADIUS_PX = 512.0
-"""Where the tables of the wings end; 2 λN/(π² 512 px) of an Airy pattern lies outside: 0.04 % at λN = 1 px."""
+"""End of the tables of the wings; 2 λN/(π² 512 px) of an Airy pattern is outside: 0.04 % at λN = 1 px."""
 
 _LEAST_SIGMAS = math.sqrt(2.0) * float(erfcinv(FLUX_LOSS / 2.0))
 """Both axes lose at most `FLUX_LOSS` together: erfc(h/σ√2) ≤ FLUX_LOSS/2 on each."""
 
 LEAST_SHARE = 1.5e-4
-"""A star from a table, however faint, is drawn until a pixel gets less than this share of what the brightest can
-get."""
+"""A star from a table, of any brightness, is rendered until a pixel gets less than this fraction of the maximum of the
+brightest pixel."""
 
 MAX_HALF_PX = 64
-"""Largest half width of the stamp of a table."""
+"""Maximum half width of the stamp of a table."""
 
 _WING_STEP_PX = 0.125
 
@@ -57,7 +56,7 @@ _INTERPOLATION = 2e-4
 
 @dataclass(frozen=True)
 class Lens:
-    """What of lens and detector makes the image of a star, besides the model of the PSF."""
+    """Parameters of lens and detector that determine a star image, in addition to the PSF model."""
 
     f_number: float
     """Focal length over aperture."""
@@ -89,18 +88,18 @@ class Psf:
     sigma_y_px: float
     """Standard deviation along columns and rows of the Gaussian, or of the one that fits the core of another model."""
     feature_px: float
-    """Finest structure that matters to how densely a smeared path must be sampled, pixels."""
+    """Finest structure, which determines the sampling of smeared paths, pixels."""
     core: NDArray[np.float64] | NDArray[np.float32] | None = None
-    """(P, P, M, M), or None: an exact Gaussian. Otherwise share of the light in pixel (row j, column i) of the stamp,
-    [b, a, j, i], for a star a phases right of and b phases below the centre; see `phases`."""
+    """(P, P, M, M), or None for an exact Gaussian. Fraction of the light in pixel (row j, column i) of the stamp,
+    [b, a, j, i], for a star a phases to the right of and b phases below the centre; see `phases`."""
     phases: int = 1
-    """Phases a pixel. Phase index a stands for the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with
-    margins for the interpolation."""
+    """Phases per pixel. Phase index a is the offset (a − P // 2)/phases pixels, and P covers −½ to +½ with margins for
+    the interpolation."""
     wing: FloatArray | None = None
-    """(W,): Share of the light in a pixel by its distance from the star, outside the stamp, `wing_step_px` apart
-    (pixels along columns)."""
+    """(W,): Fraction of the light in a pixel by its distance from the star, outside the stamp, in steps of
+    `wing_step_px` (pixels along columns)."""
     drawn: FloatArray | None = None
-    """(W,): Share of the light that a star drawn with wings to a radius leaves, `wing_step_px` apart
+    """(W,): Fraction of the light of a star rendered with wings to a radius, in steps of `wing_step_px`
     (`simulator.optics.psf_table.join`)."""
     wing_step_px: float = _WING_STEP_PX
     """Step of these tables."""
@@ -117,17 +116,17 @@ class Psf:
 
     @property
     def core_half_px(self) -> int:
-        """Pixels from the middle of the stamp of a table to its edge; 0 for a Gaussian, which has no table."""
+        """Pixels from the centre of the stamp of a table to its edge; 0 for a Gaussian, which has no table."""
         return 0 if self.core is None else self.core.shape[3] // 2
 
     def radius_px(self, electrons: ArrayLike) -> FloatArray:
-        """How far out stars are drawn, pixels along columns; every pixel whose centre or, for a Gaussian, edge lies
-        within.
+        """Radius to which stars are rendered, pixels along columns: every pixel whose centre (for a Gaussian, edge) is
+        inside.
 
-        Until a pixel gets fewer than `WING_LIMIT_E` electrons; a Gaussian at least until `FLUX_LOSS` of it is left out,
-        a table at least until `LEAST_SHARE` and at most to `WING_RADIUS_PX`. Faint stars are the square stamp of the
-        table and nothing else (the radius is then that of the stamp); the wings of others end in a soft rim,
-        `TAPER_PX` wide, outside this radius.
+        Until a pixel gets fewer than `WING_LIMIT_E` electrons; a Gaussian at least until `FLUX_LOSS` remains, a table
+        at least until `LEAST_SHARE` and at most to `WING_RADIUS_PX`. For faint stars only the square stamp of the table
+        is rendered (the radius is then that of the stamp); the wings of others end in a taper of width `TAPER_PX`
+        outside this radius.
 
         Parameters
         ----------
@@ -146,7 +145,7 @@ class Psf:
 
     @property
     def peak(self) -> float:
-        """Share of the light in the pixel that a star stands in the middle of."""
+        """Fraction of the light in the central pixel of a centred star."""
         if self.core is None:
             scale = math.sqrt(8.0)
             return math.erf(1.0 / (scale * self.sigma_px)) * math.erf(1.0 / (scale * self.sigma_y_px))
@@ -156,7 +155,7 @@ class Psf:
 
 @kernel
 def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) -> FloatArray:
-    """Kernel: where Gaussians whose peak is electrons (N,) / `limit_e` of the limit fall to it, and not too near."""
+    """Kernel: radius at which Gaussians with a peak of electrons (N,) / `limit_e` fall to the limit, with a minimum."""
     out = np.empty(len(electrons))
     for n in range(len(electrons)):
         out[n] = sigma_px * max(_LEAST_SIGMAS, math.sqrt(2.0 * math.log(max(electrons[n] / limit_e, 1.0))))
@@ -164,8 +163,8 @@ def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) 
 
 
 def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:
-    """Distance beyond which the wings stay below a share of the light in a pixel."""
-    envelope = np.maximum.accumulate(wing[::-1])  # falling outwards, whatever the rings do
+    """Distance beyond which the wings stay below a fraction of the light per pixel."""
+    envelope = np.maximum.accumulate(wing[::-1])  # monotone envelope of the rings
     return np.asarray((len(wing) - np.searchsorted(envelope, share, side="left")) * step_px)
 
 
@@ -176,9 +175,9 @@ def build_psf(
     obscuration: float = 0.0,
     diffusion_um: float = 0.0,
 ) -> Psf:
-    """Point-spread function of a scenario in the middle of the field, at `wavelength_nm`.
+    """Point-spread function at the centre of the field, at `wavelength_nm`.
 
-    `simulator.optics.psf_set.build_psf_set` goes on to colours and to the rest of the field.
+    `simulator.optics.psf_set.build_psf_set` includes colours and the rest of the field.
 
     Parameters
     ----------
@@ -204,9 +203,9 @@ def build_psf(
 def gaussian(psf_model: PsfModel, lens: Lens) -> Psf:
     """Gaussian integrated exactly over pixels (products of differences of the error function).
 
-    σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring of `first_dark_ring_px`, or else of
-    the diffraction by a clear aperture: σ = 0.3523 r_ring (`SIGMA_PER_RING`); charge diffusion adds in square. It is
-    round on the detector: with pixels that are not square σ along rows is σ × pitch_x / pitch_y pixels.
+    σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring `first_dark_ring_px` or, by default,
+    that of a clear aperture: σ = 0.3523 r_ring (`SIGMA_PER_RING`); charge diffusion is added in quadrature. The image
+    is round on the detector: if pixels are not square, σ along rows is σ × pitch_x / pitch_y pixels.
     """
     if psf_model.sigma_px is not None and psf_model.first_dark_ring_px is not None:
         raise InputError("a PSF takes sigma_px or first_dark_ring_px, not both")
@@ -222,10 +221,10 @@ def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
     """Airy pattern of a circular aperture, I(r) = π/(4λ²N²(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πr/(λN),
     integrated over pixels (Born & Wolf, § 8.6.2); ε is the central obscuration.
 
-    The first dark ring lies at 1.21967 λN for a clear aperture (`airy.first_ring`), or where `first_dark_ring_px` puts
-    it: defocus as a scaled pattern (Greyling 1995, § 4.1). Near the star the table is exact
-    at `phases` offsets a pixel and interpolated between them (error below 5e-5 of the peak); further out the mean over
-    a ring as wide as a pixel stands in (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is drawn at that.
+    The first dark ring is at 1.21967 λN for a clear aperture (`airy.first_ring`), or at `first_dark_ring_px`: defocus
+    as a scaled pattern (Greyling 1995, § 4.1). Near the star the table is exact at `phases` offsets per pixel and
+    interpolated between them (error below 5e-5 of the peak); further out it is the mean over a ring of one pixel width
+    (`airy.annulus_share`). λN below `MIN_LAMBDA_N_PX` is replaced by this value.
     """
     if psf_model.sigma_px is not None:
         raise InputError("an Airy PSF takes first_dark_ring_px, not sigma_px; or set model: gaussian")
@@ -233,7 +232,7 @@ def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
     ring, aspect, hole = first_dark_ring_px(psf_model, lens), lens.aspect, lens.obscuration
     lambda_n = max(ring / airy.first_ring(hole), least_lambda_n_px(aspect))
     finest, widest = lambda_n * min(1.0, aspect), lambda_n * max(1.0, aspect)
-    phases = 2 * max(2, math.ceil(6.0 / finest))  # twelve a period of the highest frequency the optics pass
+    phases = 2 * max(2, math.ceil(6.0 / finest))  # twelve per period of the highest spatial frequency of the optics
     wing = airy.annulus_share(np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX), lambda_n, aspect, hole)
     peak = airy.pixel_integrals(np.zeros(1), np.zeros(1), lambda_n, aspect, hole, lens.diffusion_px)[0, 0]
     half = stamp_half_px(math.ceil(4.0 * widest) + 3, wing, float(peak), aspect)
@@ -247,7 +246,7 @@ def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
 
 
 def diffracted(psf_model: PsfModel, lens: Lens) -> Psf:
-    """Image by a lens with aberrations in the middle of the field, at one wavelength, by diffraction; see
+    """Diffraction image of a lens with aberrations at the centre of the field, at one wavelength; see
     `simulator.optics.pupil`."""
     coefficients = diffraction.axial_coefficients(psf_model, lens.f_number)
     return aberrated(psf_model, lens, coefficients, np.array([psf_model.wavelength_nm]), np.ones((1, 1)))[0]
@@ -258,18 +257,18 @@ def aberrated(
 ) -> list[Psf]:
     """PSFs of one wavefront for several spectra.
 
-    The position of a star is the measured centroid of its image, of the mean of the spectra: a camera is calibrated
-    with measured centroids, so that coma, which moves them from the geometric one, is part of its distortion. All
-    spectra keep their geometric centroids together, so that the colour of a star still moves its measured one.
+    The position of a star is the measured centroid of its image, for the mean of the spectra: a camera is calibrated
+    with measured centroids, so that their shift by coma is part of its distortion. All spectra have the same geometric
+    centroid, so that the measured centroid depends on the colour of a star.
 
-    The core is exact at the phases of the table (1e-6 of the peak) and interpolated between them (2e-4 of the
-    peak); it is kept in single precision.
-    The wings are those of the aperture without aberrations, scaled by 1 + α/r² so that no light is lost.
+    The core is exact at the phases of the table (1e-6 of the peak) and interpolated between them (2e-4 of the peak); it
+    is stored in single precision. The wings are those of the aperture without aberrations, scaled by 1 + α/r² to
+    conserve the light.
 
     Parameters
     ----------
     psf_model : PsfModel
-        The psf_model.
+        Model.
     lens : Lens
         Lens and detector.
     coefficients : (T,) array
@@ -277,17 +276,17 @@ def aberrated(
     wavelengths_nm : (K,) array
         Wavelengths.
     weights : (C, K) array
-        Share of the electrons at each, for each spectrum; rows sum to 1.
+        Fraction of the electrons at each wavelength, for each spectrum; rows sum to 1.
     """
     if psf_model.sigma_px is not None or psf_model.first_dark_ring_px is not None:
         raise InputError(
             "a PSF of model diffraction, or a polychromatic one, has the width of its optics: leave sigma_px and "
-            "first_dark_ring_px out; defocus_um and zernike_waves put a lens out of focus"
+            "first_dark_ring_px out; use defocus_um or zernike_waves for defocus"
         )
     aspect, hole = lens.aspect, lens.obscuration
     true_px = wavelengths_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
     lambda_n = np.maximum(true_px, least_lambda_n_px(aspect))
-    # the same path at all wavelengths; where λN is drawn too wide the geometric image keeps its size
+    # the same path at all wavelengths; the geometric image keeps its size if λN is increased
     waves = np.outer(psf_model.wavelength_nm / wavelengths_nm * true_px / lambda_n, coefficients)
     finest, widest = float(lambda_n.min()) * min(1.0, aspect), float(lambda_n.max()) * max(1.0, aspect)
     spread = (diffraction.spread_px(waves, lambda_n, hole) + 3.0 * lens.diffusion_px) * max(1.0, aspect)
@@ -295,13 +294,13 @@ def aberrated(
     if spread + margin > MAX_HALF_PX:
         raise InputError(
             f"the aberrations spread a star over {spread:.0f} pixels to each side; at most "
-            f"{MAX_HALF_PX - margin:.0f} can be drawn: lower zernike_waves, defocus_um or field"
+            f"{MAX_HALF_PX - margin:.0f} can be rendered: lower zernike_waves, defocus_um or field"
         )
     r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
     wings = weights @ np.array([airy.annulus_share(r, scale, aspect, hole) for scale in lambda_n])
     totals = weights @ np.array([float(airy.encircled_energy(r[-1] / scale, hole)) for scale in lambda_n])
     half, room = math.ceil(spread + margin), 1
-    for _ in range(2):  # the second time the stamp is as large as peak and centroid of the first ask
+    for _ in range(2):  # in the second iteration the stamp has the size required by peak and centroid of the first
         images = diffraction.Images(waves, lambda_n, hole, aspect, lens.diffusion_px, half + room)
         centre = measured_centroid(images, weights.mean(axis=0), half)
         away = max(abs(centre[0]), abs(centre[1]))
@@ -332,8 +331,8 @@ def aberrated(
 
 
 def first_dark_ring_px(psf_model: PsfModel, lens: Lens) -> float:
-    """Radius of the first dark ring in pixels along columns: the chosen one, or that of the diffraction (1.21967 λN
-    for a clear aperture)."""
+    """Radius of the first dark ring in pixels along columns: the given one, or that of diffraction (1.21967 λN for a
+    clear aperture)."""
     if psf_model.first_dark_ring_px is not None:
         return psf_model.first_dark_ring_px
     hole = lens.obscuration if psf_model.model != "gaussian" else 0.0
@@ -341,12 +340,12 @@ def first_dark_ring_px(psf_model: PsfModel, lens: Lens) -> float:
 
 
 def least_lambda_n_px(aspect: float) -> float:
-    """λN (pixels along columns) below which tables are not made."""
+    """Minimum λN (pixels along columns) of tables."""
     return max(MIN_LAMBDA_N_PX, MIN_LAMBDA_N_PX / aspect)
 
 
 def stamp_half_px(least: int, wing: FloatArray, peak: float, aspect: float) -> int:
-    """Half width of a stamp that holds the faintest stars without wings, `MAX_HALF_PX` at most."""
+    """Half width of a stamp for the faintest stars without wings, at most `MAX_HALF_PX`."""
     reach = float(_reach(wing, LEAST_SHARE * peak, _WING_STEP_PX)) * max(1.0, aspect)
     return min(max(4, least, math.ceil(reach) - 1), MAX_HALF_PX)
 

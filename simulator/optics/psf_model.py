@@ -1,4 +1,4 @@
-"""Parameters of a star's image: model, width, aberrations over the whole field and towards its corners."""
+"""Parameters of the PSF: model, width, constant and field-dependent aberrations."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Zernike:
-    """Aberrations over the whole field: Zernike coefficients (Noll 1976), waves rms at `PsfModel.wavelength_nm`."""
+    """Constant aberrations: Zernike coefficients (Noll 1976), waves rms at `PsfModel.wavelength_nm`."""
 
     defocus: float = 0.0
-    """Z4; peak to valley it is 3.46 times this."""
+    """Z4; the peak-to-valley value is 3.46 times this."""
     astigmatism_oblique: float = 0.0
     """Z5, with the sine of twice the angle from columns to rows."""
     astigmatism: float = 0.0
@@ -29,38 +29,38 @@ class Zernike:
 
 @dataclass(frozen=True)
 class FieldAberrations:
-    """Aberrations that grow with the distance h from the centre of the image: their values at its corners (h = 1)."""
+    """Field-dependent aberrations: values at the image corners, h = 1 (h: distance from the image centre)."""
 
     coma_waves: float = 0.0
-    """Coma along the radius, goes with h; waves rms."""
+    """Radial coma, proportional to h; waves rms."""
     astigmatism_waves: float = 0.0
-    """Astigmatism about the radius, goes with h²; waves rms."""
+    """Radial astigmatism, proportional to h²; waves rms."""
     curvature_waves: float = 0.0
-    """Defocus by the curvature of the field, goes with h²; waves rms."""
+    """Defocus by field curvature, proportional to h²; waves rms."""
     rings: int = 4
-    """Zones along the radius, besides the one in the middle."""
+    """Number of radial zones, in addition to the central one."""
     azimuths: int = 12
-    """Zones around."""
+    """Number of azimuthal zones."""
 
 
 @dataclass(frozen=True)
 class PsfModel:
-    """Shape of a star's image, before smear."""
+    """Shape of a star image without smear."""
 
     model: str = "gaussian"
     """``gaussian``, ``airy``, or ``diffraction`` for a lens with aberrations."""
     sigma_px: float | None = None
     """Standard deviation of the Gaussian, pixels along columns."""
     first_dark_ring_px: float | None = None
-    """Radius of the first dark ring, pixels: defocus as a scaled pattern (Greyling 1995: 2.0). Left out, an Airy image
-    is diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits that Airy."""
+    """Radius of the first dark ring, pixels: defocus as a scaled pattern (Greyling 1995: 2.0). If omitted, an Airy
+    image is diffraction-limited at `wavelength_nm`, and a Gaussian without `sigma_px` has the width that fits it."""
     wavelength_nm: float = 600.0
     """Effective wavelength of the diffraction."""
     polychromatic: bool = False
     """Airy and diffraction: sum the images of all wavelengths, weighted by the spectrum of each star."""
     zernike_waves: Zernike = Zernike()
-    """Diffraction: aberrations over the whole field."""
+    """Diffraction: constant aberrations."""
     defocus_um: float = 0.0
-    """Diffraction: distance of the detector from the focus, on top of `zernike_waves.defocus`."""
+    """Diffraction: distance of the detector from the focus, in addition to `zernike_waves.defocus`."""
     field: FieldAberrations = FieldAberrations()
-    """Diffraction: aberrations that grow towards the corners."""
+    """Diffraction: field-dependent aberrations."""

@@ -1,4 +1,4 @@
-"""The images of all stars of a camera: one PSF, or one for each colour of star and zone of the field."""
+"""The PSFs of a camera: a single one, or one for each star colour and field zone."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ SPECTRA_MADE = (
     *((-0.3, math.nan), (-0.05, math.nan), (0.2, math.nan), (0.7, math.nan), (1.2, math.nan)),
     *((1.6, 11.5), (1.6, 14.0), (1.5, 16.0)),
 )
-"""B−V and `giant` (`simulator.sky.photometry`) of the stars that polychromatic images are made for; others are drawn as
-the mixture of two of these images that has their mean wavelength."""
+"""B−V and `giant` (`simulator.sky.photometry`) of the stars for which polychromatic images are computed; for other
+stars two of these images are mixed so that the mean wavelength is correct."""
 
 FEW_SPECTRA_MADE = ((-0.2, math.nan), (0.7, math.nan), (1.6, 11.5), (1.5, 16.0))
-"""The same where the images vary over the field too."""
+"""The same for images that also vary over the field."""
 
 DEFAULT_B_V = 0.6
-"""Colour of a star whose B−V is not known, as in `simulator.sky.spectra`."""
+"""Colour of a star with unknown B−V, as in `simulator.sky.spectra`."""
 
 NODES, FEW_NODES = 9, 7
-"""Wavelengths of a polychromatic image, at equal ratios; fewer where it varies over the field."""
+"""Number of wavelengths of a polychromatic image, at equal ratios; fewer if it varies over the field."""
 
 _FINE_NM = np.arange(200.0, 2600.0, 10.0)
 _TAIL = 5e-4
@@ -42,12 +42,12 @@ _TAPS = 4
 
 
 class PsfSet:
-    """The PSFs of a camera, made when a star first asks for one.
+    """The PSFs of a camera, computed on demand.
 
-    Zones of the field are rings about the centre of the image, cut by azimuth; a star takes the image computed for the
-    middle of its zone. By its spectrum it takes a mixture of the two images of `SPECTRA_MADE` whose mean wavelengths
-    lie on both sides of its own. Against the direct sum over its spectrum such an image is within 0.3 % of the peak
-    (1 % where the images vary over the field too, of which there are fewer).
+    Field zones are rings around the image centre, divided in azimuth; a star has the image computed for the centre of
+    its zone. For its spectrum, the two images of `SPECTRA_MADE` whose mean wavelengths bracket its own are mixed. Such
+    an image agrees with the direct sum over its spectrum to 0.3 % of the peak (1 % if the images also vary over the
+    field, for which there are fewer spectra).
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ class PsfSet:
     size_px : (int, int)
         Columns and rows of the detector.
     weights_of : callable, optional
-        ``weights_of(b_v (N,), edges_nm (K + 1,), giant (N,)) -> (N, K)`` electrons (or their share) that stars of these
-        colours and classes leave between edges of wavelength; needed where `psf_model.polychromatic` is set.
+        ``weights_of(b_v (N,), edges_nm (K + 1,), giant (N,)) -> (N, K)`` electrons (or fractions) of stars of these
+        colours and classes between wavelength edges; needed if `psf_model.polychromatic` is set.
 
     Raises
     ------
     InputError
-        For keys that contradict each other, or aberrations too large to draw.
+        For contradictory keys, or aberrations that are too large.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class PsfSet:
         self.feature_px = min(psf.feature_px for psf in ends)
         """Finest structure of all images, for the sampling of smeared paths."""
         self.sigma_px = self._zone(0)[int(np.argmin(np.abs(self._colours - DEFAULT_B_V)))].sigma_px
-        """σ of the Gaussian that fits the image of a star of middling colour on the axis without aberrations, px."""
+        """σ of the Gaussian that fits the on-axis image, without aberrations, of a star of medium colour, px."""
 
     def radius_px(self, electrons: ArrayLike) -> FloatArray:
-        """How far stars may reach, pixels: the most of the images on the axis and of the reddest in a corner."""
+        """Maximum radius of star images, pixels, of the images on axis and of the reddest in a corner."""
         return functools.reduce(np.maximum, [psf.radius_px(electrons) for psf in self._widest])
 
     def psf(self, b_v: float = DEFAULT_B_V, xy: tuple[float, float] | None = None) -> Psf:
@@ -103,14 +103,14 @@ class PsfSet:
         return self.groups(np.array([b_v]), position)[0][1]
 
     def groups(self, b_v: ArrayLike, xy: ArrayLike) -> list[tuple[IntArray, Psf]]:
-        """Stars that share an image.
+        """Groups of stars with the same PSF.
 
         Parameters
         ----------
         b_v : (N,) array
             Colours B−V; NaN where unknown.
         xy : (N, 2) array
-            Places in the middle of the exposure, pixels; those off the image count as its edge, NaN as its centre.
+            Positions at mid-exposure, pixels; those outside the image are moved to its edge, NaN to its centre.
 
         Returns
         -------
@@ -132,7 +132,7 @@ class PsfSet:
         ]
 
     def blends(self, wavelength_nm: ArrayLike, xy: ArrayLike) -> list[tuple[IntArray, FloatArray, Psf]]:
-        """Stars by image, and the share of each star's light that takes it; a star may take two images.
+        """Stars by image with the fraction of each star's light; a star may use two images.
 
         Parameters
         ----------
@@ -143,8 +143,8 @@ class PsfSet:
 
         Returns
         -------
-        list of ((M,) array of indices, (M,) array of shares, Psf)
-            The shares of every star add up to 1.
+        list of ((M,) array of indices, (M,) array of fractions, Psf)
+            The fractions of every star sum to 1.
         """
         xy = np.asarray(xy, dtype=float)
         count = len(self._means_nm)
@@ -170,7 +170,7 @@ class PsfSet:
             return np.zeros(len(xy), dtype=np.int64)
         field = self._model.field
         h, azimuth = self._polar(np.asarray(xy, dtype=float))
-        # the middle zone reaches to half a ring; then rings of equal width, the last about the corners
+        # the central zone has the radius of half a ring; then rings of equal width, the last one at the corners
         ring = np.minimum(np.floor(np.minimum(h, 1.0) * field.rings + 0.5).astype(np.int64), field.rings)
         sector = np.floor(azimuth / math.tau * field.azimuths + 0.5).astype(np.int64) % field.azimuths
         return np.where(ring == 0, 0, 1 + (ring - 1) * field.azimuths + sector)
@@ -185,7 +185,7 @@ class PsfSet:
         return 1 + self._model.field.rings * self._model.field.azimuths if self._varies else 1
 
     def _polar(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance from the centre of the image relative to the corners', and azimuth from 0 to 2π."""
+        """Distance from the image centre relative to that of the corners, and azimuth from 0 to 2π."""
         width, height = self._size_px
         row = self._lens.pitch_um[1] / self._lens.pitch_um[0]
         x, y = xy[:, 0] - (width - 1) / 2, (xy[:, 1] - (height - 1) / 2) * row
@@ -206,9 +206,9 @@ class PsfSet:
         return self._psfs[zone]
 
     def _images(self, coefficients: FloatArray) -> list[Psf]:
-        """The images by a wavefront, one for each colour: computed, or mirrored from one that is its mirror image.
+        """Images of a wavefront, one for each colour: computed, or mirrored from an existing one.
 
-        With square pixels and a wavefront that turns with the azimuth, 2 of 12 azimuths are computed.
+        With square pixels and a wavefront that rotates with azimuth, only 2 of 12 azimuths are computed.
         """
         for swap, sign_x, sign_y in itertools.product((False, True), (1, -1), (1, -1)):
             if swap and self._lens.aspect != 1.0:
@@ -226,7 +226,7 @@ def _key(coefficients: FloatArray) -> tuple[float, ...]:
 
 
 def _mirrored(psf: Psf, swap: bool, sign_x: int, sign_y: int) -> Psf:
-    """The image by W where `psf` is that by `diffraction.mirrored(W, swap, sign_x, sign_y)`."""
+    """The image of W, given that of `diffraction.mirrored(W, swap, sign_x, sign_y)`."""
     if psf.core is None or (not swap and sign_x > 0 and sign_y > 0):
         return psf
     core = np.asarray(psf.core[::sign_y, ::sign_x, ::sign_y, ::sign_x], dtype=np.float32)
@@ -255,19 +255,17 @@ def build_psf_set(
 def _spectra(
     psf_model: PsfModel, weights_of: WeightsOf | None, varies: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """B−V (C,) and mean wavelengths (C,), rising, of spectra; wavelengths (K,) of their images and weights (C, K).
+    """B−V (C,) and mean wavelengths (C,), ascending, of spectra; wavelengths (K,) of their images and weights (C, K).
 
-    The image is a smooth function of the wavelength λ: from those at the nodes a cubic gives it at any other, so that
-    the electrons at λ count for four nodes by Lagrange's weights (some of them negative), and the sum over a spectrum
-    is good to 1e-3 of the peak with seven nodes. They are spread over all but 0.05 % of the electrons on each side.
+    The image is a smooth function of the wavelength λ and is interpolated by a cubic between nodes: the electrons at λ
+    contribute to four nodes with Lagrange weights (some of them negative), and the sum over a spectrum is accurate to
+    1e-3 of the peak with seven nodes. The nodes cover all but 0.05 % of the electrons on each side.
     """
     if not psf_model.polychromatic:
         one = np.array([psf_model.wavelength_nm])
         return np.array([DEFAULT_B_V]), one, one, np.ones((1, 1))
     if psf_model.model not in ("airy", "diffraction"):
-        raise InputError(
-            f"a PSF of model {psf_model.model} is the same in every colour; set model: airy or diffraction"
-        )
+        raise InputError(f"a PSF of model {psf_model.model} does not depend on colour; set model: airy or diffraction")
     if weights_of is None:
         raise InputError("a polychromatic PSF needs the spectra of the stars: pass weights_of")
     b_v, giant = np.array(FEW_SPECTRA_MADE if varies else SPECTRA_MADE).T
@@ -283,7 +281,7 @@ def _spectra(
 
 
 def _lagrange(at: FloatArray, nodes: FloatArray) -> FloatArray:
-    """Weights (N, K) of nodes (K,) for the cubic through the four about each point (N,)."""
+    """Weights (N, K) of nodes (K,) for cubic interpolation at each point (N,)."""
     first = np.clip(np.searchsorted(nodes, at) - _TAPS // 2, 0, len(nodes) - _TAPS)
     weights = np.zeros((len(at), len(nodes)))
     for a in range(_TAPS):

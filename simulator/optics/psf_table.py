@@ -1,4 +1,4 @@
-"""From light in the image plane to the table of a PSF: pixel integrals at many phases, and sums that keep flux."""
+"""Tables of a PSF from the intensity in the image plane: pixel integrals at many phases, with conserved flux."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 TAPS = 4
-"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is written out for
-four."""
+"""Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is unrolled for four."""
 
 TAPER_PX = 4.0
-"""Width of the rim over which the wings of a star fade out, pixels along columns."""
+"""Width of the taper at the end of the wings of a star, pixels along columns."""
 
 STRIDES = (6, 4, 3, 2)
-"""By how much phases may be thinned out."""
+"""Possible factors by which the number of phases is reduced."""
 
 _KNOTS = 11
 
 _SAMPLES_PER_LAMBDA_N = 2.4
-"""Samples of the intensity a λN; two hold all of it, and the rest is room for the interpolating filter."""
+"""Samples of the intensity per λN; two are sufficient for the pattern, and the rest is for the interpolation filter."""
 
 
 def sample_grid(half_px: float, lambda_n_px: float) -> FloatArray:
-    """Positions (pixels) at which a pattern without frequencies above 1/λN must be known for a stamp."""
+    """Positions (pixels) at which a pattern band-limited to 1/λN must be known for a stamp."""
     step = lambda_n_px / _SAMPLES_PER_LAMBDA_N
     count = math.ceil((half_px + 2.0 + 8.0 * lambda_n_px) / step)
     return np.asarray(np.arange(-count, count + 1) * step, dtype=float)
@@ -40,9 +39,9 @@ def pixel_matrix(
 ) -> FloatArray:
     """Matrix (positions, samples) that integrates a sampled pattern over pixels along one axis.
 
-    K(x) = h ∫ s sinc(sf) exp(−2π²σ²f²) w(f) exp(2πifx) df: band-limited interpolation of samples h apart, convolved
-    with a pixel (of size s) and a Gaussian of charge diffusion. w is 1 where the pattern has frequencies, to 1/λN, and
-    falls to 0 before those of its copies begin, at 1/h − 1/λN.
+    K(x) = h ∫ s sinc(sf) exp(−2π²σ²f²) w(f) exp(2πifx) df: band-limited interpolation of samples with spacing h,
+    convolved with a pixel (of size s) and a Gaussian of charge diffusion. w is 1 in the band of the pattern, to 1/λN,
+    and falls to 0 before that of its aliases, at 1/h − 1/λN.
     """
     step = samples_px[1] - samples_px[0]
     passed, stopped = 1.0 / lambda_n_px, 1.0 / step - 1.0 / lambda_n_px
@@ -60,14 +59,14 @@ def pixel_matrix(
         * window
         * step
     )
-    # cos(a − b) splits into products, so that no table of all differences is needed
+    # cos(a − b) is a sum of products, so that no table of all differences is needed
     a, b = 2.0 * np.pi * np.outer(positions_px, f), 2.0 * np.pi * np.outer(samples_px, f)
     return np.asarray((np.cos(a) * spectrum) @ np.cos(b).T + (np.sin(a) * spectrum) @ np.sin(b).T)
 
 
 def offsets(half: int, phases: int, stride: int = 1) -> NDArray[np.int64]:
-    """Offsets of pixels from the star that a stamp with its phases needs, in steps of 1/`phases` of a pixel; the table
-    takes every `stride`-th phase."""
+    """Offsets of pixels from the star for a stamp at all phases, in steps of 1/`phases` of a pixel; the table uses
+    every `stride`-th phase."""
     margin = (phases // stride // 2 + TAPS // 2) * stride
     return np.arange(-half * phases - margin, half * phases + margin + 1)
 
@@ -75,17 +74,17 @@ def offsets(half: int, phases: int, stride: int = 1) -> NDArray[np.int64]:
 def polyphase(fine: FloatArray, half: int, phases: int, stride: int = 1) -> FloatArray:
     """Core table [b, a, j, i] from pixel integrals `fine` (rows, columns) at `offsets`."""
     margin = phases // stride // 2 + TAPS // 2
-    # a star a phases to the right leaves pixel i at i·phases − a from it
+    # for a star shifted by a phases, pixel i has the offset i·phases − a
     index = np.arange(-half, half + 1)[None, :] * phases - np.arange(-margin, margin + 1)[:, None] * stride
     where = index + half * phases + margin * stride
     return np.ascontiguousarray(fine[where[:, None, :, None], where[None, :, None, :]])
 
 
 def coarsest(fine: FloatArray, phases: int, tolerance: float) -> int:
-    """How many times the phases of a table may be thinned out (`STRIDES`); half of them must be a multiple of that.
+    """Factor by which the number of phases of a table can be reduced (`STRIDES`); must divide half of the phases.
 
-    Four-point Lagrange interpolation at steps h is off by at most 3/128 h⁴ |f⁗| on each axis; fourth differences give
-    h⁴ f⁗. The error stays below `tolerance` × the peak.
+    The error of four-point Lagrange interpolation at steps h is at most 3/128 h⁴ |f⁗| on each axis, where h⁴ f⁗ is
+    given by fourth differences. The error stays below `tolerance` × the peak.
     """
     fourth = max(float(np.abs(np.diff(fine, 4, axis=axis)).max()) for axis in (0, 1))
     allowed = tolerance * float(fine.max())
@@ -96,42 +95,42 @@ def coarsest(fine: FloatArray, phases: int, tolerance: float) -> int:
 def join(
     core: FloatArray, phases: int, wing: FloatArray, step_px: float, aspect: float, total: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Make stamps hold the same light at every phase, and say how much stamps and wings shall hold together.
+    """Normalise stamps to the same light at every phase, and determine the total light of stamp and wings.
 
-    The core is scaled (by some 1e-5) to the same sum at all phases, which it then keeps between them too, since the
-    weights of the interpolation add up to 1. The sum of the wings over pixels hangs on the phase by some 1e-5; the
-    kernel draws them first and gives the stamp what is missing to the light returned here.
+    The core is scaled (by about 1e-5) to the same sum at all phases, and then has that sum between phases as well,
+    since the interpolation weights sum to 1. The sum of the wings over pixels depends on the phase by about 1e-5; the
+    kernel renders them first and scales the stamp to the light returned here.
 
     Parameters
     ----------
     core : (P, P, M, M) array
         Scaled in place.
     phases : int
-        Phases a pixel.
+        Phases per pixel.
     wing : (W,) array
-        Share of the light in a pixel by its distance.
+        Fraction of the light in a pixel by its distance.
     step_px : float
         Step of the wings' table.
     aspect : float
         Pitch along columns over pitch along rows.
     total : float, optional
-        Light that core and wings shall hold to the end of the wings' table; the wings are scaled by 1 + α/r² to hold
-        it. Left out, they stay as they are.
+        Light of core and wings to the end of the wings' table; the wings are scaled by 1 + α/r² accordingly. By default
+        they are not scaled.
 
     Returns
     -------
     wing : (W,) array
         The wings.
     drawn : (W,) array
-        Light of stamp and wings, the rim included, of a star drawn to a radius, `step_px` apart: the mean over all
-        phases; of use from `least_radius` on, below which no wings are drawn.
+        Light of stamp and wings, with the taper, of a star rendered to a radius, in steps of `step_px`: the mean over
+        all phases; valid from `least_radius` on, below which no wings are rendered.
     """
     half = core.shape[3] // 2
     middle = core.shape[0] // 2
     radius = least_radius(half, aspect)
     sums = core.sum(axis=(2, 3))
     period = slice(middle - phases // 2, middle + phases // 2 + 1)
-    mean = np.full(phases + 1, 1.0 / phases)  # mirrored tables must come out the same: both ends count half
+    mean = np.full(phases + 1, 1.0 / phases)  # both ends have half weight, so that mirrored tables are identical
     mean[[0, -1]] /= 2.0
     held = float(mean @ sums[period, period] @ mean)
     core *= (held / sums)[:, :, None, None]
@@ -140,7 +139,7 @@ def join(
     knots, weights = pupil.legendre(_KNOTS)
 
     def beyond(light: FloatArray) -> float:
-        """The sum outside the stamp, mean over the phases: smooth, so that a few phases give it to 1e-9."""
+        """Sum outside the stamp, averaged over phases; smooth, so that a few phases give it to 1e-9."""
         sums = outside(knots / 2.0, half, light, 1.0 / step_px, 1.0 / aspect, radius)
         return float(weights @ sums @ weights) / 4.0
 
@@ -150,7 +149,7 @@ def join(
         plain, extra = (beyond(light) + float(np.trapezoid(far * light * area, r)) for light in (wing, bent))
         alpha = (total - held - plain) / extra
         wing = wing + max(alpha, -0.5 * (half / 2.0) ** 2) * bent
-    # to a radius R with its rim: the mean over it of the light inside, weighted by the slope of `fade`
+    # to a radius R with its taper: mean of the light inside, weighted by the slope of `fade`
     inside = np.concatenate([[0.0], np.cumsum((wing[1:] * area[1:] + wing[:-1] * area[:-1]) * step_px / 2.0)])
     nodes, slopes = pupil.legendre(8)
     t = (nodes + 1.0) / 2.0
@@ -159,7 +158,7 @@ def join(
 
 
 def least_radius(half: int, aspect: float) -> float:
-    """Radius (pixels along columns) that a star with wings is drawn to at least: the stamp lies inside."""
+    """Minimum radius (pixels along columns) of a star with wings, which includes the stamp."""
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 

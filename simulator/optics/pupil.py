@@ -1,4 +1,4 @@
-"""Fraunhofer diffraction: from the wavefront in the pupil to the light in the image."""
+"""Fraunhofer diffraction: from the wavefront in the pupil to the intensity in the image."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 TERMS = 11
-"""Zernike terms that a wavefront holds: Noll's 1 (piston) to 11 (spherical)."""
+"""Number of Zernike terms of a wavefront: Noll's 1 (piston) to 11 (spherical)."""
 
 
 @functools.lru_cache(maxsize=64)
 def legendre(count: int) -> tuple[FloatArray, FloatArray]:
-    """Points and weights of Gauss–Legendre quadrature on −1 … 1, kept: finding a few hundred takes as long as an
+    """Points and weights of Gauss–Legendre quadrature on −1 … 1; cached, as computing a few hundred takes as long as an
     image."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
@@ -29,8 +29,8 @@ def legendre(count: int) -> tuple[FloatArray, FloatArray]:
 def disk_nodes(count: int, radius: float = 1.0) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points and weights that integrate smooth functions over a disk.
 
-    Along y Gauss–Chebyshev points of the second kind, whose weight √(1 − y²) is the chord's half length; along each
-    chord Gauss–Legendre points: exact for polynomials, and exponentially good for what a lens does.
+    Along y Gauss–Chebyshev points of the second kind, whose weight √(1 − y²) is half the length of the chord; along
+    each chord Gauss–Legendre points. Exact for polynomials, and exponentially convergent for typical wavefronts.
 
     Returns
     -------
@@ -52,9 +52,9 @@ def intensity(
     """Point-spread function of an aberrated lens by Fraunhofer diffraction.
 
     E(x) = ∫ exp(2πi W(ρ)) exp(−iπ x·ρ) d²ρ over the pupil ε ≤ |ρ| ≤ 1, x in units of λN, and I = |E|²/(4π(1−ε²)),
-    whose integral over the plane is 1 (Born & Wolf, § 9.1). A slope ∂W/∂ρ moves light by 2 ∂W/∂ρ λN. The integral is
-    done as a matrix Fourier transform (Soummer et al. 2007, Opt. Express 15, 15935) on Gaussian instead of equidistant
-    points of the pupil, so that its round edges cost no accuracy: relative errors are below 1e-9 of the peak.
+    whose integral over the plane is 1 (Born & Wolf, § 9.1). A slope ∂W/∂ρ displaces light by 2 ∂W/∂ρ λN. The integral
+    is a matrix Fourier transform (Soummer et al. 2007, Opt. Express 15, 15935) on Gaussian instead of equidistant
+    points of the pupil, which is accurate at its round edges: errors are below 1e-9 of the peak.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def intensity(
     x, y : (X,), (Y,) arrays
         Points along columns and rows, units of λN.
     obscuration : float
-        Central obscuration, share of the diameter.
+        Central obscuration, fraction of the diameter.
     centred : bool
-        Put the geometric centroid of the image at 0: coma, as Zernike has it,
-        moves the centroid by 4√2 λN a wave rms. False: as the polynomials are.
+        Put the geometric centroid of the image at 0; Zernike coma displaces the centroid by 4√2 λN per wave rms. False:
+        no shift.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def _mean_slope(coefficients: FloatArray, radius: float) -> FloatArray:
 
 
 def _slopes(coefficients: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """∂W/∂x, ∂W/∂y by central differences, good to 1e-9 of W: the polynomials are of the fourth degree."""
+    """∂W/∂x, ∂W/∂y by central differences, accurate to 1e-9 of W for these polynomials of fourth degree."""
     step = 1e-4
     return (
         (wavefront(coefficients, x + step, y) - wavefront(coefficients, x - step, y)) / (2 * step),
@@ -119,9 +119,9 @@ def _field(
 ) -> ComplexArray:
     """Amplitude (Q, Y, X) of a disk of the pupil.
 
-    Points of the pupil come in fours, ±x on the chords ±y, and share their cosines and sines; so do ±x in the image.
+    The four pupil points ±x on the chords ±y have the same cosines and sines; so have ±x in the image.
     """
-    half = math.ceil(math.pi * reach * radius / 4.0) + 12  # Gauss needs half the phase across, and some
+    half = math.ceil(math.pi * reach * radius / 4.0) + 12  # quadrature needs half the phase range, with a margin
     count = 2 * half
     node_y, node_x, weight = disk_nodes(count, radius)
     flat_y = np.repeat(node_y, count)
@@ -133,7 +133,7 @@ def _field(
     some_x = x[len(x) // 2 :] if mirrored else x
     cosines = np.empty((half, even.shape[1], len(some_x)))
     sines = np.empty_like(cosines)
-    for chord in range(half):  # one at a time: the tables of all would fill hundreds of MB
+    for chord in range(half):  # one at a time: the tables of all would take hundreds of MB
         table = _phasors(node_x[chord, half:], some_x)
         np.matmul(even[chord], table.real, out=cosines[chord])
         np.matmul(odd[chord], table.imag, out=sines[chord])  # of −πx·ρ
@@ -161,7 +161,7 @@ def _unpaired(parts: FloatArray) -> ComplexArray:
 
 
 def _phasors(nodes: FloatArray, x: FloatArray) -> ComplexArray:
-    """exp(−iπ nodes x), (..., X); on an even grid as products of two short tables, ten times as fast."""
+    """exp(−iπ nodes x), (..., X); on a uniform grid a product of two short tables, ten times as fast."""
     block = 16
     steps = np.diff(x)
     if len(x) <= 2 * block or float(np.ptp(steps)) > 1e-12 * float(np.abs(x).max()):

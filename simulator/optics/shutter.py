@@ -1,12 +1,12 @@
-"""Shutters that do not open everywhere at once: rolling, and frame transfer under light.
+"""Rolling shutter, and frame transfer under light.
 
-Rolling: row y is exposed from t_y − T/2 to t_y + T/2 with t_y = (y − y_c) · line_time, where y_c is the middle row: the
-time, and the true attitude, of a frame are those of the middle of the exposure of its middle row. A star is seen at
-the moments u = t − t_y(t) of its own row's window, −T/2 ≤ u ≤ T/2, so that
+Rolling: row y is exposed from t_y − T/2 to t_y + T/2 with t_y = (y − y_c) · line_time, where y_c is the middle row. The
+time and the true attitude of a frame are those at the middle of the exposure of its middle row. A star is exposed at
+the moments u = t − t_y(t) of the window of its own row, −T/2 ≤ u ≤ T/2, so that
 
     t = u + (y(t) − y_c) · line_time
 
-A star that runs with the shutter is exposed for longer, T / |1 − ẏ · line_time|.
+A star that moves with the shutter is exposed for longer, T / |1 − ẏ · line_time|.
 
 Frame transfer without a mechanical shutter: every line of charge is moved through the image, one line a `line_time`,
 and gathers light in each row it stands in. With flux F(r) electrons per second
@@ -47,7 +47,7 @@ _SETTLED_PX = 1e-9
 _MOST_STEPS = 30
 _LONGEST = 10.0
 _TABLE_PER_CYCLE = 24
-"""Samples of the jitter a period of its fastest component, between which a cubic spline is good to 1e-5 of it."""
+"""Samples of the jitter per period of its fastest component; a cubic spline between them is accurate to 1e-5."""
 
 
 def rolling_paths(
@@ -60,29 +60,29 @@ def rolling_paths(
     margin_px: float = DEFAULT_MARGIN_PX,
     jitter: JitterPath | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixel positions of stars over the exposure of the rows they stand in.
+    """Pixel positions of stars during the exposure of their rows.
 
     Parameters
     ----------
     camera, directions, rate_rad_s, exposure_s, feature_px, margin_px, jitter
-        As of `simulator.optics.smear.star_paths`; the directions are those at the middle of the exposure of the middle
+        As in `simulator.optics.smear.star_paths`; the directions are those at the middle of the exposure of the middle
         row.
     line_time_s : float
-        From the start of one row to that of the next.
+        Delay between the starts of successive rows.
 
     Returns
     -------
     xy : (N, K, 2) array
-        Positions; NaN outside the followed field, and of a star that keeps within a tenth of the shutter's own speed.
+        Positions; NaN outside the field and its margin, and for a star whose speed is within a tenth of the shutter's.
     weights : (K,) array
-        Share of the exposure of each moment; their sum is 1.
+        Fraction of the exposure of each moment; their sum is 1.
     exposed : (N,) array
-        Time for which each star is exposed over `exposure_s`: what its electrons are to be multiplied by.
+        Time for which each star is exposed, divided by `exposure_s`: the factor for its electrons.
 
     Notes
     -----
-    The window of the row of the star's centre serves for its whole image. What that leaves out is a shear of the image
-    by velocity · line_time (2 % at 1,000 px/s and 20 µs), odd about the centre, so that the centroid stays.
+    The window of the row of the star's centre is used for its whole image. This neglects a shear of the image by
+    velocity · line_time (2 % at 1,000 px/s and 20 µs), which is odd about the centre and does not shift the centroid.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
     rate = np.asarray(rate_rad_s, dtype=float)
@@ -104,8 +104,8 @@ def rolling_paths(
         return np.asarray(t - u - rows * line_time_s)
 
     def moments(u: FloatArray) -> FloatArray:
-        """Moments (N, K) at which stars stand in a row whose window has run for u (K,) from its middle: secants, the
-        first of which is exact for straight paths."""
+        """Moments (N, K) at which stars are in a row whose window is at u (K,) from its middle, by the secant method,
+        whose first step is exact for straight paths."""
         before = np.tile(u, (len(directions), 1))
         miss = late(before, u)
         t = before - miss
@@ -140,7 +140,7 @@ def frame_transfer_smear(
     direction: Literal["up", "down"],
     phases: Literal["both", "after"] = "both",
 ) -> FloatArray:
-    """Electrons that moving charge gathers from the rows it passes.
+    """Electrons that moving charge collects in the rows it passes.
 
     Parameters
     ----------
@@ -149,13 +149,13 @@ def frame_transfer_smear(
     exposure_s : float
         Exposure time.
     line_time_s : float
-        Time a line of charge stands in each row of the transfer. A full-frame CCD that is read out under light has the
-        time of reading a whole line here, 1/9.6 kHz for a TC211 (Greyling 1995, section 6.2).
+        Time that a line of charge is in each row during the transfer. For a full-frame CCD that is read out under light
+        it is the readout time of a line, 1/9.6 kHz for a TC211 (Greyling 1995, section 6.2).
     direction : str
         ``up``: charge leaves past row 0; ``down``: past the last row.
     phases : str
-        ``both``: the image was cleared by the same transfer before the exposure, or is exposed frame after frame;
-        ``after``: it was emptied at once, by a drain.
+        ``both``: the image was cleared by the same transfer before the exposure, or is exposed continuously;
+        ``after``: it was cleared at once, by a drain.
 
     Returns
     -------
@@ -165,11 +165,11 @@ def frame_transfer_smear(
     Raises
     ------
     InputError
-        For a direction or phases that are not there.
+        For an unknown direction or phases.
 
     Notes
     -----
-    Exact for a scene that stands still over exposure and transfer; what the stars move meanwhile is left out.
+    Exact for a scene that is static during exposure and transfer; the motion of stars is neglected.
     """
     if direction not in ("up", "down"):
         raise InputError(f"charge moves 'up' or 'down', not {direction!r}")
@@ -185,7 +185,7 @@ def frame_transfer_smear(
 
 
 def _spline(jitter: JitterPath, reach_s: float) -> CubicSpline:
-    """The path from −reach to +reach as a spline, cheaper than its cosines where each star has its own moments."""
+    """The path from −reach to +reach as a spline, which is faster than its cosines if each star has its own moments."""
     from scipy.interpolate import CubicSpline
 
     t = np.linspace(-reach_s, reach_s, 8 + int(np.ceil(2.0 * reach_s * jitter.max_hz * _TABLE_PER_CYCLE)))

@@ -1,4 +1,4 @@
-"""Smear: where each star stands over the exposure while the camera turns."""
+"""Smear: the path of each star during the exposure while the camera rotates."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from startracker.kernels import kernel
 FloatArray = NDArray[np.float64]
 
 DEFAULT_FEATURE_PX = 0.5
-"""Width of the image of a star (σ of a Gaussian) that paths are sampled for unless the PSF says otherwise."""
+"""Default width of a star image (σ of a Gaussian) for the sampling of paths."""
 
 DEFAULT_MARGIN_PX = 64.0
-"""Paths are followed this far outside the image: wings reach in."""
+"""Paths are computed this far outside the image because of the wings of the PSF."""
 
 _MAX_PANEL = 128
 
@@ -27,12 +27,12 @@ _MAX_PANEL = 128
 def exposure_nodes(
     streak_px: float, feature_px: float = DEFAULT_FEATURE_PX, cycles: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Moments of an exposure and their weights, for the mean image of a star that moves.
+    """Moments of an exposure and their weights, for the mean image of a moving star.
 
-    Gauss–Legendre nodes: 1.03 L/σ + 1.6 of them for a streak of L pixels and a Gaussian of σ = `feature_px` keep the
-    smeared image within 1e-4 of its peak; one where the streak is shorter than σ/25. Very long streaks are cut into
-    equal panels of 128 nodes at most. A path that jitters takes 3.5 more for each cycle of its fastest component: half
-    of π for the cosine itself, as much again for its square, and some.
+    Gauss–Legendre nodes: 1.03 L/σ + 1.6 of them for a streak of L pixels and a Gaussian of σ = `feature_px` give the
+    smeared image to 1e-4 of its peak; one if the streak is shorter than σ/25. Very long streaks are divided into equal
+    panels of at most 128 nodes. Jitter needs 3.5 more for each cycle of its fastest component: π/2 for the cosine, the
+    same for its square, and a margin.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ def exposure_nodes(
     Returns
     -------
     nodes : (K,) array
-        Moments, −1 (start) to +1 (end of the exposure), rising.
+        Moments, −1 (start) to +1 (end of the exposure), ascending.
     weights : (K,) array
-        Share of the exposure; their sum is 1.
+        Fraction of the exposure; their sum is 1.
     """
     ratio = streak_px / feature_px
     count = 1 if ratio <= (0.04 if cycles == 0.0 else 1e-4) else math.ceil(1.03 * ratio + 1.6 + 3.5 * cycles)
@@ -69,11 +69,11 @@ def star_paths(
     margin_px: float = DEFAULT_MARGIN_PX,
     jitter: JitterPath | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixel positions of stars over an exposure under a constant body rate, and jitter.
+    """Pixel positions of stars during an exposure with a constant body rate and jitter.
 
-    In camera axes a star's direction turns by −ω t about the rate's axis (Rodrigues' formula, exact), so that a roll
-    about the boresight draws arcs, and on top of that by the jitter's rotation vector, v(t) = R(−φ(t)) R(−ωt) v; each
-    moment goes through the projection with its distortion.
+    In camera axes the direction of a star rotates by −ω t about the axis of the rate (Rodrigues' formula, exact), so
+    that roll gives arcs, and by the rotation vector of the jitter, v(t) = R(−φ(t)) R(−ωt) v. Each moment is projected
+    with the lens distortion.
 
     Parameters
     ----------
@@ -86,19 +86,19 @@ def star_paths(
     exposure_s : float
         Exposure time.
     feature_px : float
-        Finest structure of the PSF, pixels; sets how many moments there are.
+        Finest structure of the PSF, pixels; determines the number of moments.
     margin_px : float
-        How far outside the image paths are followed: at least the radius of the widest disk that may reach in.
+        Margin around the image in which paths are computed: at least the radius of the largest disk that may overlap.
     jitter : JitterPath, optional
-        Small turning of the camera over the exposure (`simulator.optics.jitter`).
+        Small rotation of the camera during the exposure (`simulator.optics.jitter`).
 
     Returns
     -------
     xy : (N, K, 2) array
-        Positions; NaN while a star is further from the boresight than the corners of the image by more than
-        the margin: the projection may fold back there.
+        Positions; NaN while a star is further from the boresight than the image corners plus the margin, where the
+        projection may fold back.
     weights : (K,) array
-        Share of the exposure of each moment; their sum is 1.
+        Fraction of the exposure of each moment; their sum is 1.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
     turn = -np.asarray(rate_rad_s, dtype=float) * exposure_s
@@ -116,15 +116,15 @@ def star_paths(
 
 
 def path_limit_rad(camera: Camera, margin_px: float) -> float:
-    """Angle from the boresight up to which paths are followed: the corners and a margin, or all the camera sees."""
+    """Angle from the boresight up to which paths are computed: the corners plus a margin, or the camera's limit."""
     return min(camera.half_diagonal_rad + margin_px * camera.pixel_rad, camera.limit_rad)
 
 
 def wander_length_px(camera: Camera, jitter: JitterPath, exposure_s: float, limit_rad: float) -> float:
-    """Length of the path that the jitter alone would draw at the edge of the field at its fastest, pixels.
+    """Length of the path due to jitter alone at the edge of the field at its maximum speed, pixels.
 
-    Moments must be close enough together where it runs fastest: twice the rms rate keeps the mean image within 1e-4
-    of its peak (measured against 20,000 steps). A pinhole stretches by 1/cos² θ at the edge.
+    The sampling must be sufficient at the maximum speed: twice the rms rate gives the mean image to 1e-4 of its peak
+    (compared with 20,000 steps). A pinhole stretches by 1/cos² θ at the edge.
     """
     x, y, z = jitter.rms_rate_rad_s() * exposure_s
     edge = min(limit_rad, math.radians(75.0)) if camera.projection == "pinhole" else limit_rad
@@ -137,14 +137,14 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
     angle = math.hypot(*turn.tolist())
     if angle == 0.0 or len(directions) == 0:
         return 0.0
-    # of a turn by θ a chord misses θ²/24 of its arc: few suffice for the small turns of most exposures
+    # for a rotation by θ a chord is shorter than its arc by θ²/24: few are sufficient for most exposures
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
     return float(_longest(_turning_positions(directions, turn, _ends(chords), math.cos(limit_rad), camera.image_map)))
 
 
 @functools.lru_cache(maxsize=64)
 def _ends(chords: int) -> FloatArray:
-    """Moments between which so many chords of an exposure lie, −1/2 to 1/2."""
+    """Moments that divide an exposure into this number of chords, −1/2 to 1/2."""
     return np.arange(-chords, chords + 1, 2) / (2.0 * chords)
 
 
@@ -175,7 +175,7 @@ def _turning_positions(
 
 @kernel
 def _turned(directions: FloatArray, rotations: FloatArray, least_z: float) -> FloatArray:
-    """Kernel: (N K, 3) directions (N, 3) turned by each matrix (K, 3, 3); NaN where z comes out below `least_z`."""
+    """Kernel: directions (N, 3) rotated by each matrix (K, 3, 3), (N K, 3); NaN where z is below `least_z`."""
     out = np.empty((len(directions) * len(rotations), 3))
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
@@ -191,7 +191,7 @@ def _turned(directions: FloatArray, rotations: FloatArray, least_z: float) -> Fl
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Rodrigues' matrices (..., 3, 3) of rotation vectors (..., 3), exact also for the smallest."""
+    """Rodrigues' matrices (..., 3, 3) of rotation vectors (..., 3), accurate also for very small ones."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)

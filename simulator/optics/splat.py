@@ -1,4 +1,4 @@
-"""Light onto pixels: stars along their paths through a PSF."""
+"""Rendering of stars along their paths with a PSF."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ def render_stars(
     shape : (int, int)
         Rows, columns.
     xy : (N, K, 2) or (N, 2) array
-        Pixel positions of each star at K moments of the exposure (`simulator.optics.smear`); a moment with a NaN leaves
-        no light.
+        Pixel positions of each star at K moments of the exposure (`simulator.optics.smear`); moments with NaN are
+        skipped.
     weights : (K,) array
-        Share of the exposure of each moment.
+        Fraction of the exposure of each moment.
     electrons : (N,) array
         Electrons of each star over the exposure.
     psf : Psf
-        Image of a point.
+        Point-spread function.
     out : (rows, columns) array, optional
-        Image to add to; left out, a black one.
+        Image to add to; by default a new one.
 
     Returns
     -------
     (rows, columns) float64 array
-        Stars partly off the image leave their inside part.
+        Stars partly outside the image contribute the part inside.
     """
     image = np.zeros(shape) if out is None else out
     xy = np.ascontiguousarray(xy, dtype=float)
@@ -97,7 +97,7 @@ def add_gaussians(
             x, y = xy[n, k, 0], xy[n, k, 1]
             if not (
                 x > -1.0 - radius_x and x < width + radius_x and y > -1.0 - radius_y and y < height + radius_y
-            ):  # off the image, or NaN
+            ):  # outside the image, or NaN
                 continue
             left, right = max(math.ceil(x - radius_x), 0), min(math.floor(x + radius_x), width - 1)
             top, bottom = max(math.ceil(y - radius_y), 0), min(math.floor(y + radius_y), height - 1)
@@ -128,16 +128,16 @@ def add_tabulated(
 ) -> None:
     """Kernel: a tabulated PSF: core by Lagrange interpolation between phases, wings by distance.
 
-    Stars whose `radius` is no larger than the stamp are the stamp alone. The others get the share `drawn` of their
-    light, wherever in a pixel they stand: the wings are summed up as they are drawn, and the stamp is scaled (by some
-    1e-5, 6e-5 at most where measured) to hold the rest. `row_px` is the pitch along rows over that along columns.
+    For stars whose `radius` does not exceed the stamp only the stamp is rendered. Others get the fraction `drawn` of
+    their light at any sub-pixel position: the wings are summed while they are rendered, and the stamp is scaled (by
+    about 1e-5, at most 6e-5) to contain the rest. `row_px` is the pitch along rows over that along columns.
     """
     height, width = image.shape
     side = core.shape[3]
     half = side // 2
     middle = core.shape[0] // 2
     flat = core.reshape(core.shape[0], core.shape[1], side * side)
-    stamp, moments = np.empty(side * side), np.empty(6)  # of the light in the pixel at (drawn_x, drawn_y)
+    stamp, moments = np.empty(side * side), np.empty(6)  # fraction of the light in the pixel at (drawn_x, drawn_y)
     weight_x, weight_y = np.empty(TAPS), np.empty(TAPS)
     longest = 0.0
     for n in range(len(radius)):
@@ -193,7 +193,7 @@ def add_tabulated(
 
 @kernel
 def _fill(stamp: FloatArray, amount: float) -> None:
-    """Scale a stamp to hold an amount of light."""
+    """Scale a stamp to a given amount of light."""
     held = stamp.sum()
     if held > 0.0:
         stamp *= amount / held
@@ -201,7 +201,7 @@ def _fill(stamp: FloatArray, amount: float) -> None:
 
 @kernel
 def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: int, half: int) -> None:
-    """Add the part of a square stamp that lies on the image."""
+    """Add the part of a square stamp that is on the image."""
     height, width = image.shape
     side = 2 * half + 1
     left, right = max(centre_x - half, 0), min(centre_x + half, width - 1)
@@ -213,7 +213,7 @@ def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: in
 
 @kernel
 def _lagrange(out: FloatArray, position: float, scale: float) -> int:
-    """Weights of TAPS points around `position` on a grid of whole numbers, times `scale`; returns the first point."""
+    """Weights of TAPS points around `position` on an integer grid, times `scale`; returns the first point."""
     first = math.floor(position) - TAPS // 2 + 1
     t = position - first
     for a in range(TAPS):
@@ -238,11 +238,11 @@ def _add_wings(
     wing_per_px: float,
     row_px: float,
 ) -> float:
-    """Light outside the stamp of the moments of a path that lie in the same pixel, from their sums of 1, x, y, x², xy,
-    y²; returns its sum, on the image and off it, or 0 where the stamp is off the image and nobody needs it.
+    """Light outside the stamp of the moments of a path that are in the same pixel, from their sums of 1, x, y, x², xy,
+    y²; returns its sum, on the image and outside, or 0 if the stamp is outside the image and the sum is not needed.
 
-    Out there two points with the same mean and the same variance along the path stand for all of them: the error is
-    some 0.08 (L/r)⁴ of the light there, for a path of length L ≤ √2 at r > half.
+    At this distance the moments are represented by two points with the same mean and variance along the path: the error
+    is about 0.08 (L/r)⁴ of the light there, for a path of length L ≤ √2 at r > half.
     """
     amount = moments[0]
     if amount == 0.0:
@@ -283,7 +283,7 @@ def _add_wing(
     wing_per_px: float,
     row_px: float,
 ) -> float:
-    """Light outside the stamp, out to `radius` and a soft rim; returns its sum, see `_add_wings`."""
+    """Light outside the stamp, out to `radius` and a taper; returns its sum, see `_add_wings`."""
     height, width = image.shape
     end = radius + TAPER_PX
     low_x, high_x = math.ceil(x - end), math.floor(x + end)
@@ -299,7 +299,7 @@ def _add_wing(
         left, right = max(math.ceil(x - chord), low_x), min(math.floor(x + chord), high_x)
         if left > right:
             continue
-        if abs(j - centre_y) <= half:  # the stamp lies inside `radius`
+        if abs(j - centre_y) <= half:  # the stamp is inside `radius`
             left_end, right_start = centre_x - half - 1, centre_x + half + 1
             for i in range(max(left_end + 1, left), min(right_start - 1, right) + 1):
                 line[i - low_x] = 0.0
@@ -317,9 +317,9 @@ def _add_wing(
         _wing_row(line, max(inner_left, first), min(left_end, last), at, dy, amount, wing, wing_per_px)
         _wing_row(line, max(right_start, first), min(inner_right, last), at, dy, amount, wing, wing_per_px)
         _wing_rim(line, max(inner_right + 1, right_start, first), last, at, dy, radius, amount, wing, wing_per_px)
-        # the sums of the columns: unlike that of a row they keep no pixel waiting for the one before
+        # sums over columns do not depend on the previous pixel, unlike the sum over a row
         cut_left, cut_right = max(left, 0), min(right, width - 1)
-        if j < 0 or j >= height or cut_left > cut_right:  # none of it is on the image
+        if j < 0 or j >= height or cut_left > cut_right:  # entirely outside the image
             cut_left, cut_right = right + 1, right
         for i in range(first, cut_left - low_x):
             sums[i] += line[i]
@@ -363,7 +363,7 @@ def _wing_rim(
     wing: FloatArray,
     wing_per_px: float,
 ) -> None:
-    """Pixels left … right of a row of the wings where they fade out."""
+    """Pixels left … right of a row of the wings in the taper."""
     last = len(wing) - 2
     for i in range(left, right + 1):
         r = math.sqrt((i - x) * (i - x) + dy * dy)

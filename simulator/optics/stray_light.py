@@ -1,6 +1,6 @@
-"""Stray light: what a baffle lets through of the Sun, the Moon and the Earth beside the field.
+"""Stray light of the Sun, the Moon and the Earth outside the field through a baffle.
 
-Default: off. Without `optics.baffle.pst` in the scenario no stray light is reckoned, as behind a perfect baffle.
+Off by default: without `optics.baffle.pst` in the scenario there is no stray light, as for a perfect baffle.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ FloatArray = NDArray[np.float64]
 BEYOND_EXCLUSION_PST = 1e-9
 """Point-source transmittance of ``vane`` outside its exclusion angle: attenuations "on the order of 10⁹ for angles
 larger than the pre-defined exclusion angle" (Haghshenas & Johari 2014, Proc. SPIE 9264, 92641R); Donati 1990 (Proc.
-SPIE 1165) asks "approximately 10⁻⁹" of a baffle for stars of V = 6."""
+SPIE 1165) requires "approximately 10⁻⁹" of a baffle for stars of V = 6."""
 
 IN_FIELD_PST = 1e-3
-"""Point-source transmittance of ``vane`` on the boresight, where its slope starts: assumed, some scatter and ghosts of
-a clean lens. Inside the exclusion angle a tracker is not meant to work."""
+"""Point-source transmittance of ``vane`` on the boresight, at the start of its slope: assumed, scatter and ghosts of a
+clean lens. A tracker is not required to work inside the exclusion angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,18 +35,19 @@ class Baffle:
 
     angle_rad: FloatArray
     pst: FloatArray
-    """(N,): Rising angles from 0, and the transmittance there; logarithm linear between, zero beyond the last."""
+    """(N,): Ascending angles from 0, and the transmittance; the logarithm is interpolated linearly, zero beyond the
+    last."""
     exclusion_rad: dict[str, float]
-    """Angle by name of body (``Sun``, ``Moon``, ``Earth``) within which the tracker is not meant to work."""
+    """Exclusion angle by name of body (``Sun``, ``Moon``, ``Earth``), within which the tracker need not work."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
-        """Irradiance on the detector over that of the same source on the aperture at normal incidence."""
+        """Ratio of the irradiance on the detector to that of the same source on the aperture at normal incidence."""
         angle = np.asarray(angle_rad, dtype=float)
         value = np.exp(np.interp(angle, self.angle_rad, np.log(self.pst)))
         return np.asarray(np.where(angle <= self.angle_rad[-1], value, 0.0))
 
     def within_exclusion(self, names: Iterable[str], boresight: ArrayLike, directions: ArrayLike) -> list[str]:
-        """Names of the bodies of which any part (of the Earth: any lit piece) is within its exclusion angle.
+        """Names of the bodies of which any part (for the Earth any lit element) is within its exclusion angle.
 
         Parameters
         ----------
@@ -71,11 +72,11 @@ def build_baffle(
     earth_exclusion_deg: float,
     base_dir: str | Path | None = None,
 ) -> Baffle | None:
-    """A baffle; None, and so no stray light, where `pst` is None.
+    """A baffle; None, for no stray light, if `pst` is None.
 
     ``pst: vane`` is a model: log PST falls linearly with the angle from 10⁻³ on the boresight to 10⁻⁹ at the Sun's
-    exclusion angle, keeps that to 90° and is zero behind. Anything else is a CSV file with the header
-    ``angle_deg,pst``, rising angles from 0 and values above 0 and up to 1; lines that start with ``#`` are comments.
+    exclusion angle, is constant to 90° and zero beyond. Anything else is a CSV file with the header ``angle_deg,pst``,
+    ascending angles from 0 and values above 0 and up to 1; lines that start with ``#`` are comments.
 
     Parameters
     ----------
@@ -84,12 +85,12 @@ def build_baffle(
     sun_exclusion_deg, moon_exclusion_deg, earth_exclusion_deg : float
         Exclusion angles.
     base_dir : path, optional
-        Folder that a relative path starts from.
+        Base folder of a relative path.
 
     Raises
     ------
     InputError
-        For a file that is missing or wrong (with its line).
+        For a missing or invalid file (with its line).
     """
     if pst is None:
         return None
@@ -114,7 +115,7 @@ def stray_light_e_s_pixel(
     aperture_area_cm2: float,
     pixel_area_cm2: float,
 ) -> float:
-    """Electrons a second in every pixel from sources outside the field.
+    """Electrons per second in every pixel from sources outside the field.
 
     Σ PST(θᵢ) · (Nᵢ/A) · a: Nᵢ the electrons per second that source i would leave on the detector if the lens looked at
     it, A the area of the aperture, so that Nᵢ/A is its irradiance there (in electrons, transmission and quantum

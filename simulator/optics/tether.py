@@ -1,13 +1,14 @@
-"""A tether before the camera: a thin, straight, matt cylinder lit by Sun or Moon, out of focus where it is near.
+"""A tether in front of the camera: a thin, straight, matt cylinder illuminated by Sun or Moon, defocused at short
+range.
 
-An element ds of a Lambert cylinder of diameter D and albedo A at the distance d, its axis at the angles β_s to the
-source and β_o to the camera, sends towards the camera the share
+An element ds of a Lambertian cylinder of diameter D and albedo A at the distance d, with its axis at the angles β_s to
+the source and β_o to the camera, scatters towards the camera the fraction
 
     dE / E_source = A / π · sin β_s sin β_o · D / 4 · [(π − φ) cos φ + sin φ] · ds / d²
 
-of its light, φ being the angle between source and camera as seen along the axis: the integral of cos i cos e over what
-is both lit and seen (φ = 0: lit from behind the camera; φ = π: from ahead, dark). A lens of aperture a focused on
-infinity spreads a point at the depth z into an even disk of the angular diameter a / z.
+of its light, where φ is the angle between source and camera as seen along the axis. This is the integral of cos i cos e
+over the part that is both lit and visible (φ = 0: lit from behind the camera; φ = π: from ahead, dark). A lens of
+aperture a focused at infinity images a point at the depth z as a uniform disk of angular diameter a / z.
 """
 
 from __future__ import annotations
@@ -27,43 +28,43 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tether:
-    """A straight, matt tether that is fixed to the camera, in the light of Sun and Moon."""
+    """A straight, matt tether that is fixed to the camera, illuminated by Sun and Moon."""
 
     diameter_mm: float = 0.0
     """Diameter; 0: none."""
     near_m: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Its near end in camera axes: along columns, along rows, ahead."""
+    """Near end in camera axes: along columns, along rows, along the boresight."""
     far_m: tuple[float, float, float] = (0.0, 0.0, 1000.0)
-    """Its far end."""
+    """Far end in camera axes."""
     albedo: float = 0.5
-    """Share of the light that it scatters, in all directions alike (Lambert)."""
+    """Lambert albedo."""
 
 
 _STEP_PX = 0.5
-"""Distance of the points by which the tether is drawn."""
+"""Spacing of the points with which the tether is rendered."""
 
 
 @dataclass(frozen=True, eq=False)
 class TetherPoints:
-    """A tether cut into short pieces; columns of equal length N."""
+    """A tether divided into short elements; columns of equal length N."""
 
     direction: FloatArray
     """(N, 3): Unit vectors in camera axes."""
     share: FloatArray
-    """(N,): Irradiance at the lens over that of the source."""
+    """(N,): Irradiance at the lens relative to that of the source."""
     blur_rad: FloatArray
-    """(N,): Angular radius of the disk out of focus."""
+    """(N,): Angular radius of the defocused disk."""
 
 
 def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: FloatArray) -> TetherPoints:
-    """Pieces of a tether, half a pixel long in the middle of the image.
+    """Elements of a tether, half a pixel long at the image centre.
 
     Parameters
     ----------
     tether : Tether
-        With a diameter; both ends before the lens, and not in one line with it, which scenarios are checked for.
+        With a diameter; both ends in front of the lens and not collinear with it, which is checked for scenarios.
     camera : Camera
-        Gives the size of a pixel.
+        For the size of a pixel.
     aperture_mm : float
         Diameter of the lens.
     source : array, shape (3,)
@@ -72,7 +73,7 @@ def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: Fl
     near, far = np.array(tether.near_m), np.array(tether.far_m)
     length = float(np.linalg.norm(far - near))
     axis = (far - near) / length
-    foot = near - (near @ axis) * axis  # nearest point of its line to the lens
+    foot = near - (near @ axis) * axis  # point of its line closest to the lens
     distance = float(np.linalg.norm(foot))
     first, last = (math.atan2(float(end @ axis), distance) for end in (near, far))
     count = max(1, math.ceil((last - first) / (_STEP_PX * camera.pixel_rad)))
@@ -88,7 +89,8 @@ def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: Fl
 def cylinder_share(
     axis: FloatArray, source: FloatArray, direction: FloatArray, diameter_m: float, albedo: float
 ) -> FloatArray:
-    """dE / E_source · d² / ds (N,), m: what a metre of a Lambert cylinder sends of the source's light, at one metre.
+    """dE / E_source · d² / ds (N,), m: fraction of the source's light from one metre of a Lambertian cylinder, at one
+    metre.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ def cylinder_share(
     across_source = source - (source @ axis) * axis
     across_camera = -direction + (direction @ axis)[:, None] * axis
     sine_source, sine_camera = float(np.linalg.norm(across_source)), np.linalg.norm(across_camera, axis=1)
-    product = sine_source * sine_camera  # sin β_s sin β_o, which cos φ is to be multiplied with
+    product = sine_source * sine_camera  # sin β_s sin β_o, the factor of cos φ
     cosine = np.divide(across_camera @ across_source, product, out=np.zeros_like(product), where=product > 0.0)
     phase = np.arccos(np.clip(cosine, -1.0, 1.0))
     form = (math.pi - phase) * np.cos(phase) + np.sin(phase)

@@ -1,15 +1,14 @@
-"""Temperature: the lens is not as long as when it was calibrated.
+"""Thermal change of the focal length since calibration.
 
     f(T) = f(T_ref) · (1 + α (T − T_ref))
 
-α is the whole relative change of the focal length a kelvin: expansion of the glass and of the barrel, and the change of
-the refractive index together; tens of ppm/K uncorrected (an order of magnitude, not from a table), near 0 for athermal
-lenses. The principal point and
-the distortion, which acts on normalised coordinates, stay.
+α is the total relative change of the focal length per kelvin, from expansion of the glass and the barrel and the change
+of the refractive index: tens of ppm/K uncorrected (an order of magnitude, not from a table), near 0 for athermal
+lenses. The principal point and the distortion, which acts on normalised coordinates, do not change.
 
-The sky is drawn through the true camera; the frame carries the calibrated one, so that the tracker meets the error.
+The sky is rendered with the true camera; the frame has the calibrated one, so that the tracker sees the error.
 
-Validity: an even temperature (no gradients), linear in T. Source: D. S. Grey, "Athermalization of optical systems",
+Validity: a uniform temperature (no gradients), linear in T. Source: D. S. Grey, "Athermalization of optical systems",
 J. Opt. Soc. Am. 38 (1948) 542.
 """
 
@@ -21,7 +20,7 @@ from startracker.camera import Camera
 
 
 def true_camera(calibrated: Camera, expansion_ppm_k: float, warmer_k: float) -> Camera:
-    """Camera at a temperature `warmer_k` above that of its calibration; itself where nothing has changed."""
+    """Camera at a temperature `warmer_k` above that of its calibration; the same object if nothing changes."""
     change = expansion_ppm_k * 1e-6 * warmer_k
     if change == 0.0:
         return calibrated

@@ -1,4 +1,4 @@
-"""Zernike polynomials on the unit disk in Noll's order, by the names of the classical aberrations."""
+"""Zernike polynomials on the unit disk in Noll's order, with the names of the classical aberrations."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ NOLL = {
     "trefoil_x": 10,
     "spherical": 11,
 }
-"""Noll's index of each name. θ runs from +x (columns) to +y (rows): `astigmatism` goes with cos 2θ, `coma_x` and
-`trefoil_x` with the cosine, `astigmatism_oblique`, `coma_y` and `trefoil_y` with the sine."""
+"""Noll's index of each name. θ is from +x (columns) to +y (rows): `astigmatism` is the cos 2θ term, `coma_x` and
+`trefoil_x` the cosine terms, `astigmatism_oblique`, `coma_y` and `trefoil_y` the sine terms."""
 
 
 def noll_order(index: int) -> tuple[int, int]:
-    """(n, m) of Noll's index j ≥ 1; m ≥ 0 goes with the cosine, m < 0 with the sine (Noll 1976)."""
+    """(n, m) of Noll's index j ≥ 1; m ≥ 0 for the cosine term, m < 0 for the sine term (Noll 1976)."""
     n = 0
     rest = index - 1
     while rest > n:
@@ -38,8 +38,8 @@ def zernike(index: int, x: FloatArray, y: FloatArray) -> FloatArray:
     """Zernike polynomial of Noll's index at points of the pupil.
 
     Z = √(n+1) R_n^m(ρ) {√2 cos mθ (even index), √2 sin mθ (odd index), 1 (m = 0)}, whose rms over the unit disk is 1:
-    a coefficient in waves is the rms of its aberration in waves. The polynomials are those of the full disk, also
-    where the pupil has an obscuration.
+    a coefficient in waves is the rms of its aberration in waves. The polynomials are those of the full disk, also if
+    the pupil has an obscuration.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def zernike(index: int, x: FloatArray, y: FloatArray) -> FloatArray:
     radial = np.zeros_like(square)
     for k in range((n - order) // 2 + 1):
         factor = (-1) ** k * math.comb(n - k, k) * math.comb(n - 2 * k, (n - order) // 2 - k)
-        radial = radial + factor * square ** ((n - order) // 2 - k)  # ρ^m goes into the angular part
+        radial = radial + factor * square ** ((n - order) // 2 - k)  # ρ^m is included in the angular part
     if m == 0:
         return np.asarray(math.sqrt(n + 1.0) * radial)
     turning = (x + 1j * y) ** order

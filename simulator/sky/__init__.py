@@ -1,1 +1,1 @@
-"""The sky from the spacecraft: where stars and planets appear, and how much light they send."""
+"""The sky from the spacecraft: apparent positions and brightness of stars and bodies."""

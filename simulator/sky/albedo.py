@@ -1,4 +1,4 @@
-"""Spectra of the bodies of the solar system: sunlight times their albedo, scaled to their V."""
+"""Spectra of bodies of the solar system: sunlight times albedo, scaled to their V."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["body_photons", "relative_albedo"]
 FloatArray = NDArray[np.float64]
 
 _WIDE = {360.0: "u", 436.0: "b", 549.0: "v", 641.0: "r", 798.0: "i"}
-"""Bands of the table that Bessell's passbands stand for (his R and I are Cousins'), by effective wavelength, nm."""
+"""Bands of the table that correspond to Bessell's passbands (R and I are Cousins'), by effective wavelength, nm."""
 
 _STEPS = 20
 
@@ -34,7 +34,7 @@ def body_photons(wavelength_nm: FloatArray, name: str, spectrum: str) -> FloatAr
     wavelength_nm : (W,) array
         Wavelengths, nm.
     name : str
-        Planet, ``Moon``; any other (``Sun``, ``Earth``) shines with sunlight as it is.
+        Planet or ``Moon``; others (``Sun``, ``Earth``) have the spectrum of sunlight.
     spectrum : str
         Family of spectra whose star of B−V = 0.653 is the Sun.
     """
@@ -49,12 +49,12 @@ def body_photons(wavelength_nm: FloatArray, name: str, spectrum: str) -> FloatAr
 
 
 def relative_albedo(name: str, wavelength_nm: FloatArray) -> FloatArray:
-    """Albedo (W,) of a body up to a factor: straight lines between the published bands, the end values beyond; 1 for
-    bodies without one.
+    """Albedo (W,) of a body up to a factor, interpolated linearly between the published bands and constant beyond; 1
+    for bodies without a published albedo.
 
     The published albedo of a wide band is a mean over it. The values at the effective wavelengths of U, B, V, Rc and Ic
-    are scaled until the means of sunlight reflected in Bessell's bands are those published (steep albedos, as
-    of Uranus, are otherwise 0.1 mag off in V − Rc).
+    are scaled until the means of reflected sunlight in Bessell's bands are those published (for steep albedos, such as
+    that of Uranus, the error in V − Rc would otherwise be 0.1 mag).
     """
     bands = _table().get(name)
     return np.ones(len(wavelength_nm)) if bands is None else np.asarray(np.interp(wavelength_nm, *bands))
@@ -76,7 +76,7 @@ def _table() -> dict[str, tuple[FloatArray, FloatArray]]:
 
 
 def _through_means(nm: FloatArray, means: FloatArray, wide: list[int]) -> FloatArray:
-    """Values at the bands of which the means over the wide ones are those given."""
+    """Values at the bands for which the means over the wide bands are those given."""
     grid = np.arange(290.0, 930.0)
     sunlight = colour_sequence(grid, np.array([SOLAR_B_V]))[0] / grid
     weights = np.array([sunlight * load_curve(f"bessell_{_WIDE[nm[k]]}", "passband")(grid) for k in wide])

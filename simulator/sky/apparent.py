@@ -1,7 +1,7 @@
-"""Where the stars appear: space motion, parallax, bending of light by the Sun, aberration.
+"""Apparent positions of stars: space motion, parallax, light deflection by the Sun, aberration.
 
-The order is that of the light's way: the star's position when the light left it, seen from where the observer is
-(parallax), bent by the Sun on its way in, and turned by the observer's motion last.
+The effects are applied in the order of the light path: space motion of the star, parallax, light deflection, and last
+the aberration.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ IntArray = NDArray[np.int64]
 
 _AU_LIGHT_TIME_JYEAR = AU_KM / SPEED_OF_LIGHT_KM_S / (86_400.0 * DAYS_PER_JULIAN_YEAR)
 _SHIFT_RAD = 30.0 * ARCSEC_RAD
-"""Aberration (26″ from a low orbit), deflection (1.75″) and parallax (0.8″) together, the most they can move a star."""
+"""Upper limit of aberration (26″ in a low orbit), deflection (1.75″) and parallax (0.8″) together."""
 _ROUNDING_RAD = 1e-12
 
 
 def apparent_directions(catalog: StarCatalog, observer: Observer, sun_au: ArrayLike | None, sky: Sky) -> FloatArray:
-    """Unit vectors (N, 3), GCRS axes, of the stars as the moving observer sees them.
+    """Apparent unit vectors (N, 3), GCRS axes, of stars.
 
     Parameters
     ----------
     catalog : StarCatalog
-        Any number of stars; `SkyIndex.apparent` does it for those of a field of view.
+        Any number of stars; `SkyIndex.apparent` is for those of a field of view.
     observer : Observer
-        Epoch, barycentric position and velocity; what is None in it leaves its effect out.
+        Epoch, barycentric position and velocity; None omits the corresponding effect.
     sun_au : array_like, shape (3,), or None
-        Barycentric position of the Sun; None leaves the deflection out.
+        Barycentric position of the Sun; None omits the deflection.
     sky : Sky
         Its switches `proper_motion`, `parallax`, `light_deflection` and `aberration`.
 
     Notes
     -----
-    Proper motion is straight space motion with the perspective term, at the instant the light passes the barycentre
-    (the Rømer delay, up to 0.16 mas for Barnard's star). Deflection and aberration as ERFA's ``eraLdsun`` and
-    ``eraAb`` have them. Agrees with ERFA's whole chain within 1 µas but for the 0.4 µas of ``eraAb``'s gravitational
-    term; left out are the deflection by the planets and the Earth (0.6 mas at the Earth's limb, 1 mas at 5′ from
-    Jupiter).
+    Proper motion is linear space motion with the perspective term, at the instant the light passes the barycentre (the
+    Rømer delay is up to 0.16 mas for Barnard's star). Deflection and aberration are those of ERFA's ``eraLdsun`` and
+    ``eraAb``. The result agrees with ERFA's complete chain to 1 µas, except for the 0.4 µas of ``eraAb``'s
+    gravitational term. Not modelled: deflection by the planets and the Earth (0.6 mas at the Earth's limb, 1 mas at 5′
+    from Jupiter).
     """
     u, motion = catalog.space_motion()
     return _apparent(
@@ -69,7 +69,7 @@ def _apparent(
     sun_au: ArrayLike | None,
     sky: Sky,
 ) -> FloatArray:
-    """`apparent_directions` of some rows of a catalogue's space motion."""
+    """`apparent_directions` of a selection of rows of a catalogue's space motion."""
     position, p = observer.position_au, u.take(rows, axis=0)
     if sky.proper_motion:
         roemer = 0.0 if position is None else (p @ position)[:, None] * _AU_LIGHT_TIME_JYEAR
@@ -85,24 +85,23 @@ def _apparent(
 
 
 def by_declination(catalog: StarCatalog) -> StarCatalog:
-    """The same stars from south to north; one that is so already is given back."""
+    """The same stars from south to north; returned unchanged if already sorted."""
     rising = bool((np.diff(catalog.dec_rad) >= 0.0).all())
     return catalog if rising else catalog.select(np.argsort(catalog.dec_rad, kind="stable"))
 
 
 class SkyIndex:
-    """A catalogue that finds the stars of a field of view: those of its zone of declination are compared with its
-    centre.
+    """Search for the stars of a field of view, by declination zone and distance from its centre.
 
     Parameters
     ----------
     catalog : StarCatalog
-        The stars to be found; cut it by magnitude first.
+        Stars to be searched; select by magnitude first.
 
     Attributes
     ----------
     catalog : StarCatalog
-        The same stars by declination, so that those of a zone stand side by side in memory; rows refer to it.
+        The same stars sorted by declination, so that those of a zone are contiguous in memory; rows refer to it.
     """
 
     def __init__(self, catalog: StarCatalog) -> None:
@@ -114,8 +113,8 @@ class SkyIndex:
     def near(self, direction: ArrayLike, radius_rad: float, epoch_jyear: float) -> IntArray:
         """Rows of the catalogue that may appear within `radius_rad` of an apparent direction, in ascending order.
 
-        None is missed; some lie a little outside: the radius is widened by what the fastest star can have moved since
-        the catalogue's epoch, and by 30″ for aberration and parallax.
+        None is missed, but some may be slightly outside: the radius is increased by the largest space motion since the
+        catalogue's epoch, and by 30″ for aberration and parallax.
 
         Parameters
         ----------
@@ -127,9 +126,9 @@ class SkyIndex:
             Julian epoch of the view.
         """
         years = abs(epoch_jyear - self.catalog.epoch_jyear)
-        # 1.1: perspective may quicken a star that comes near, by less than 10 % in a millennium
+        # 1.1: perspective acceleration of an approaching star, less than 10 % in a millennium
         reach = radius_rad + _SHIFT_RAD + 1.1 * years * self._fastest_rad_yr
-        chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)  # as cos of a small angle loses digits
+        chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)  # because cos of a small angle loses precision
         centre = np.asarray(direction, dtype=float)
         dec_rad = math.atan2(centre[2], math.hypot(centre[0], centre[1]))
         zone = (dec_rad - reach - _ROUNDING_RAD, dec_rad + reach + _ROUNDING_RAD)
@@ -138,6 +137,6 @@ class SkyIndex:
         return np.asarray(first + np.flatnonzero(self._u[first:last] @ centre >= 1.0 - 0.5 * chord * chord - 1e-15))
 
     def apparent(self, rows: IntArray, observer: Observer, sun_au: ArrayLike | None, sky: Sky) -> FloatArray:
-        """`apparent_directions` (M, 3) of some rows (M,) of the catalogue."""
+        """`apparent_directions` (M, 3) of rows (M,) of the catalogue."""
         catalog = self.catalog
         return _apparent(rows, self._u, self._motion, catalog.parallax_rad, catalog.epoch_jyear, observer, sun_au, sky)

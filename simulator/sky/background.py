@@ -1,6 +1,7 @@
-"""Diffuse light of the sky by direction: zodiacal light, and the starlight that is not drawn star by star.
+"""Diffuse sky background by direction: zodiacal light and unresolved starlight.
 
-Directions are ICRS; brightness is in S10, stars of V = 10 and the Sun's colour a square degree (27.78 mag arcsec⁻²).
+Directions are ICRS; brightness is in S10, the number of stars with V = 10 and the Sun's colour per square degree
+(27.78 mag arcsec⁻²).
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ ECLIPTIC = np.array(
         [0.0, -math.sin(_OBLIQUITY_RAD), math.cos(_OBLIQUITY_RAD)],
     ]
 )
-"""ICRS → mean ecliptic and equinox of J2000: obliquity 84381.406″ (IAU 2006); the frame bias of 0.02″ is left out."""
+"""ICRS → mean ecliptic and equinox of J2000: obliquity 84381.406″ (IAU 2006); the frame bias of 0.02″ is neglected."""
 
 GALACTIC = np.array(
     [
@@ -60,14 +61,14 @@ POLE_S10 = 60.0
 """Zodiacal light at the ecliptic poles, ±3; Leinert et al. 1998, section 8.3."""
 
 PIONEER_LIMIT_V = 6.5
-"""Stars brighter than this were taken out of the Pioneer map (Toller 1981; Leinert et al. 1998, section 10.3)."""
+"""Stars brighter than this are not included in the Pioneer map (Toller 1981; Leinert et al. 1998, section 10.3)."""
 
 _CAP_DEG = 6.0
-"""Radius within which the catalogue's light is averaged: the map's own nodes are 4° to 10° apart."""
+"""Radius within which the catalogue's light is averaged; the nodes of the map are 4° to 10° apart."""
 
 _LEAST_SHARE = 0.25
-"""At least this share of the measured light stays diffuse, however many stars are drawn: the diffuse galactic light
-alone is 10 to 35 % (Leinert et al. 1998, table 39, after Toller 1981)."""
+"""Minimum fraction of the measured light that remains diffuse for any number of rendered stars: the diffuse galactic
+light alone is 10 to 35 % (Leinert et al. 1998, table 39, after Toller 1981)."""
 
 _GRID_PX = 32
 """Step of the grid on which `background_map` evaluates the sky."""
@@ -100,9 +101,9 @@ def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, sky: Sky
 def diffuse_sky_s10(
     camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 ) -> float | FloatArray:
-    """All diffuse light in the field, S10: the sky, the Earth before it and the Earth's limb.
+    """All diffuse light in the field, S10: sky, Earth and the Earth's limb.
 
-    One number where the sky is `constant` and the Earth out of the field; else an array (height, width).
+    A number if the sky is `constant` and the Earth is outside the field; otherwise an array (height, width).
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def diffuse_sky_s10(
     r_km, sun_direction : array_like, shape (3,)
         Position of the spacecraft (GCRS); direction of the Sun.
     sky : Sky
-        What shines, and the Earth.
+        Background model and the Earth.
     """
     earth = earth_radiance_map(camera, attitude, r_km, sun_direction, sky)
     even = sky.background_model == "constant" or not sky.background
@@ -129,9 +130,9 @@ def background_map(
 ) -> FloatArray:
     """Brightness (height, width) of the diffuse sky in every pixel, S10.
 
-    The sky is evaluated on a grid of pixels `grid_px` apart that reaches the last row and column, and interpolated
-    bilinearly between; the tables themselves have nodes 4° and more apart. Pixels that the lens model gives no
-    direction take that of the lens without distortion, and none of that either no light.
+    The sky is evaluated on a grid with a spacing of `grid_px` pixels that includes the last row and column, and
+    interpolated bilinearly; the nodes of the tables are 4° and more apart. Pixels without a direction in the lens model
+    use that of the lens without distortion; if that does not exist either, they have no light.
 
     Parameters
     ----------
@@ -167,8 +168,8 @@ def background_map(
 def zodiacal_s10(directions: ArrayLike, sun_direction: ArrayLike) -> FloatArray:
     """Zodiacal light (N,), S10 at 500 nm, seen from 1 au.
 
-    Leinert et al. 1998, table 16, by |λ − λ_Sun| and |β|, with 60 S10 at the pole; bilinear in the logarithm, exact
-    at the table's nodes.
+    Leinert et al. 1998, table 16, by |λ − λ_Sun| and |β|, with 60 S10 at the pole; bilinear interpolation of the
+    logarithm.
 
     Parameters
     ----------
@@ -179,10 +180,10 @@ def zodiacal_s10(directions: ArrayLike, sun_direction: ArrayLike) -> FloatArray:
 
     Notes
     -----
-    The table is good to some 10 % and is an annual mean; left out are the tilt of the dust's plane of symmetry (±10 %
-    at the poles over the year), the Earth's distance (±4 %), and the reddening against the Sun (table 16's S10 at
-    500 nm count as S10 in V: 2 %). Within 15° of the Sun the table has gaps; there the light is continued as
-    ε^−2.2 between 9,000 S10 on the ecliptic and 2,450 S10 above the Sun at ε = 15°, down to ε = 1° (ours).
+    The table is accurate to about 10 % and is an annual mean. Not modelled: the tilt of the dust's plane of symmetry
+    (±10 % at the poles over the year), the Earth's distance (±4 %), and the reddening relative to the Sun (S10 at
+    500 nm are taken as S10 in V: 2 %). Within 15° of the Sun the table has gaps; there the light is extrapolated as
+    ε^−2.2 from 9,000 S10 on the ecliptic and 2,450 S10 above the Sun at ε = 15°, down to ε = 1° (our assumption).
     """
     ecliptic = np.atleast_2d(np.asarray(directions, dtype=float)) @ ECLIPTIC.T
     sun = ECLIPTIC @ np.asarray(sun_direction, dtype=float)
@@ -203,7 +204,7 @@ def _zodiacal_table() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _near_sun(longitude_deg: float, latitude_deg: float) -> float:
-    """Continuation of the table towards the Sun; see `zodiacal_s10`."""
+    """Extrapolation of the table towards the Sun; see `zodiacal_s10`."""
     lon, lat = math.radians(longitude_deg), math.radians(latitude_deg)
     elongation = math.degrees(math.acos(math.cos(lon) * math.cos(lat)))
     above = math.atan2(math.sin(lat), math.sin(lon) * math.cos(lat)) if elongation > 0 else 0.0
@@ -213,27 +214,28 @@ def _near_sun(longitude_deg: float, latitude_deg: float) -> float:
 
 # ---------------------------------------------------------------------- starlight
 def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -> FloatArray:
-    """Starlight (N,), S10, of all that is not drawn: fainter stars, diffuse galactic light, galaxies.
+    """Starlight (N,), S10, that is not rendered as stars: fainter stars, diffuse galactic light, galaxies.
 
-    The map that Pioneer 10 measured from beyond the zodiacal dust (Toller 1981, in Leinert et al. 1998) holds the
-    stars fainter than V = 6.5. What the catalogue has between 6.5 and `magnitude_limit` is drawn star by star, so it
-    is taken out of the map; with a limit below 6.5 what is left undrawn is added. The catalogue's light is averaged
-    within 6° of each node of the map; a quarter of the measured light always stays.
+    The map measured by Pioneer 10 from beyond the zodiacal dust (Toller 1981, in Leinert et al. 1998) contains stars
+    fainter than V = 6.5. Catalogue stars between 6.5 and `magnitude_limit` are rendered and therefore subtracted from
+    the map; with a limit below 6.5 the stars that are not rendered are added. The catalogue's light is averaged within
+    6° of each node of the map; at least a quarter of the measured light remains.
 
     Parameters
     ----------
     directions : array_like, shape (N, 3)
         Unit vectors, ICRS.
     catalog : str
-        Name of the catalogue whose stars are drawn.
+        Name of the catalogue whose stars are rendered.
     magnitude_limit : float
-        Faintest V drawn.
+        Faintest V rendered.
 
     Notes
     -----
-    The map is at 440 nm and counts as V: S10 are units of solar colour, and starlight is redder than the Sun by some
-    0.1 mag (10 %). Its steps of 10° × 4° to 10° smooth the Milky Way. Where Pioneer did not look (towards RA 140°,
-    Dec +15°) stands the mean of the map at like galactic latitude and distance in longitude from the anticentre.
+    The map at 440 nm is taken as V: S10 are units of solar colour, and starlight is redder than the Sun by about
+    0.1 mag (10 %). Its steps of 10° × 4° to 10° smooth the Milky Way. The gap in the Pioneer data (towards RA 140°,
+    Dec +15°) is filled with the mean of the map at similar galactic latitude and longitude distance from the
+    anticentre.
     """
     ra, dec = direction_to_radec(np.atleast_2d(np.asarray(directions, dtype=float)))
     nodes_ra, nodes_dec, table = _starlight_table(catalog, float(magnitude_limit))
@@ -242,7 +244,7 @@ def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -
 
 @functools.lru_cache(maxsize=8)
 def _starlight_table(catalog: str, limit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The map with the drawn stars out of it, its poles and its first meridian again at 360°."""
+    """The map minus the rendered stars, extended by the poles and by the first meridian at 360°."""
     ra, dec, measured = _pioneer()
     drawn = _catalog_light(catalog, min(limit, PIONEER_LIMIT_V), max(limit, PIONEER_LIMIT_V), ra, dec)
     table = np.maximum(measured - drawn, _LEAST_SHARE * measured) if limit > PIONEER_LIMIT_V else measured + drawn
@@ -253,7 +255,7 @@ def _starlight_table(catalog: str, limit: float) -> tuple[FloatArray, FloatArray
 
 @functools.cache
 def _pioneer() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Right ascensions, declinations and the map with its gaps filled."""
+    """Right ascensions, declinations and the map with filled gaps."""
     ra, dec, table = _read("background_starlight.csv")
     galactic = _node_directions(ra, dec) @ GALACTIC.T
     longitude, latitude = (np.degrees(a) for a in direction_to_radec(galactic))
@@ -270,7 +272,7 @@ def _pioneer() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _catalog_light(catalog: str, brightest: float, faintest: float, ra: FloatArray, dec: FloatArray) -> FloatArray:
-    """Mean brightness, S10, that a catalogue's stars of brightest < V ≤ faintest leave around each node."""
+    """Mean brightness, S10, of catalogue stars with brightest < V ≤ faintest around each node."""
     stars = load_catalog(catalog)
     rows = np.flatnonzero((stars.v_mag > brightest) & (stars.v_mag <= faintest))
     if len(rows) == 0:
@@ -290,7 +292,7 @@ def _node_directions(ra_deg: FloatArray, dec_deg: FloatArray) -> FloatArray:
 
 # ---------------------------------------------------------------------- tables
 def _read(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Row nodes, column nodes and values (NaN where empty) of a shipped table."""
+    """Row nodes, column nodes and values (NaN where empty) of an included table."""
     text = (resources.files("simulator.sky") / "data" / name).read_text(encoding="utf-8")
     header, *rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
     values = np.array([[float(cell) if cell else math.nan for cell in row] for row in rows])

@@ -1,4 +1,4 @@
-"""From a catalogue's B−V and spectral type to what a spectrum is chosen by."""
+"""From a catalogue's B−V and spectral type to the coordinates of a spectrum."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ GIANT_SHARE = (
     *((0.55, 0.0), (0.65, 0.34), (0.75, 0.41), (0.85, 0.78), (0.95, 0.96), (1.05, 0.98)),
     *((1.15, 0.99), (1.55, 1.0)),
 )  # (B−V, share)
-"""Share of giants and subgiants (M_V < 3.5, and < 4 from B−V = 0.8) among the Hipparcos stars brighter than V = 9, at
-the middle of bins of 0.1 in B−V; bluer than 0.6, where F stars above the line are dwarfs or have dwarfs' colours, 0.
-Counted from Hipparcos-2 parallaxes (van Leeuwen 2007)."""
+"""Fraction of giants and subgiants (M_V < 3.5, and < 4 from B−V = 0.8) among the Hipparcos stars brighter than V = 9,
+at the centre of bins of 0.1 in B−V; 0 below 0.6, where F stars above the limit are dwarfs or have the colours of
+dwarfs. From Hipparcos-2 parallaxes (van Leeuwen 2007)."""
 
 _SHARE_B_V, _SHARE = np.array(GIANT_SHARE).T
 _TYPE = re.compile(r"([OBAFGKMCSNRW])(\d(?:\.\d)?)?")
@@ -32,11 +32,11 @@ _ORDER = "OBAFGKM"
 
 @functools.lru_cache(maxsize=8192)
 def parse_type(spectral_type: str) -> tuple[str, float, str]:
-    """Letter, subtype and luminosity class of a spectral type as catalogues write it.
+    """Letter, subtype and luminosity class of a spectral type in catalogue notation.
 
-    The first type and the first class of what is written count: 'K0IIIbCN-0.5' → ('K', 0.0, 'III'), 'A1Vn' → ('A', 1.0,
-    'V'), 'gG9' → ('G', 9.0, 'III'), 'M1-2Ia-Iab' → ('M', 1.0, 'I'), 'F5III-IV' → ('F', 5.0, 'III'). The prefixes of old
-    catalogues are classes: d 'V', sd 'VI', g 'III', c 'I'. Empty or NaN where nothing is said.
+    The first type and the first class are used: 'K0IIIbCN-0.5' → ('K', 0.0, 'III'), 'A1Vn' → ('A', 1.0, 'V'),
+    'gG9' → ('G', 9.0, 'III'), 'M1-2Ia-Iab' → ('M', 1.0, 'I'), 'F5III-IV' → ('F', 5.0, 'III'). The prefixes of old
+    catalogues denote classes: d 'V', sd 'VI', g 'III', c 'I'. Empty or NaN if not given.
     """
     text = spectral_type.strip()
     prefix = re.match(r"(sd|d|g|c)(?=[OBAFGKM])", text)
@@ -53,12 +53,12 @@ def parse_type(spectral_type: str) -> tuple[str, float, str]:
 
 
 def population_giant_share(b_v: FloatArray) -> FloatArray:
-    """Share of giants among stars of this B−V whose class is not known (`GIANT_SHARE`); 0 where B−V is NaN."""
+    """Fraction of giants among stars of this B−V with unknown class (`GIANT_SHARE`); 0 where B−V is NaN."""
     return np.asarray(np.where(np.isnan(b_v), 0.0, np.interp(b_v, _SHARE_B_V, _SHARE)))
 
 
 def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tuple[FloatArray, FloatArray]:
-    """B−V and `giant` of stars, as `simulator.sky.spectra.colour_sequence` takes them.
+    """B−V and `giant` of stars for `simulator.sky.spectra.colour_sequence`.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tu
     Returns
     -------
     b_v : (N,) array
-        Where it was not known, the colour of the type (dwarf or giant); NaN where there is no type either.
+        If unknown, the colour of the type (dwarf or giant); NaN if the type is unknown as well.
     giant : (N,) array
-        1 for the classes I, II and III, 0 for V and VI, 10 + subtype for M giants; for subgiants (IV) and
-        where the class is not known the share of giants among stars of this colour.
+        1 for the classes I, II and III, 0 for V and VI, 10 + subtype for M giants; for subgiants (IV) and unknown
+        classes the fraction of giants among stars of this colour.
     """
     colour = np.array(b_v, dtype=float)
     share = np.full(len(colour), math.nan)
@@ -96,7 +96,7 @@ def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tu
 
 
 def _colour_of_type(letter: str, subtype: float, giant: bool) -> float:
-    """B−V of a type, between the published ones; a missing subtype counts as 5. NaN for a letter off the sequence."""
+    """B−V of a type, interpolated between published types; 5 for a missing subtype. NaN for other letters."""
     if letter not in _ORDER:
         return math.nan
     at = _ORDER.index(letter) * 10 + (5.0 if math.isnan(subtype) else subtype)
@@ -108,7 +108,7 @@ def _colour_of_type(letter: str, subtype: float, giant: bool) -> float:
 
 @functools.cache
 def _subtypes(kind: str) -> tuple[FloatArray, FloatArray]:
-    """Published types as numbers, ten a letter, and their B−V."""
+    """Published types as numbers, ten per letter, and their B−V."""
     pairs = []
     for name, colours in published_colours(kind).items():
         letter, subtype, _ = parse_type(name)

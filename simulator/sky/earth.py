@@ -1,7 +1,7 @@
-"""The Earth beside and in the field: what it hides, how brightly its lit side and its limb shine.
+"""The Earth in and near the field: occultation, and the brightness of its lit side and limb.
 
-The Earth is a sphere of the equatorial radius (WGS 84; the poles lie 21 km lower, 0.4° at the limb from 800 km), its
-surface scatters like Lambert's, its atmosphere scatters once. Directions are ICRS, positions GCRS.
+The Earth is a sphere with the equatorial radius (WGS 84; the poles are 21 km lower, 0.4° at the limb from 800 km) and a
+Lambertian surface, with single scattering in the atmosphere. Directions are ICRS, positions GCRS.
 """
 
 from __future__ import annotations
@@ -40,32 +40,32 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 SUN_S10_SR = 10.0 ** (-0.4 * (sun_v(1.0) - 10.0)) * math.radians(1.0) ** 2
-"""Brightness in S10 of the Sun's light at 1 au spread over a steradian: 1.51e11."""
+"""Brightness in S10 of the Sun's light at 1 au spread over one steradian: 1.51e11."""
 
 SCALE_HEIGHT_KM = 7.1
-"""Scale height of the air: the density of the US Standard Atmosphere 1976 at 30, 50 and 80 km (1.5e-2, 8.4e-4, 1.5e-5
-of the ground's) within 20 %; nearer the ground it falls more slowly."""
+"""Scale height of the atmosphere: reproduces the density of the US Standard Atmosphere 1976 at 30, 50 and 80 km
+(1.5e-2, 8.4e-4, 1.5e-5 of that at the ground) to 20 %; at lower altitudes the density falls more slowly."""
 
 RAYLEIGH_DEPTH = 0.098
-"""Vertical optical depth of the molecules at 550 nm, sea level; Bucholtz 1995 (Appl. Opt. 34, 2765) 0.0973, Hansen &
+"""Vertical molecular optical depth at 550 nm, sea level; Bucholtz 1995 (Appl. Opt. 34, 2765) 0.0973, Hansen &
 Travis 1974 (Space Sci. Rev. 16, 527) 0.0978."""
 
 ATMOSPHERE_TOP_KM = 180.0
-"""No light comes from above: the limb is fainter than 1 S10 there."""
+"""Top of the limb, which is fainter than 1 S10 above."""
 
 _AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
-"""Depth of a line that grazes the ground over the vertical one: Chapman's √(2πR/H) = 75.1."""
+"""Ratio of the optical depth of a grazing ray to the vertical one: Chapman's √(2πR/H) = 75.1."""
 
 
 def angular_radius_rad(r_km: ArrayLike) -> float:
-    """Angle between the Earth's centre and its horizon, arcsin(R/r), from a position (3,); 90° on the ground."""
+    """Angle between the Earth's centre and its horizon, arcsin(R/r), at a position (3,); 90° on the ground."""
     return math.asin(min(EARTH_RADIUS_KM / math.hypot(*np.asarray(r_km, dtype=float).tolist()), 1.0))
 
 
 def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
-    """Whether the solid Earth hides what lies, infinitely far, in directions (N, 3).
+    """Whether the solid Earth occults objects at infinity in directions (N, 3).
 
-    Refraction is left out: it lifts a star at the limb by up to 1.2°, but spreads its light over as much.
+    Refraction is neglected: it displaces a star at the limb by up to 1.2°, but also spreads its light over this angle.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ def occulted(directions: ArrayLike, r_km: ArrayLike) -> BoolArray:
 
 
 def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Where the Earth's limb runs over the disks of bodies.
+    """The Earth's limb on the disks of bodies.
 
-    On the sphere the limb is a circle of radius ρ about the nadir, whose geodesic curvature is cot ρ. On a disk of
-    radius a ≪ ρ whose centre is D from the nadir, with t the distance towards the nadir and p across it, in radii, the
-    Earth hides t > (D − ρ)/a + ½ a cot ρ p².
+    On the sphere the limb is a circle of radius ρ about the nadir with geodesic curvature cot ρ. On a disk of radius
+    a ≪ ρ whose centre is at D from the nadir, with t the distance towards the nadir and p perpendicular to it, in
+    radii, the Earth occults t > (D − ρ)/a + ½ a cot ρ p².
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tupl
     Returns
     -------
     offset, curvature : (N,) arrays
-        (D − ρ)/a and a cot ρ: from 1 on the disk is free, up to −1 it is hidden.
+        (D − ρ)/a and a cot ρ: from 1 the disk is free, up to −1 it is occulted.
     """
     r = np.asarray(r_km, dtype=float)
     radius = np.maximum(np.asarray(radius_rad, dtype=float), 1e-9)
@@ -108,10 +108,10 @@ def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tupl
 
 
 def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky) -> FloatArray:
-    """Share (N,) of the light of Sun, Moon and planets that the Earth leaves free: 0 or 1, or between where its limb
-    runs over the disk, as in the penumbra.
+    """Fraction (N,) of the light of Sun, Moon and planets that the Earth does not occult; between 0 and 1 if its limb
+    crosses the disk, as in the penumbra.
 
-    Brightness over the disk is that of its phase and scattering law (`simulator.optics.bodies`).
+    The brightness over the disk follows its phase and scattering law (`simulator.optics.bodies`).
     """
     if not sky.earth or not len(bodies):
         return np.ones(len(bodies))
@@ -127,13 +127,13 @@ def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 
 
 def _angle_at(centre: FloatArray, one: FloatArray, other: FloatArray) -> float:
-    """Angle between the great circles from a direction towards two others; 0 where one of them has none."""
+    """Angle between the great circles from a direction towards two others; 0 if one of them is undefined."""
     first, second = one - (one @ centre) * centre, other - (other @ centre) * centre
     return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
 def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
-    """Whether the Earth with its atmosphere may reach into the image: a circle around the image is tested."""
+    """Whether the Earth with its atmosphere may overlap the image (or its circumscribed circle)."""
     r = np.asarray(r_km, dtype=float)
     distance = math.hypot(*r.tolist())
     nadir = min(max(float(attitude.boresight @ r) / -distance, -1.0), 1.0)
@@ -142,15 +142,16 @@ def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
 
 
 def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, albedo: float = 0.3) -> FloatArray:
-    """Brightness (N,) of the Earth, S10; 0 on its dark side and where a line of sight passes it by.
+    """Brightness (N,) of the Earth, S10; 0 on its dark side and for lines of sight that do not meet it.
 
-    On the disk Lambert's law, L = A E cos θ/π, with θ the Sun's zenith distance at the ground and E the Sun's light
-    at 1 au (the Sun's V = −26.74 spread over a steradian: `SUN_S10_SR`). Above the limb sunlight scattered once by
-    the molecules, L = E P(Θ)/4π · (1 − e^−τ) · e^−τ_s: P = ¾(1 + cos² Θ) Rayleigh's phase function, τ = τ₀ √(2πR/H)
-    e^−h/H the depth along the line with tangent height h, τ_s that of the Sun's way in to the tangent point: τ₀ e^−h/H
-    X(cos θ), X(c) = 1/(c + 0.0266 e^−11c) (Rozenberg 1966, his 0.025 fitted to our scale height), where the Sun is up;
-    where it is down, the whole line of its grazing ray less X(−cos θ) behind the point, and infinite where that ray
-    meets the ground. It falls off exponentially with H = 7.1 km where τ is small.
+    On the disk Lambert's law, L = A E cos θ/π, with the Sun's zenith distance θ at the ground and the Sun's light E at
+    1 au (the Sun's V = −26.74 spread over a steradian: `SUN_S10_SR`). Above the limb sunlight scattered once by
+    molecules, L = E P(Θ)/4π · (1 − e^−τ) · e^−τ_s, with the Rayleigh phase function P = ¾(1 + cos² Θ), the optical
+    depth τ = τ₀ √(2πR/H) e^−h/H along the line of sight with tangent height h, and that from the Sun to the tangent
+    point, τ_s. If the Sun is above the horizon, τ_s = τ₀ e^−h/H X(cos θ), X(c) = 1/(c + 0.0266 e^−11c) (Rozenberg
+    1966, with his 0.025 adapted to our scale height). If it is below, τ_s is that of the whole grazing ray minus
+    X(−cos θ) behind the point, and infinite if that ray meets the ground. The brightness falls exponentially with
+    H = 7.1 km where τ is small.
 
     Parameters
     ----------
@@ -165,8 +166,8 @@ def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, 
 
     Notes
     -----
-    Clouds, seas, the glint, airglow, moonlight and cities are left out, and so are the air before the disk, aerosols
-    and second scattering, which brighten the limb and soften the terminator.
+    Not modelled: clouds, seas, sun glint, airglow, moonlight and cities; the atmosphere in front of the disk, aerosols
+    and multiple scattering, which brighten the limb and soften the terminator.
     """
     lines = np.ascontiguousarray(np.atleast_2d(np.asarray(directions, dtype=float)))
     r = np.ascontiguousarray(r_km, dtype=float)
@@ -179,10 +180,10 @@ def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, 
 def earth_radiance_map(
     camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 ) -> tuple[FloatArray, BoolArray] | None:
-    """The Earth in every pixel; None where it is not in the field, or `earth` is off.
+    """The Earth in every pixel; None if it is not in the field, or `earth` is off.
 
-    Sampled at the pixels' centres; the limb of a camera that holds the local level stands still, so no smear is
-    drawn, and what the optics throw out of the disk is left to `simulator.optics.stray_light`.
+    Sampled at pixel centres. Smear is neglected, as the limb does not move for a camera in local-level attitude; light
+    scattered out of the disk by the optics is in `simulator.optics.stray_light`.
 
     Parameters
     ----------
@@ -196,9 +197,9 @@ def earth_radiance_map(
     Returns
     -------
     s10 : (height, width) array
-        Brightness of disk and limb; 0 beside them.
+        Brightness of disk and limb; 0 elsewhere.
     hidden : (height, width) bool
-        Whether the solid Earth hides the sky.
+        Whether the solid Earth occults the sky.
     """
     if not sky.earth or not earth_in_field(camera, attitude, r_km):
         return None
@@ -212,20 +213,20 @@ def earth_radiance_map(
 def stray_sources(
     bodies: Bodies, r_km: ArrayLike, sky: Sky, rings: int = 24, sectors: int = 48
 ) -> tuple[NDArray[np.str_], FloatArray, FloatArray]:
-    """What may shine into the baffle: Sun, Moon, and the lit Earth in pieces.
+    """Sources of stray light: Sun, Moon, and the lit Earth in elements.
 
-    The visible part of the Earth is cut into pieces of equal solid angle about the nadir, each a point of V = −2.5
-    log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are left out while the Earth hides them, and
-    fainter where it hides a part of them.
+    The visible part of the Earth is divided into elements of equal solid angle about the nadir, each a point of
+    V = −2.5 log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are omitted while the Earth occults
+    them, and fainter if it occults part of them.
 
     Parameters
     ----------
     bodies : Bodies
-        From `solar_system`; without the Sun in it nothing shines.
+        From `solar_system`; without the Sun there are no sources.
     r_km : array_like, shape (3,)
         Position of the spacecraft.
     sky : Sky
-        Its `earth` (false: the Earth neither hides nor shines) and `earth_albedo`.
+        Its `earth` (false: the Earth neither occults nor emits) and `earth_albedo`.
 
     Returns
     -------
@@ -253,7 +254,7 @@ def stray_sources(
 
 
 def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, float]:
-    """Directions (rings × sectors, 3) over the Earth's disk, each standing for the same solid angle; that in deg²."""
+    """Directions (rings × sectors, 3) over the Earth's disk with equal solid angles, and that solid angle in deg²."""
     nadir = -r_km / np.linalg.norm(r_km)
     span = 1.0 - math.cos(angular_radius_rad(r_km))
     cosine = 1.0 - span * (np.arange(rings) + 0.5) / rings
@@ -276,9 +277,9 @@ def _radiance(
     radius = EARTH_RADIUS_KM
     for n in range(len(lines)):
         dx, dy, dz = lines[n, 0], lines[n, 1], lines[n, 2]
-        along = -(r[0] * dx + r[1] * dy + r[2] * dz)  # distance to the point nearest the Earth's centre
+        along = -(r[0] * dx + r[1] * dy + r[2] * dz)  # distance to the point closest to the Earth's centre
         nearest = math.sqrt(max(square - along * along, 0.0))
-        if not along > 0.0 or nearest > radius + ATMOSPHERE_TOP_KM:  # behind, beside, or NaN
+        if not along > 0.0 or nearest > radius + ATMOSPHERE_TOP_KM:  # behind the observer, no intersection, or NaN
             out[n] = 0.0
             continue
         distance = along - math.sqrt(radius * radius - nearest * nearest) if nearest < radius else along
@@ -305,5 +306,5 @@ def _radiance(
 
 @kernel
 def _air_mass(cosine: float) -> float:
-    """Depth of the air above a point towards a zenith distance, over the vertical one; half the line at 90°."""
+    """Air mass above a point at a zenith distance, relative to the vertical; half of the line of sight at 90°."""
     return 1.0 / (cosine + 2.0 / _AIR_MASSES * math.exp(-11.0 * cosine))

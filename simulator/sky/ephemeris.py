@@ -1,7 +1,8 @@
 """Barycentric positions of Sun, Moon and planets: Skyfield with the JPL ephemeris DE421 of ``skyfield-data``.
 
 Folkner, Williams & Boggs 2009, "The Planetary and Lunar Ephemeris DE 421", IPN Progress Report 42-178. Its axes are
-the ICRF to 1 mas; it covers 1899-07-29 to 2053-10-09. Skyfield's TDB is good to 10 µs, in which the Earth moves 0.3 m.
+the ICRF to 1 mas; it covers 1899-07-29 to 2053-10-09. Skyfield's TDB is accurate to 10 µs, in which the Earth moves
+0.3 m.
 """
 
 from __future__ import annotations
@@ -34,18 +35,17 @@ DE421_NAME = {
     "Sun": "sun",
     "Earth": "earth",
 }
-"""Name of each body in the ephemeris. Jupiter to Neptune: the centre of mass with the moons, within 0.1″ of the
-planet's own."""
+"""Name of each body in the ephemeris. Jupiter to Neptune: the barycentre with the moons, within 0.1″ of the planet."""
 
 
 @functools.cache
 def de421() -> Any:
-    """The ephemeris as Skyfield's ``SpiceKernel``; mapped into memory, so that only the pages in use are read.
+    """The ephemeris as Skyfield's ``SpiceKernel``; memory-mapped, so that only the pages in use are read.
 
     Raises
     ------
     InputError
-        When the file is missing or damaged.
+        If the file is missing or damaged.
     """
     from skyfield.jpllib import SpiceKernel
 
@@ -53,14 +53,14 @@ def de421() -> Any:
     try:
         return SpiceKernel(str(path))
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: the ephemeris cannot be read ({error}); install skyfield-data anew") from error
+        raise InputError(f"{path}: the ephemeris cannot be read ({error}); reinstall skyfield-data") from error
 
 
 @functools.cache
 def _timescale() -> Any:
     from skyfield.api import load
 
-    return load.timescale(builtin=True)  # the tables that come with Skyfield: nothing is downloaded
+    return load.timescale(builtin=True)  # the tables included in Skyfield: nothing is downloaded
 
 
 def sky_time(clock: Clock, t_s: float | FloatArray) -> Any:
@@ -74,7 +74,7 @@ def barycentric(body: str, time: Any) -> Any:
     Raises
     ------
     InputError
-        When a date lies outside the ephemeris.
+        If a date is outside the ephemeris.
     """
     from skyfield.errors import EphemerisRangeError
 

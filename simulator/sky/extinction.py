@@ -1,4 +1,4 @@
-"""Interstellar extinction, for stars redder than any star is by itself."""
+"""Interstellar extinction, for stars redder than any intrinsic colour."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _OPTICAL_B = (0.0, 1.41338, 2.28305, 1.07233, -5.38434, -0.62251, 5.30260, -2.09
 def extinction_over_av(wavelength_nm: FloatArray) -> FloatArray:
     """A(λ)/A_V = a(x) + b(x)/R_V with x = 1 µm/λ; Cardelli, Clayton & Mathis 1989 (ApJ 345, 245), eq. 1 to 3.
 
-    The optical polynomials hold from 1.1 to 3.3 µm⁻¹ (303 to 909 nm), the infrared power law beyond 909 nm; shorter
-    than 303 nm the value there is kept.
+    The optical polynomials are valid from 1.1 to 3.3 µm⁻¹ (303 to 909 nm), the infrared power law beyond 909 nm; below
+    303 nm the value is constant.
     """
     x = 1000.0 / np.asarray(wavelength_nm, dtype=float)
     y = np.clip(x, 1.1, 3.3) - 1.82
@@ -29,5 +29,5 @@ def extinction_over_av(wavelength_nm: FloatArray) -> FloatArray:
 
 
 def relative_extinction(wavelength_nm: FloatArray) -> FloatArray:
-    """(A(λ) − A_V)/E(B−V), magnitudes a magnitude of colour excess: 1 in B, 0 in V."""
+    """(A(λ) − A_V)/E(B−V), magnitudes per magnitude of colour excess: 1 in B, 0 in V."""
     return R_V * (extinction_over_av(wavelength_nm) - 1.0)

@@ -1,4 +1,4 @@
-"""A block of instants of a mission: where the spacecraft, the Sun, the Moon and the planets are, as arrays."""
+"""A block of instants of a mission: positions of the spacecraft, the Sun, the Moon and the planets, as arrays."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Instant:
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """What a mission's ephemerides say at T instants, asked for together: Skyfield and ERFA cost some 50 µs an instant
-    in a block, and milliseconds alone."""
+    """Ephemerides of a mission at T instants, computed together: Skyfield and ERFA take about 50 µs per instant in a
+    block, and milliseconds for a single one."""
 
     t_s: FloatArray
     """(T,): Seconds after the epoch."""
@@ -56,7 +56,7 @@ class Instants:
     sun_au: FloatArray
     """(T, 3): Barycentric position of the Sun."""
     bodies: Bodies
-    """Of T instants."""
+    """Bodies at T instants."""
     orbit_argument_deg: FloatArray
     """(T,): Argument of latitude."""
     latitude_deg: FloatArray
@@ -67,7 +67,7 @@ class Instants:
 
     @classmethod
     def of(cls, orbit: Orbit, t_s: FloatArray, sky: Sky) -> Instants:
-        """Ephemerides along an orbit; `InputError` where a date lies outside DE421."""
+        """Ephemerides along an orbit; `InputError` if a date is outside DE421."""
         clock = orbit.clock
         r_km, v_km_s = orbit.state(t_s)
         position_au, velocity_km_s = barycentric_state(clock, t_s, r_km, v_km_s)

@@ -1,10 +1,10 @@
 """Library spectra of stars, adjusted to the published colours of their types.
 
-A spectrum of the library (Pickles 1998) has the jumps, lines and bands of its type; its broad-band colours are off from
-the published sequences by up to 0.1 mag (V−I by 0.07 in the median, 0.15 at most). So each is multiplied by a smooth
+A library spectrum (Pickles 1998) has the jumps, lines and bands of its type, but its broad-band colours differ from the
+published sequences by up to 0.1 mag (V−I by 0.07 in the median, at most 0.15). Each is therefore multiplied by a smooth
 curve c(λ), with ln c a monotone cubic in ln λ through the effective wavelengths of U, B, V, R and I and constant beyond
-the outer two, c(V) = 1; the four free values are found by Newton's method such that the synthetic U−B, B−V, V−R and V−I
-are the published ones. Of giants no V−R is prescribed: c runs smoothly from V to I and V−R is a prediction.
+the outer two, c(V) = 1. The four free values are determined by Newton's method such that the synthetic U−B, B−V, V−R
+and V−I are the published ones. For giants V−R is not prescribed: c is smooth from V to I, and V−R is a prediction.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ ANCHORS_DWARF = (
 )
 ANCHORS_GIANT = ("G0III", "G5III", "K0III", "K2III", "K4III", "K5III")
 ANCHORS_LATE = ("M0III", "M2III", "M4III", "M5III", "M6III")
-"""Types whose published colours are imposed; the others in `published_colours` are free to test against."""
+"""Types whose published colours are imposed; the others in `published_colours` are for tests."""
 
 _BETWEEN = {"M4.5V": ("M4V", "M5V")}
-"""Types that the library lacks where the published colours bend: the geometric mean of its neighbours."""
+"""Types missing in the library where the published colours bend: geometric mean of the neighbours."""
 
 HOT_GIANT_B_V = 0.45
-"""Bluer giants have the spectra of dwarfs: their broad-band colours differ by less than 0.03 mag."""
+"""Bluer giants have the spectra of dwarfs, as their broad-band colours differ by less than 0.03 mag."""
 
 _STEP_NM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Spectra ordered by one coordinate: photon flux densities (T, W) up to a factor, `key` (T,) rising."""
+    """Spectra ordered by one coordinate: photon flux densities (T, W) up to a factor, `key` (T,) ascending."""
 
     key: FloatArray
     wavelength_nm: FloatArray
@@ -67,7 +67,7 @@ class Sequence:
 
 @functools.cache
 def published_colours(kind: str) -> dict[str, dict[str, float]]:
-    """Published colours by type; `kind` is ``dwarfs`` or ``giants``; NaN where a colour is not given."""
+    """Published colours by type; `kind` is ``dwarfs`` or ``giants``; NaN if a colour is not given."""
     rows = csv.DictReader(_lines(f"colours_{kind}.csv"))
     return {row["type"]: {name: float(row[name] or math.nan) for name in COLOURS} for row in rows}
 
@@ -85,7 +85,7 @@ def library() -> tuple[FloatArray, dict[str, FloatArray]]:
 
 @functools.cache
 def sequence(name: str) -> Sequence:
-    """One of the sequences ``dwarf`` and ``giant`` (by B−V) and ``late_giant`` (by M subtype), colours imposed."""
+    """One of the sequences ``dwarf`` and ``giant`` (by B−V) and ``late_giant`` (by M subtype), with imposed colours."""
     dwarfs, giants = published_colours("dwarfs"), published_colours("giants")
     if name == "dwarf":
         chosen = [(dwarfs[t]["b_v"], t, dwarfs[t]) for t in ANCHORS_DWARF]
@@ -107,7 +107,7 @@ def magnitudes(wavelength_nm: FloatArray, f_lambda: FloatArray) -> dict[str, flo
     Parameters
     ----------
     wavelength_nm, f_lambda : (W,) array
-        Energy flux density, 10⁻¹¹ erg cm⁻² s⁻¹ Å⁻¹; straight lines between its points.
+        Energy flux density, 10⁻¹¹ erg cm⁻² s⁻¹ Å⁻¹; interpolated linearly.
     """
     mags = {}
     for band, zero in ZERO_FLUX.items():
@@ -124,9 +124,9 @@ def synthetic_colours(wavelength_nm: FloatArray, f_lambda: FloatArray) -> FloatA
 
 
 def with_colours(wavelength_nm: FloatArray, f_lambda: FloatArray, colours: dict[str, float]) -> FloatArray:
-    """F_λ times the smooth curve that gives it the colours; one that is NaN puts no condition.
+    """F_λ times the smooth curve that gives the colours; a colour of NaN imposes no condition.
 
-    Newton's method with the exact answer of narrow bands as Jacobian; the colours come out to 1e-6 mag.
+    Newton's method with the Jacobian for narrow bands; the colours are reproduced to 1e-6 mag.
     """
     target = np.array([colours[name] for name in COLOURS])
     wanted = np.isfinite(target)

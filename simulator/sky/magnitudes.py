@@ -2,11 +2,11 @@
 
 Planets: Mallama & Hilton 2018, "Computing apparent planetary magnitudes for The Astronomical Almanac", Astronomy and
 Computing 25, 10 (arXiv:1808.01973), whose equation numbers are given. With r and Δ the distances from Sun and observer
-in au, α the phase angle in degrees, V = 5 log₁₀(r Δ) + V₁(α, …). Good to 0.1 mag or better; Mars without its
-rotation and seasons is off by up to 0.06 mag.
+in au, α the phase angle in degrees, V = 5 log₁₀(r Δ) + V₁(α, …). Accurate to 0.1 mag or better; the error for Mars,
+whose rotation and seasons are neglected, is up to 0.06 mag.
 
-Every function takes arrays. Skyfield's ``planetary_magnitude`` has the same formulae, but takes the barycentre for the
-Sun (0.04 mag for Mercury) and gives NaN where the paper has no observations.
+All functions take arrays. Skyfield's ``planetary_magnitude`` has the same formulae, but uses the barycentre instead of
+the Sun (0.04 mag for Mercury) and returns NaN where the paper has no observations.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def moon_v(r_au: ArrayLike, delta_au: ArrayLike, phase_deg: ArrayLike) -> FloatA
     """V of the Moon, −12.73 at mean full Moon.
 
     V = −12.73 + 0.026 α + 4·10⁻⁹ α⁴ + 5 log₁₀(r Δ / 384,400 km) (Allen 1976; Krisciunas & Schaefer 1991, PASP 103,
-    1033, eq. 9). Good to some 0.2 mag up to α = 150°; without the opposition surge (a third brighter at α < 1°), and
-    with no difference between waxing and waning.
+    1033, eq. 9). Accurate to about 0.2 mag up to α = 150°; without the opposition surge (a third brighter at
+    α < 1°), and without a difference between waxing and waning Moon.
     """
     alpha = np.asarray(phase_deg, dtype=float)
     distance = np.asarray(r_au, dtype=float) * delta_au / _MOON_MEAN_DISTANCE_AU
@@ -58,7 +58,7 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
     from_sun_au, from_observer_au : float array, shape (..., 3)
         Vectors to the planet, ICRF axes.
     epoch_jyear : float or array, shape (...)
-        Julian year: Neptune has grown brighter since 1980.
+        Julian year; Neptune has become brighter since 1980.
 
     Returns
     -------
@@ -66,8 +66,8 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
 
     Notes
     -----
-    Outside the ranges of phase angle that were observed (Mercury 2° to 170°, Venus 2° to 179°, Saturn to 6.5°) the
-    formulae are continued; a spacecraft near the Earth sees no others but those two planets close to the Sun.
+    Outside the observed ranges of phase angle (Mercury 2° to 170°, Venus 2° to 179°, Saturn to 6.5°) the formulae are
+    extrapolated; near the Earth this only occurs for the two inner planets close to the Sun.
     """
     r, delta = np.linalg.norm(from_sun_au, axis=-1), np.linalg.norm(from_observer_au, axis=-1)
     sun_ray, sight = from_sun_au / r[..., None], from_observer_au / delta[..., None]
@@ -90,7 +90,7 @@ def _polynomial(alpha: FloatArray, coefficients: tuple[float, ...]) -> FloatArra
 
 
 def _latitude(pole: FloatArray, ray: FloatArray) -> FloatArray:
-    """Planetocentric latitude, degrees, of the point under a source whose rays run along `ray` (..., 3)."""
+    """Planetocentric latitude, degrees, of the subpoint of a source whose rays have the direction `ray` (..., 3)."""
     return np.asarray(np.degrees(np.arcsin(-np.sum(pole * ray, axis=-1))))
 
 
@@ -117,7 +117,7 @@ def _jupiter(alpha: FloatArray) -> FloatArray:  # eq. 8 and 9
 
 
 _PHASE_CURVES = {"Mercury": _mercury, "Venus": _venus, "Mars": _mars, "Jupiter": _jupiter}
-"""V at 1 au from Sun and observer, of the phase angle in degrees alone."""
+"""V at 1 au from Sun and observer, as a function of the phase angle in degrees."""
 
 
 def _saturn(alpha: FloatArray, sun_latitude: FloatArray, latitude: FloatArray) -> FloatArray:  # eq. 10, globe and rings
@@ -132,7 +132,7 @@ def _uranus(alpha: FloatArray, sun_latitude: FloatArray, latitude: FloatArray) -
 
 
 def _planetographic(latitude_deg: FloatArray) -> FloatArray:
-    """Size of the planetographic latitude of Uranus, degrees, of a planetocentric one."""
+    """Absolute planetographic latitude of Uranus, degrees, from the planetocentric latitude."""
     return np.asarray(np.abs(np.degrees(np.arctan(np.tan(np.radians(latitude_deg)) / URANUS_AXES_SQUARED))))
 
 

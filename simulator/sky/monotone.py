@@ -1,4 +1,4 @@
-"""Cubic interpolation that makes no extremum of its own."""
+"""Monotone cubic interpolation."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MonotoneCubic:
-    """Cubic Hermite interpolant through points, monotone wherever they are.
+    """Cubic Hermite interpolant through points, monotone wherever the points are.
 
-    The slope at a point is the weighted harmonic mean of those of its two sides, 0 at an extremum; at the ends it is
-    that of the parabola through three points, held back where it would overshoot (Fritsch & Butland 1984, SIAM J.
-    Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). The same as SciPy's
-    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to load."""
+    The slope at a point is the weighted harmonic mean of those of the adjacent intervals, and 0 at an extremum; at the
+    ends it is that of the parabola through three points, limited to avoid overshoot (Fritsch & Butland 1984, SIAM J.
+    Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). Equivalent to SciPy's
+    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to import."""
 
     x: FloatArray
-    """(N,): Rising, at least three."""
+    """(N,): Ascending, at least three."""
     y: FloatArray
-    """(N,): Values, each column a curve of its own."""
+    """(N,): Values; each column is a separate curve."""
     slope: FloatArray
     """From `through`."""
 
@@ -51,7 +51,7 @@ class MonotoneCubic:
 
 
 def _end(h0: FloatArray, h1: FloatArray, m0: FloatArray, m1: FloatArray) -> FloatArray:
-    """Slope at an end, from the intervals next to it and their slopes."""
+    """Slope at an end, from the adjacent intervals and their slopes."""
     slope = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
     slope = np.where((m0 * m1 < 0.0) & (np.abs(slope) > 3.0 * np.abs(m0)), 3.0 * m0, slope)
     return np.asarray(np.where(slope * m0 > 0.0, slope, 0.0))

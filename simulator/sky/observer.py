@@ -1,4 +1,4 @@
-"""The spacecraft among the planets: barycentric position and velocity, from the Earth's and its orbit's."""
+"""Barycentric position and velocity of the spacecraft, from those of the Earth and its orbit."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def barycentric_state(
 ) -> tuple[FloatArray, FloatArray]:
     """Barycentric position, au, and velocity, km/s, of the spacecraft; (3,), or (N, 3) for times (N,).
 
-    The geocentric (GCRS) state is added to the Earth's barycentric one (BCRS) as it stands: the Lorentz terms between
-    the two systems are 1e-8 of it, that is 7 cm and 0.1 mm/s.
+    The geocentric (GCRS) state is added to the Earth's barycentric state (BCRS) directly: the relativistic terms
+    between the two systems are 1e-8 of it, that is 7 cm and 0.1 mm/s.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def barycentric_state(
     Raises
     ------
     InputError
-        When a date lies outside DE421 (1899 to 2053).
+        If a date is outside DE421 (1899 to 2053).
     """
     earth = barycentric("Earth", sky_time(clock, t_s))
     position_au = earth.xyz.au.T + np.asarray(r_km, dtype=float) / AU_KM
@@ -53,7 +53,7 @@ def observe(clock: Clock, t_s: float, r_km: ArrayLike, v_km_s: ArrayLike) -> Obs
 
 
 def is_sunlit(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> NDArray[np.bool_]:
-    """Whether the Sun's centre is clear of the Earth's body, a sphere; Skyfield's ``is_sunlit``; () or (N,)."""
+    """Whether the centre of the Sun is not occulted by the spherical Earth; Skyfield's ``is_sunlit``; () or (N,)."""
     from skyfield.positionlib import Geocentric
 
     return np.asarray(Geocentric(r_km.T / AU_KM, t=sky_time(clock, t_s)).is_sunlit(de421()), dtype=bool)

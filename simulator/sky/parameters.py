@@ -1,4 +1,4 @@
-"""Parameters of the sky: what is in it, and which effects move and light it."""
+"""Parameters of the sky: its contents and effects."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Sky:
-    """What is in the sky and how it is seen."""
+    """Contents of the sky, and effects on apparent positions and brightness."""
 
     catalog: str = "hipparcos"
     """``hipparcos`` or ``bsc5``."""
     magnitude_limit: float = 9.0
-    """Faintest V that is drawn."""
+    """Faintest V that is rendered."""
     spectrum: str = "colour_sequence"
     """Spectra of the stars: ``colour_sequence`` (library spectra with the colours of real stars) or ``blackbody``."""
     proper_motion: bool = True
-    """Move the stars to the date."""
+    """Apply space motion."""
     parallax: bool = True
     """Annual parallax."""
     light_deflection: bool = True
-    """Bending of light by the Sun."""
+    """Light deflection by the Sun."""
     aberration: bool = True
     """Annual and orbital aberration."""
     planets: bool = True
@@ -28,12 +28,13 @@ class Sky:
     background: bool = True
     """Diffuse background."""
     background_s10: float = 75.0
-    """Its brightness in tenth-magnitude stars a square degree: zodiacal light 60 and scattered starlight 15."""
+    """Its brightness in tenth-magnitude stars per square degree: zodiacal light 60 and scattered starlight 15."""
     background_model: str = "constant"
-    """``constant``: `background_s10` everywhere; ``leinert1998``: zodiacal light and undrawn starlight by direction."""
+    """``constant``: `background_s10` everywhere; ``leinert1998``: zodiacal light and unresolved starlight by
+    direction."""
     earth: bool = True
-    """The Earth: it hides what is behind it, and its lit side and limb shine where they are in the field."""
+    """The Earth: occultation, and the brightness of its lit side and limb in the field."""
     earth_albedo: float = 0.3
-    """Albedo of the Earth's surface and clouds, which scatter alike in all directions (Lambert)."""
+    """Lambert albedo of the Earth's surface and clouds."""
     phases: bool = True
-    """Draw the lit part of the Moon's and the planets' disks; false: uniform full disks."""
+    """Render the phases of the Moon and planets; false: uniform full disks."""

@@ -22,21 +22,21 @@ _Tables = tuple[FloatArray, FloatArray, FloatArray]
 
 _B_V_GRID = np.linspace(*B_V_RANGE, round((B_V_RANGE[1] - B_V_RANGE[0]) / 0.0025) + 1)
 _LATE_GRID = np.linspace(*LATE_GIANT, round((LATE_GIANT[1] - LATE_GIANT[0]) / 0.02) + 1)
-_LATE_B_V = 1.6  # for families of spectra that know B−V only
+_LATE_B_V = 1.6  # for families of spectra that depend on B−V only
 _SPECTRA_AT_ONCE = 128
 _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
 
 
 def integrate(photons: Curve, response: Curve) -> float:
-    """Electrons that photons of a spectrum set free, ∫ n_λ η_λ dλ.
+    """Electrons from the photons of a spectrum, ∫ n_λ η_λ dλ.
 
     Parameters
     ----------
     photons : Curve
         Photon flux density, photons cm⁻² s⁻¹ nm⁻¹.
     response : Curve
-        Electrons a photon: transmission × quantum efficiency.
+        Electrons per photon: transmission × quantum efficiency.
 
     Returns
     -------
@@ -49,17 +49,17 @@ def integrate(photons: Curve, response: Curve) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Photometer:
-    """What an aperture and a response make of starlight.
+    """Electron rates of stars for an aperture and a spectral response.
 
     N = A ∫ n_λ(star) η_λ dλ × 10^(−0.4 V) electrons per second, with n_λ the photon flux density of a V = 0 star of
     that colour and class (`simulator.sky.spectra`), η transmission × quantum efficiency and A the area of the aperture.
     The integrals are done once for colours 0.0025 apart; between them the tables are interpolated (relative error below
     1 × 10⁻⁴).
 
-    Wherever a method takes `giant`, it is 0 for a dwarf, 1 for a giant, a share between, or 10 + the subtype (0 to 6)
-    of an M giant; left out or NaN (not known), the share of giants among bright stars of that B−V counts
-    (`simulator.sky.colours`, whose `spectral_coordinates` makes B−V and `giant` from a catalogue's columns). B−V that
-    is NaN counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
+    The argument `giant` of the methods is 0 for a dwarf, 1 for a giant, a fraction between, or 10 + the subtype (0 to
+    6) of an M giant. If omitted or NaN (unknown), the fraction of giants among bright stars of that B−V is used
+    (`simulator.sky.colours`, whose `spectral_coordinates` gives B−V and `giant` from a catalogue's columns). B−V of NaN
+    is replaced by `DEFAULT_B_V`; others are clipped to `B_V_RANGE`.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class Photometer:
         return np.array([self._body(str(name))[1] for name in names])
 
     def _body(self, name: str) -> tuple[float, float]:
-        """Electrons a second of a body of V = 0, and their mean wavelength; kept."""
+        """Electrons per second of a body with V = 0, and their mean wavelength; cached."""
         if name not in self._bodies:
             nm = self._wavelength_nm
             electrons = body_photons(nm, name, self.spectrum) * self._efficiency
@@ -144,30 +144,30 @@ class Photometer:
         return np.asarray(_looked_up(self._first_moment, b_v, giant) / _looked_up(self._rate, b_v, giant))
 
     def bin_weights(self, b_v: ArrayLike, edges_nm: ArrayLike, giant: ArrayLike | None = None) -> FloatArray:
-        """Share of a star's photo-electrons in wavelength bins.
+        """Fraction of a star's photo-electrons in wavelength bins.
 
         Parameters
         ----------
         b_v : (N,) array
             Colours B−V.
         edges_nm : (K + 1,) array
-            Edges of the bins, rising, nm. What lies outside counts to the first and the last bin.
+            Edges of the bins, ascending, nm. Electrons outside are counted in the first and the last bin.
         giant : (N,) array, optional
             Luminosity class, see above.
 
         Returns
         -------
         (N, K) array
-            Shares; the sum of each row is 1.
+            Fractions; the sum of each row is 1.
 
         Raises
         ------
         InputError
-            For fewer than two edges or edges that do not rise.
+            For fewer than two edges, or edges that are not ascending.
         """
         edges = np.asarray(edges_nm, dtype=float)
         if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0).all():
-            raise InputError(f"the edges of wavelength bins must be two or more and rise; got {edges.tolist()} nm")
+            raise InputError(f"wavelength bins need at least two ascending edges; got {edges.tolist()} nm")
         key = tuple(edges.tolist())
         if key not in self._bins:
             inner = edges[1:-1]
@@ -186,12 +186,12 @@ class Photometer:
         return np.asarray(binned / binned.sum(axis=1, keepdims=True))
 
     def background_e_s_pixel(self, s10: float, solid_angle_sr: float) -> float:
-        """Electrons a second and pixel of diffuse light of the Sun's colour.
+        """Electrons per second and pixel of diffuse light of the Sun's colour.
 
         Parameters
         ----------
         s10 : float
-            Surface brightness in stars of V = 10 a square degree (1 S10 = 27.78 mag arcsec⁻²; Leinert et al. 1998).
+            Surface brightness in stars of V = 10 per square degree (1 S10 = 27.78 mag arcsec⁻²; Leinert et al. 1998).
         solid_angle_sr : float
             Solid angle of a pixel.
         """
@@ -209,7 +209,7 @@ class Photometer:
         spectrum = lookup("spectra", SPECTRA, self.spectrum)
 
         def along(b_v: FloatArray, giant: FloatArray) -> FloatArray:
-            # a few spectra at a time: all at once are tens of megabytes several times over
+            # a few spectra at a time, as all at once take several times tens of megabytes
             parts = [slice(k, k + _SPECTRA_AT_ONCE) for k in range(0, len(b_v), _SPECTRA_AT_ONCE)]
             return np.concatenate([spectrum(wavelength_nm, b_v[part], giant[part]) @ kernels for part in parts])
 
@@ -264,14 +264,14 @@ def _look_up(
 
 @kernel
 def _place(at: float, rows: int) -> tuple[int, float]:
-    """Row of an even table below a position counted in rows, and the part of a step beyond it; ends are kept beyond."""
+    """Row of a uniform table below a position in units of rows, and the remaining fraction; clipped at the ends."""
     at = min(max(at, 0.0), rows - 1.0)
     row = min(int(at), rows - 2)
     return row, at - row
 
 
 def _sampled(response: Curve) -> tuple[FloatArray, FloatArray]:
-    """The response at its own points and at least every nanometre: a spectrum bends where a flat response does not."""
+    """The response at its own points and at least every nanometre, as spectra vary where the response is flat."""
     low, high = response.wavelength_nm[0], response.wavelength_nm[-1]
     fine = np.linspace(low, high, math.ceil((high - low) / _GRID_STEP_NM) + 1)
     wavelength_nm = np.unique(np.concatenate([fine, response.wavelength_nm]))

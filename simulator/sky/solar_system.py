@@ -1,4 +1,4 @@
-"""Sun, Moon and planets as the spacecraft sees them."""
+"""Apparent positions and photometry of Sun, Moon and planets."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ B_V = {
 """Colours, as in Cox 2000, *Allen's Astrophysical Quantities*, sections 12 and 14."""
 
 _DEFLECTION_LIMIT = 1e-9
-"""ERFA's limiter of ``eraLd``: deflection is held back within 9″ of the Sun's centre, behind its disc."""
+"""Limiter of ERFA's ``eraLd``: deflection is limited within 9″ of the Sun's centre, behind its disk."""
 
 _NAMES = np.array(list(RADIUS_KM))  # the Sun is the last
 _COLOURS = np.array(list(B_V.values()))
@@ -70,13 +70,13 @@ class Bodies:
     direction: FloatArray
     """(N, 3): Apparent unit vector of the centre, GCRS axes."""
     distance_au: FloatArray
-    """(N,): Distance when the light left."""
+    """(N,): Distance at the time of light emission."""
     v_mag: FloatArray
     """(N,): Apparent V of the whole disc."""
     angular_radius_rad: FloatArray
     """(N,): Apparent equatorial radius."""
     illuminated_fraction: FloatArray
-    """(N,): Lit share of the disc, 0 to 1."""
+    """(N,): Illuminated fraction of the disk, 0 to 1."""
     b_v: FloatArray
     """(N,): B − V."""
 
@@ -84,7 +84,7 @@ class Bodies:
         return len(self.name)
 
     def select(self, rows: NDArray[np.int64]) -> Bodies:
-        """Some of them, by index array."""
+        """Selection of bodies by index array."""
         return Bodies(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def at(self, instant: int) -> Bodies:
@@ -122,10 +122,10 @@ def solar_system(clock: Clock, t_s: float, observer: Observer, sky: Sky) -> Bodi
     Raises
     ------
     InputError
-        When the observer has no position, or the date lies outside DE421.
+        If the observer has no position, or the date is outside DE421.
     """
     if sky.planets and observer.position_au is None:
-        raise InputError("the planets need the observer's barycentric position; make the observer by observe()")
+        raise InputError("the planets need the observer's barycentric position; create the observer with observe()")
     position = np.zeros(3) if observer.position_au is None else observer.position_au
     return bodies_seen_from(clock, t_s, position, observer.velocity_km_s, sky)
 
@@ -139,10 +139,10 @@ def bodies_seen_from(
 ) -> Bodies:
     """Apparent positions and photometry of Mercury to Neptune, Moon and Sun, from DE421 by Skyfield and ERFA.
 
-    A body is where it was when its light left (Skyfield's ``observe``); the Sun bends the light of the others
-    (``eraLd`` for a source at finite distance, Klioner 2003); aberration comes last (``eraAb``). Skyfield's own
-    ``apparent`` cannot leave single effects out, as `Sky` can. Jupiter and the planets beyond it stand for
-    their systems' centres of mass (0.1″).
+    Positions include light time (Skyfield's ``observe``), light deflection by the Sun for the other bodies (``eraLd``
+    for a source at finite distance, Klioner 2003) and aberration (``eraAb``). Skyfield's ``apparent`` cannot omit
+    single effects, as `Sky` can. Jupiter and the outer planets are represented by the barycentres of their systems
+    (0.1″).
 
     Parameters
     ----------
@@ -153,12 +153,12 @@ def bodies_seen_from(
     position_au, velocity_km_s : array, shape (3,) or (T, 3)
         Barycentric state of the observer; without a velocity there is no aberration.
     sky : Sky
-        Its switches `light_deflection` and `aberration` hold for the bodies too; without `planets` there are none.
+        Its switches `light_deflection` and `aberration` also apply to bodies; without `planets` there are none.
 
     Raises
     ------
     InputError
-        When a date lies outside DE421.
+        If a date is outside DE421.
     """
     if not sky.planets:
         nothing = np.zeros((*np.shape(t_s), 0))
@@ -192,13 +192,13 @@ def bodies_seen_from(
     columns += [moon_v(sun_distance[..., -1], distance[..., -2], phase_deg), sun_v(distance[..., -1])]
     radius = np.arcsin(np.minimum(_RADII_AU / distance, 1.0))
     arrays = (direction, distance, np.stack(columns, axis=-1), radius, lit)
-    for array in arrays:  # they serve a block of frames
+    for array in arrays:  # used for a block of frames
         array.flags.writeable = False
     return Bodies(_NAMES, *arrays, _COLOURS)
 
 
 def _astrometric_au(time: Any, position_au: FloatArray) -> FloatArray:
-    """Vectors (..., N, 3) from the observer to where each body was when its light left."""
+    """Vectors (..., N, 3) from the observer to the position of each body at the time of light emission."""
     from skyfield.positionlib import Barycentric
 
     here = Barycentric(position_au.T, np.zeros(position_au.T.shape), time)

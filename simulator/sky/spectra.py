@@ -1,4 +1,4 @@
-"""Spectra of stars: photons of every wavelength from a star of known V, B−V and luminosity class."""
+"""Photon spectra of stars from V, B−V and luminosity class."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ V_EFFECTIVE_NM = 545.0
 """Effective wavelength of V for an A0 star; the same table."""
 
 DEFAULT_B_V = 0.6
-"""Colour of a star whose B−V is not known: about the median of stars brighter than V = 9."""
+"""Colour of a star with unknown B−V: about the median of stars brighter than V = 9."""
 
 SOLAR_B_V = 0.653
 """Colour of the Sun; Ramírez et al. 2012 (ApJ 752, 5)."""
 
 B_V_RANGE = (-0.4, 3.0)
-"""Colours outside are taken for the nearer end."""
+"""Colours outside are clipped to this range."""
 
 LATE_GIANT = (10.0, 16.0)
 """`giant` of M0 to M6 giants, 10 + subtype; see `colour_sequence`."""
 
-_C2_M_K = HC_J_NM * 1e-9 / BOLTZMANN_J_K  # colour-science's default is rounded to 0.014388
+_C2_M_K = HC_J_NM * 1e-9 / BOLTZMANN_J_K  # the default of colour-science is rounded to 0.014388
 V_GRID_NM = np.arange(470.0, 700.5, 0.5)
 
 
@@ -46,19 +46,18 @@ def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike
     Library spectra of each type (Pickles 1998, PASP 110, 863), adjusted to the published U−B, B−V, V−R and V−I of that
     type by a smooth factor (`simulator.sky.library`), form a sequence of dwarfs (B0 to M6; Mamajek 2018 after Pecaut &
     Mamajek 2013, ApJS 208, 9) and one of giants (G0 to K5; medians of the Bright Star Catalogue and Hipparcos; bluer
-    ones as dwarfs). Between two types ln n_λ is a monotone cubic in B−V. Redder than the end (2.0, 1.51) the last
-    spectrum is seen through interstellar dust (`simulator.sky.extinction`), which is what most such stars are; bluer
-    than B0 it is B0's. Giants from M0 to M6 have nearly one B−V, but a V−I from 1.7 to 3.4: they go by subtype.
+    ones as dwarfs). Between two types ln n_λ is a monotone cubic in B−V. Beyond the red end (2.0, 1.51) the last
+    spectrum is reddened by interstellar dust (`simulator.sky.extinction`), as is the case for most such stars; beyond
+    B0 it is that of B0. Giants from M0 to M6 have nearly the same B−V, but V−I from 1.7 to 3.4, and use the subtype.
 
     Parameters
     ----------
     wavelength_nm : (W,) array
         Wavelengths, nm; the library has 200 to 1300. Beyond the red end n_λ ∝ λ⁻³ (Rayleigh–Jeans), before the other 0.
     b_v : (N,) array
-        Colours B−V; NaN (unknown) counts as `DEFAULT_B_V`, others are kept within `B_V_RANGE`.
+        Colours B−V; `DEFAULT_B_V` for NaN (unknown); clipped to `B_V_RANGE`.
     giant : float or (N,) array
-        Share of the giants' spectrum, 0 (dwarf) to 1 (giant); 10 to 16: the M giant of subtype 0 to 6, whatever its
-        B−V.
+        Fraction of the giant's spectrum, 0 (dwarf) to 1 (giant); 10 to 16: M giant of subtype 0 to 6 for any B−V.
 
     Returns
     -------
@@ -67,9 +66,9 @@ def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike
 
     Notes
     -----
-    The synthetic magnitudes of an A0 star of V = 0 are 0 within 0.005 on the zero points of Bessell, Castelli & Plez
-    1998; colours of types that were not imposed come out within 0.05 mag (0.1 beyond M0). No star is a mean star: the
-    scatter of real stars about these sequences is some 0.03 mag in V−I at given B−V and class.
+    The synthetic magnitudes of an A0 star with V = 0 are 0 to within 0.005 with the zero points of Bessell, Castelli &
+    Plez 1998; colours of types that were not imposed agree to 0.05 mag (0.1 beyond M0). The scatter of real stars about
+    these sequences is about 0.03 mag in V−I at given B−V and class.
     """
     colour = _known(b_v)
     share = np.broadcast_to(np.asarray(giant, dtype=float), colour.shape)
@@ -110,7 +109,7 @@ def mean_v(wavelength_nm: FloatArray, photons: FloatArray) -> FloatArray:
 
 
 def _resampled(at_nm: FloatArray, photons: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
-    """Straight lines between the points; λ⁻³ beyond the red end, zero before the blue one."""
+    """Linear interpolation; λ⁻³ beyond the red end, zero beyond the blue one."""
     left = np.clip(np.searchsorted(at_nm, wavelength_nm, side="right") - 1, 0, len(at_nm) - 2)
     part = np.clip((wavelength_nm - at_nm[left]) / (at_nm[left + 1] - at_nm[left]), 0.0, 1.0)
     part_of_end = np.where(wavelength_nm > at_nm[-1], (at_nm[-1] / np.maximum(wavelength_nm, 1.0)) ** 3, 1.0)
@@ -122,18 +121,18 @@ def temperature_k(b_v: ArrayLike) -> FloatArray:
     """Effective temperature of a star from its colour, kelvin.
 
     T = 4600 (1/(0.92 (B−V) + 1.7) + 1/(0.92 (B−V) + 0.62)); Ballesteros 2012 (EPL 97, 34008), who fits black bodies
-    to B−V. Good to some 5 % for unreddened stars from B−V = −0.3 to 1.6; colours are kept within `B_V_RANGE`, and one
-    that is not known (NaN) counts as `DEFAULT_B_V`.
+    to B−V. Accurate to about 5 % for unreddened stars from B−V = −0.3 to 1.6; colours are clipped to `B_V_RANGE`, and
+    NaN (unknown) is replaced by `DEFAULT_B_V`.
     """
     colour = 0.92 * _known(b_v)
     return np.asarray(4600.0 * (1.0 / (colour + 1.7) + 1.0 / (colour + 0.62)))
 
 
 def blackbody(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0) -> FloatArray:
-    """Photon flux density of V = 0 stars that shine as black bodies.
+    """Photon flux density of V = 0 stars as black bodies.
 
-    The temperature is that of the colour (`temperature_k`), the shape Planck's law, the scale such that the mean of the
-    energy flux over Bessell's V passband is that of the published zero point:
+    The temperature follows from the colour (`temperature_k`), and the spectrum is Planck's law, scaled such that the
+    mean energy flux over Bessell's V passband is that of the published zero point:
     ∫ F_λ S_V dλ / ∫ S_V dλ = 995.5 photons cm⁻² s⁻¹ Å⁻¹ × hc/545 nm = 3.628 × 10⁻⁹ erg cm⁻² s⁻¹ Å⁻¹.
 
     Parameters
@@ -143,7 +142,7 @@ def blackbody(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0
     b_v : (N,) array
         Colours B−V; NaN where unknown.
     giant : float or (N,) array
-        Luminosity class, which makes no difference here.
+        Luminosity class, not used here.
 
     Returns
     -------
@@ -153,8 +152,8 @@ def blackbody(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0
     Notes
     -----
     V is exact. A black body has neither lines nor jumps: against the A0 fluxes of Bessell, Castelli & Plez 1998 it is
-    12 % faint in B, 11 % bright in R and 22 % bright in I. Cool stars (B−V > 1.6), whose light goes into molecular
-    bands, are a rough guess.
+    12 % too faint in B, 11 % too bright in R and 22 % too bright in I. For cool stars (B−V > 1.6) with molecular bands
+    it is only a rough approximation.
     """
     temperature = np.atleast_1d(temperature_k(b_v))
     photons = _planck_photons(wavelength_nm, temperature)
@@ -163,7 +162,7 @@ def blackbody(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike = 0.0
 
 
 def _known(b_v: ArrayLike) -> FloatArray:
-    """Colours without gaps, within `B_V_RANGE`."""
+    """Colours without NaN, clipped to `B_V_RANGE`."""
     colour = np.asarray(b_v, dtype=float)
     return np.asarray(np.clip(np.where(np.isnan(colour), DEFAULT_B_V, colour), *B_V_RANGE))
 
@@ -177,7 +176,7 @@ def _planck_photons(wavelength_nm: FloatArray, temperature: FloatArray) -> Float
 
 @functools.cache
 def _planck_law() -> Callable[..., FloatArray]:
-    from colour.colorimetry import planck_law  # a second to import: only who makes such spectra waits for it
+    from colour.colorimetry import planck_law  # takes a second to import, so only when needed
 
     law: Callable[..., FloatArray] = planck_law
     return law

@@ -1,4 +1,4 @@
-"""What a camera is to hold: a direction, a star by name or number, a body of the solar system."""
+"""Pointing targets: a direction, a star by name or number, or a body of the solar system."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ FloatArray = NDArray[np.float64]
 
 
 def find_target(name: str, catalog: StarCatalog) -> str | int:
-    """Name of a body, or row of a star in the catalogue, of what a user wrote.
+    """Name of a body, or row of a star in the catalogue, for a user's input.
 
-    Letter case and spaces do not matter. A star goes by its IAU proper name (``Sirius``), its Bayer or Flamsteed
-    designation (``Alp CMa``, ``33 Psc``), or its number in the catalogue (``HIP 32349``, ``HR 2491``, or bare).
+    Case and spaces are ignored. Stars are given by IAU proper name (``Sirius``), Bayer or Flamsteed designation
+    (``Alp CMa``, ``33 Psc``), or catalogue number (``HIP 32349``, ``HR 2491``, or the number alone).
 
     Raises
     ------
     InputError
-        When there is neither a body nor a star of that name; suggests the closest one.
+        If there is neither a body nor a star of that name; suggests the closest one.
     """
     wanted = _folded(name)
     for body in RADIUS_KM:
@@ -52,17 +52,17 @@ def find_target(name: str, catalog: StarCatalog) -> str | int:
 
 
 def _folded(name: str) -> str:
-    """A name as names are compared: without spaces and letter case."""
+    """Name in normalised form for comparison: without spaces and case."""
     return "".join(name.split()).casefold()
 
 
 def attitude_towards(direction: FloatArray, parameters: PointingParameters) -> Attitude:
-    """Camera attitude (ICRS → camera) that puts a direction (3,) at the offset from the boresight."""
+    """Camera attitude (ICRS → camera) with a direction (3,) at the given offset from the boresight."""
     ra, dec = (math.degrees(float(angle)) for angle in direction_to_radec(direction))
     centred = Attitude.from_radec_roll(ra, dec, parameters.target_roll_deg)
     x, y = (math.tan(math.radians(angle)) for angle in parameters.target_offset_deg)
     seen = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
-    # the smallest turn of the camera that moves the target from the boresight to `seen`
+    # the smallest rotation of the camera that moves the target from the boresight to `seen`
     axis = np.cross([0.0, 0.0, 1.0], seen)
     sine = float(np.linalg.norm(axis))
     vector = -axis / sine * math.asin(sine) if sine > 0.0 else np.zeros(3)
@@ -70,8 +70,8 @@ def attitude_towards(direction: FloatArray, parameters: PointingParameters) -> A
 
 
 def body_direction(name: str, bodies: Bodies) -> FloatArray:
-    """Apparent direction (3,) of a body; `InputError` where the scenario draws no bodies."""
+    """Apparent direction (3,) of a body; `InputError` if the scenario does not render bodies."""
     found = np.flatnonzero(bodies.name == name)
     if not len(found):
-        raise InputError(f"pointing.target: {name} is not drawn; set sky.planets: true")
+        raise InputError(f"pointing.target: {name} is not rendered; set sky.planets: true")
     return np.asarray(bodies.direction[found[0]])

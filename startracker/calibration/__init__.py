@@ -1,4 +1,4 @@
-"""Calibration: the camera's focal length, principal point and distortion from photographs of the sky."""
+"""Calibration of focal length, principal point and distortion from photographs of the sky."""
 
 from __future__ import annotations
 

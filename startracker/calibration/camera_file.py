@@ -1,4 +1,4 @@
-"""A calibration as text: the camera file with its pedigree, and a table for the terminal."""
+"""A calibration as text: the camera file with its provenance, and a table for the terminal."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def summary(calibration: Calibration) -> list[str]:
         f"with {calibration.floor_px:.3f} px beyond the centroids' own errors"
     )
     for one in calibration.fields:
-        place = one.attitude
+        attitude = one.attitude
         lines.append(
-            f"  {one.name}: RA {place.ra_deg:.4f}° Dec {place.dec_deg:+.4f}° roll {place.roll_deg:.3f}°, "
+            f"  {one.name}: RA {attitude.ra_deg:.4f}° Dec {attitude.dec_deg:+.4f}° roll {attitude.roll_deg:.3f}°, "
             f"{len(one.xy)} stars of {one.centroids} centroids, {one.rejected} rejected, {_both(one.rms_px, scale)} rms"
         )
     lines += [f"  {name}: left out, {reason}" for name, reason in calibration.unsolved.items()]
@@ -55,7 +55,7 @@ def summary(calibration: Calibration) -> list[str]:
 
 
 def camera_yaml(calibration: Calibration, made: date | None = None) -> str:
-    """Text of a file that `Camera.from_yaml` reads; what the calibration knows besides stands in comments."""
+    """Text of a file for `Camera.from_yaml`; other results of the calibration are in comments."""
     from ruamel.yaml import YAML
 
     stream = io.StringIO()

@@ -1,8 +1,9 @@
-"""Which images of a calibration belong together: the same image twice, and images at another focal length.
+"""Consistency of the images of a calibration: duplicates, and images with a different focal length.
 
-Each image alone gives the focal length with the rest of the lens held (one unknown beside its attitude), so that its
-standard error is small. Images that disagree with the median of the majority by more than that error, and by more than
-the air can do, were taken at another zoom or focus, or are misidentified; they are named and left out.
+The focal length is estimated from each image alone with the other lens parameters fixed (one unknown in addition to the
+attitude), so that its standard error is small. Images that differ from the median of the majority by more than that
+error, and by more than refraction explains, were taken at another zoom or focus, or are misidentified; they are
+reported and excluded.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ _TOLERANCE = 6e-4
 """Relative. Refraction shortens a field by κ sec²z on the mean of both axes, κ = 58.3″ = 2.8e-4: images at altitudes of
 40° and more differ by up to 4e-4."""
 _FIRST_TOLERANCE = 4e-3
-"""The same before the lens is known: distortion that is left out changes an image's focal length with its stars."""
+"""The same before the lens is known: unmodelled distortion changes the focal length of an image with its stars."""
 _SAME_PX = 1e-3
-"""Centroids of two exposures differ by their noise; those of a copied file do not, whatever was done to its header."""
+"""Centroids of two exposures differ by their noise; those of a copied file do not, even with a modified header."""
 _SAME_SHARE = 0.9
 
 
@@ -68,7 +69,7 @@ def agreeing(found: FocalLengths, among: NDArray[np.bool_], *, lens_known: bool)
 
 
 def repeated(fields: Sequence[StarField]) -> dict[int, int]:
-    """Images that show the same centroids as an earlier one, with that one's number."""
+    """Images with the same centroids as an earlier one, with the number of that image."""
     same: dict[int, int] = {}
     for later in range(len(fields)):
         for first in range(later):

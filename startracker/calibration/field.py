@@ -1,4 +1,4 @@
-"""One image on its way through a calibration: its centroids, and the catalogue stars that it could show."""
+"""One image of a calibration: its centroids, and the catalogue stars in its field."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class StarField:
     Parameters
     ----------
     name : str
-        As reports call it.
+        Name in reports.
     xy : (N, 2)
         Pixels, brightest first.
     width, height : int
@@ -38,9 +38,9 @@ class StarField:
     flux : (N,), optional
         Positive; any linear unit.
     variance_px2 : (N,), optional
-        Of a centroid on one axis; None: all alike.
+        Variance of each centroid on one axis; None: all equal.
     observer : Observer, optional
-        Epoch, velocity and position. Without it the stars stand as at the catalogue's epoch.
+        Epoch, velocity and position. Without it positions at the catalogue's epoch are used.
     """
 
     name: str
@@ -54,7 +54,7 @@ class StarField:
 
 @dataclass(frozen=True, eq=False)
 class SkyPart:
-    """Catalogue stars in and around one field, doubles that the camera does not resolve made one."""
+    """Catalogue stars in and around one field, with unresolved doubles merged."""
 
     catalog: StarCatalog
     directions: FloatArray
@@ -75,15 +75,20 @@ def sky_part(catalog: StarCatalog, observer: Observer | None, matrix: FloatArray
 
 
 def pair_up(
-    xy: FloatArray, flux: FloatArray | None, places: FloatArray, v_mag: FloatArray, gate_px: FloatArray, most_mag: float
+    xy: FloatArray,
+    flux: FloatArray | None,
+    predicted: FloatArray,
+    v_mag: FloatArray,
+    gate_px: FloatArray,
+    most_mag: float,
 ) -> tuple[IntArray, int]:
-    """Pairs (M, 2) of centroid and nearest star within a gate, and how many differ too much in brightness.
+    """Pairs (M, 2) of centroid and nearest star within a gate, and the number that differ too much in brightness.
 
-    A star more than `most_mag` off the median zero point of the field is another one: a faint star beside a planet, or
-    a hot pixel on a faint star's place.
+    A star that differs by more than `most_mag` from the median zero point of the field is a mismatch, such as a faint
+    star near a planet, or a hot pixel at the position of a faint star.
     """
-    visible = np.flatnonzero(np.isfinite(places).all(axis=1))
-    near, _ = nearest_unique(xy, places[visible], gate_px)
+    visible = np.flatnonzero(np.isfinite(predicted).all(axis=1))
+    near, _ = nearest_unique(xy, predicted[visible], gate_px)
     seen = np.flatnonzero(near >= 0)
     pairs = np.stack([seen, visible[near[seen]]], axis=1)
     if flux is None or len(pairs) < 5:

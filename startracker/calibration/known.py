@@ -1,4 +1,4 @@
-"""Images identified one by one, each with the focal length free: what a calibration starts from."""
+"""Identification of single images with free focal length, the start of a calibration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _STATED_PX = 0.1
-"""Of centroids that come without an error; what matters is that they are alike."""
+"""Error of centroids given without one; only its uniformity matters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +88,11 @@ def identify_all(
         matrix = solution.attitude.as_matrix()
         sky = sky_part(table, one.observer, matrix, solution.camera)
         row = {(float(x), float(y)): k for k, (x, y) in enumerate(one.xy)}
-        place = {int(number): j for j, number in enumerate(sky.catalog.id)}
+        row_of = {int(number): j for j, number in enumerate(sky.catalog.id)}
         pairs = [
-            (row[float(x), float(y)], place[int(number)])
+            (row[float(x), float(y)], row_of[int(number)])
             for (x, y), number in zip(solution.stars.fitted.xy, solution.stars.fitted.catalog_id, strict=True)
-            if int(number) in place
+            if int(number) in row_of
         ]
         known.append(KnownField(one, solution.camera, matrix, sky, np.array(pairs, dtype=np.int64).reshape(-1, 2)))
         rough, parity = solution.camera, solution.camera.parity  # the same camera: it helps with the next image

@@ -1,7 +1,7 @@
 """Residuals of a calibration as a figure: over the image, against the radius before and after, and their distribution.
 
-Colours are those of Okabe & Ito (2008), told apart by the colour-blind; markers differ as well. Matplotlib loads when
-the figure is drawn.
+Colours are those of Okabe & Ito (2008), which colour-blind readers can distinguish; markers differ as well. Matplotlib
+is imported when the figure is drawn.
 """
 
 from __future__ import annotations
@@ -90,11 +90,11 @@ def _draw_radius(ax: Axes, calibration: Calibration) -> None:
     ):
         radial = np.sum(residual * outward, axis=1) * scale
         ax.plot(radius, radial, marker, color=colour, markersize=2.5, alpha=0.35, linestyle="none")
-        place = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, _BINS - 1)
-        total = np.bincount(place, weight, _BINS)
+        bins = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, _BINS - 1)
+        total = np.bincount(bins, weight, _BINS)
         used = total > 0
-        mean = np.bincount(place, weight * radial, _BINS)[used] / total[used]
-        middle = np.bincount(place, weight * radius, _BINS)[used] / total[used]
+        mean = np.bincount(bins, weight * radial, _BINS)[used] / total[used]
+        middle = np.bincount(bins, weight * radius, _BINS)[used] / total[used]
         error = scale / np.sqrt(total[used])
         ax.errorbar(middle, mean, error, fmt=f"-{marker}", color=colour, capsize=2, markersize=5, label=label)
     # the noise of the faintest stars need not set the scale

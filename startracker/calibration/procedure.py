@@ -238,17 +238,17 @@ class _Bench:
         variance = np.concatenate([self.sigma(i)[p[:, 0]] ** 2 for i, p in enumerate(self.pairs)])
         return noise_floor(np.concatenate(self._residuals()), variance, len(self.fit.covariance))
 
-    def _places(self, image: int) -> FloatArray:
+    def _predicted(self, image: int) -> FloatArray:
         """Pixels (K, 2) of the catalogue stars in the present fit; NaN outside the field."""
         vectors = stretch(self.known[image].sky.directions @ self.fit.matrices[image].T, self.fit.stretches[image])
-        places = self.fit.camera.project(vectors)
-        places[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
-        return places
+        pixels = self.fit.camera.project(vectors)
+        pixels[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
+        return pixels
 
     def _residuals(self) -> list[FloatArray]:
         """Measured minus predicted of the present pairs."""
         return [
-            k.field.xy[p[:, 0]] - self._places(i)[p[:, 1]]
+            k.field.xy[p[:, 0]] - self._predicted(i)[p[:, 1]]
             for i, (k, p) in enumerate(zip(self.known, self.pairs, strict=True))
         ]
 
@@ -262,15 +262,15 @@ class _Bench:
         )
         scale = max(float(np.median(normal)) / _RAYLEIGH_MEDIAN, 1e-9)
         for i, one in enumerate(self.known):
-            sky, places = one.sky, self._places(i)
+            sky, predicted = one.sky, self._predicted(i)
             gate = np.maximum(REJECT_SIGMAS * scale * self.sigma(i), _LEAST_GATE_PX)
             widest = np.maximum(gate, _FIRST_GATE_PX * scale * np.median(self.sigma(i)) + 1.0)
             sigma = self.sigma(i)
             sure = sigma <= _VAGUE * np.median(sigma)
-            tried, other = pair_up(one.field.xy, one.field.flux, places, sky.catalog.v_mag, widest, _MOST_MAG)
+            tried, other = pair_up(one.field.xy, one.field.flux, predicted, sky.catalog.v_mag, widest, _MOST_MAG)
             if wide:
                 gate = widest
-            off = np.hypot(*(one.field.xy[tried[:, 0]] - places[tried[:, 1]]).T)
+            off = np.hypot(*(one.field.xy[tried[:, 0]] - predicted[tried[:, 1]]).T)
             fits = (off <= gate[tried[:, 0]]) & sure[tried[:, 0]]
             self.pairs[i] = tried[fits]
             self.rejected[i] = int(np.sum(~fits)) + other
@@ -330,12 +330,12 @@ def _notes(result: Calibration) -> tuple[str, ...]:
     notes = []
     if "cx" not in result.names:
         notes.append(
-            "principal point held at the image's centre: its shift is not told from a turn of the camera by these stars"
+            "principal point held at the image centre: these stars cannot distinguish its shift from a rotation"
         )
     else:
         held = [n for n in result.held_by_prior() if n in ("cx", "cy")]
         if held:
-            notes.append(f"{' and '.join(held)}: told by the prior (3 % of the width) more than by the stars")
+            notes.append(f"{' and '.join(held)}: determined by the prior (3 % of the width) more than by the stars")
     stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
     if any(stretches):
         # κ tan²z / 2

@@ -1,4 +1,4 @@
-"""What a calibration hands on."""
+"""Results of a calibration."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Calibration:
     chi2, freedom : float, int
         With that floor.
     epoch_jyear : float
-        Of the stars' places.
+        Epoch of the star positions.
     unsolved : mapping of str to str
         Images left out, and why.
     notes : tuple of str
@@ -166,7 +166,7 @@ class Calibration:
         return table
 
     def held_by_prior(self) -> list[str]:
-        """Fitted parameters that the stars tell less well than the prior does."""
+        """Fitted parameters that are determined more by the prior than by the stars."""
         variance = np.diag(self.covariance)
         sigma = [prior_of(name, self.camera)[1] for name in self.names]
         return [n for n, v, s in zip(self.names, variance, sigma, strict=True) if math.isfinite(s) and v > 0.5 * s * s]

@@ -89,7 +89,10 @@ def _fit_gaussian(
             if not flux > 0.0:
                 return failed
             continue
-        slopes[:, :count] *= flux
+        # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
+        for m in range(6):
+            for n in range(count):
+                slopes[m, n] *= flux
         normal_equations(slopes, weights, residuals, normal, right)
         for m in range(6):
             normal[m, m] *= 1.0 + 1e-9

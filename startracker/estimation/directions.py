@@ -97,7 +97,7 @@ def fit_turn(
     (3, 3), and the stars' own information; beforehand it is 0 with the inverse covariance `precision` (3, 3).
 
     `start` (3,) is where to begin; for the rest see `normal_equations`. The covariance is NaN where neither stars nor
-    `precision` tell all of the rotation.
+    `precision` have all information about the rotation.
     """
     turn, predicted, change = start.copy(), np.empty_like(reference), np.empty(3)
     matrix, covariance, information = np.eye(3), precision, precision

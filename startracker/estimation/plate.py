@@ -132,7 +132,7 @@ def first_center_deg(xy: FloatArray, sky_deg: FloatArray) -> FloatArray:
     """Where the iteration starts (2,), degrees: each coordinate fitted linearly to x and to y, the two means taken.
 
     Right ascensions are unwrapped about their circular mean. Where a line fits the sky badly, near the poles, the mean
-    direction of the stars takes its place.
+    direction of the stars is used instead.
     """
     ra, dec = np.radians(sky_deg[:, 0]), np.radians(sky_deg[:, 1])
     vectors = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])

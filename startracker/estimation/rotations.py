@@ -1,7 +1,7 @@
-"""What all estimators share: the pair of stars that tells most, the last Newton steps and the covariance.
+"""Common parts of the estimators: the pair of stars with the most information, the last Newton steps, the covariance.
 
-Sums over nearly parallel stars are taken in a frame whose first axis a is their weighted mean: what the stars tell of
-the turn about a, Σ w sin², would drown in the rounding of Σ w − Σ w cos².
+Sums over nearly parallel stars are taken in a frame whose first axis a is their weighted mean: their
+information about the rotation about a, Σ w sin², would be lost in the rounding of Σ w − Σ w cos².
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 
 def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
-    """Attitude by TRIAD (Black 1964, AIAA J. 2, 1350), from the two stars that tell most.
+    """Attitude by TRIAD (Black 1964, AIAA J. 2, 1350), from the two stars with the most information.
 
     The first star is laid on its image exactly, the second only on the great circle: A = M_b M_rᵀ with the columns of
     M the first direction, the pole of the two and what completes them. Of all ordered pairs, the better measured star

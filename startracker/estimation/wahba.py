@@ -80,8 +80,8 @@ def esoq2(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
     """Attitude by ESOQ2 (Mortari 1997, AAS 97-167; Markley & Mortari 2000, J. Astronaut. Sci. 48, 359).
 
     The Euler axis e spans the null space of (λ − tr B)((λ + tr B) I − B − Bᵀ) − z zᵀ: the longest cross product of two
-    of its rows; q ∝ [(λ − tr B) e; z·e]. Small angles are its weak place, so that of the four frames of `quest` the
-    one with the smallest tr B is taken. λ, the way out, parameters, result and errors as there.
+    of its rows; q ∝ [(λ − tr B) e; z·e]. It is ill-conditioned for small angles, so that of the four frames of `quest`
+    the one with the smallest tr B is taken. λ, the way out, parameters, result and errors as there.
     """
     return _optimal(observed, reference, sigma_rad, _esoq2_rotation)
 

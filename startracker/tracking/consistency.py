@@ -1,10 +1,10 @@
 """Whether the innovations of the last frames together are what the filter says they should be.
 
 One innovation says little of a filter that is far more certain than a frame: an error of several of its standard
-deviations is lost in the frame's. Over a window the innovations, whitened, are independent normal numbers of variance
-1, and there are two sums with known distributions: that of their squares, χ² of all their degrees of freedom, and the
-square of their vector sum over the number of frames, χ² of three, which finds an error that stays (Bar-Shalom, Li &
-Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
+deviations is lost in the frame's. Over a window the innovations, whitened, are independent Gaussian deviates of
+variance 1, and there are two sums with known distributions: that of their squares, χ² of all their degrees of freedom,
+and the square of their vector sum over the number of frames, χ² of three, which finds an error that stays (Bar-Shalom,
+Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LARGEST = 1e8
 
 
 class InnovationWindow:
-    """The innovations of the last frames, and how many times the process noise must be what the filter was told."""
+    """The innovations of the last frames, and the factor by which the process noise must exceed the configured one."""
 
     def __init__(self) -> None:
         self.noise_factor = 1.0

@@ -54,7 +54,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
 def log_evidence(
     observed: FloatArray,
     sigma: FloatArray,
-    places: FloatArray,
+    predicted: FloatArray,
     index: IntArray,
     precision: FloatArray,
     turn: FloatArray,
@@ -65,8 +65,8 @@ def log_evidence(
     seen = np.flatnonzero(index >= 0)
     if len(seen) == 0:
         return -math.inf
-    moved = np.empty_like(places)
-    transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
+    moved = np.empty_like(predicted)
+    transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
     gain = np.empty(len(seen))
     for m in range(len(seen)):
         i = seen[m]
@@ -79,5 +79,5 @@ def log_evidence(
         for c in range(3):
             prior += turn[r] * precision[r, c] * turn[c]
     narrowing: float = inverse(precision + information, 3)[1] - inverse(precision, 3)[1]
-    matches: float = log_assignments(gain[order], index[seen[order]], len(observed), len(places))
+    matches: float = log_assignments(gain[order], index[seen[order]], len(observed), len(predicted))
     return matches - 0.5 * (prior + narrowing)

@@ -93,7 +93,7 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
         return None
     pixel = camera.pixel_rad
     partner, _, _, evidence = track(
-        seen.vectors, seen.gate_px * pixel, expected.places, prediction.attitude_covariance, seen.area_sr
+        seen.vectors, seen.gate_px * pixel, expected.predicted, prediction.attitude_covariance, seen.area_sr
     )
     if not evidence >= _LEAST_WORTH:
         return None

@@ -35,7 +35,7 @@ class FrameClock:
         """Why a frame's time cannot be used; empty where it can.
 
         A frame from before the last one is a straggler. A second one in a row, later than the first, means that the
-        clock was set back: it can be used, and `is_before` tells.
+        clock was set back: it can be used, and `is_before` is set.
         """
         if not math.isfinite(t_s):
             return f"the frame's time is no finite number of seconds: {t_s}"

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 _SMALL = 0.03
 """Angle of a step, rad, below which series replace the closed forms, which lose digits there."""
 BLIND = 1e-12
-"""Information about an axis below this share of the best known axis' is rounding: one star does not tell the roll."""
+"""Information about an axis below this fraction of that of the best known axis is rounding: one star has no roll."""
 
 
 @kernel
@@ -175,11 +175,11 @@ def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
 def vector_measurement(
     quat: FloatArray, delta: FloatArray, observed: FloatArray, reference: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What directions tell of the attitude's error: axes (m, 3), the error along them (m,), its covariance (m, m).
+    """Attitude error measured by directions: axes (m, 3), the error along them (m,), its covariance (m, m).
 
-    With p = A r the prediction, b − p = p × δθ + noise across p (QUEST's measurement model, Shuster & Oh 1981). All
-    that M directions tell is the normal matrix Σ (I − p pᵀ)/σ² and its right-hand side Σ (b × p)/σ²; along the axes
-    of the matrix they are three measurements independent of each other, or two where there is one star.
+    With p = A r the prediction, b − p = p × δθ + noise across p (QUEST's measurement model, Shuster & Oh 1981). The
+    information of M directions is the normal matrix Σ (I − p pᵀ)/σ² and its right-hand side Σ (b × p)/σ²; along the
+    axes of the matrix they are three measurements independent of each other, or two where there is one star.
 
     Parameters
     ----------

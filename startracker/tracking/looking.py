@@ -27,7 +27,7 @@ IntArray = NDArray[np.int64]
 
 _WINDOW_SIGMAS = 4.3
 _SKIRT_PX = 5
-"""Room in a window for the star's own image, and for the rim that tells the background."""
+"""Margin in a window for the star image, and for the border in which the background is measured."""
 _EPOCH_STEP = 1e-3
 """Years in which stars, but for the fastest three, move by 5 mas at most; so does the parallax of the nearest."""
 _SHORT_STREAK_PX = 2.0
@@ -46,7 +46,7 @@ class Expected:
 
     index: IntArray
     directions: FloatArray
-    places: FloatArray
+    predicted: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Seen:
 
 
 class Sky:
-    """Guide stars at the observer's epoch and place, kept until they have moved; aberration comes frame by frame."""
+    """Guide stars at the observer's epoch and position, cached until they have moved, without aberration."""
 
     def __init__(self, guide: GuideDatabase) -> None:
         self.guide = guide
@@ -159,11 +159,11 @@ def window_half(
     largest_half : int
         Half side of the largest window, the streak left out.
     """
-    camera, spread = tracker.camera, spreads(expected.places, covariance).covariance
+    camera, spread = tracker.camera, spreads(expected.predicted, covariance).covariance
     wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad
     half = math.ceil(_WINDOW_SIGMAS * wide) + tracker.centroid.window_px // 2 + _SKIRT_PX
     reach = half + math.ceil(0.5 * streak_px)
-    share = len(expected.places) * (2 * reach + 1) ** 2 / (camera.width * camera.height)
+    share = len(expected.predicted) * (2 * reach + 1) ** 2 / (camera.width * camera.height)
     return None if streak_px > _LONGEST_STREAK_PX or half > largest_half or share > _LARGEST_SHARE else reach
 
 
@@ -195,7 +195,7 @@ def look(
     camera, pixels = tracker.camera, plain(image)
     if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
         return None
-    centre = camera.project(expected.places)
+    centre = camera.project(expected.predicted)
     centre = np.rint(centre[np.isfinite(centre).all(axis=1)])
     centre = centre[camera.contains(centre)]
     if not len(centre):

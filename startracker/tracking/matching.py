@@ -63,7 +63,7 @@ def expected_stars(
     near = np.sort(stars_in_cone(x, y, z, widest, sky.directions, sky.grid))
     size = min(most, len(near))
     index = np.empty(size, np.int64)
-    seen, places = np.empty((size, 3)), np.empty((size, 3))
+    seen, predicted = np.empty((size, 3)), np.empty((size, 3))
     count = 0
     for star in near:
         if count == most:
@@ -84,9 +84,9 @@ def expected_stars(
         if in_shape(u, v, w, sky.shape):
             index[count] = star
             seen[count, 0], seen[count, 1], seen[count, 2] = gx, gy, gz
-            places[count, 0], places[count, 1], places[count, 2] = u, v, w
+            predicted[count, 0], predicted[count, 1], predicted[count, 2] = u, v, w
             count += 1
-    return index[:count], seen[:count], places[:count]
+    return index[:count], seen[:count], predicted[:count]
 
 
 class Spread(NamedTuple):
@@ -118,12 +118,12 @@ def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
 
 
 @kernel
-def spreads(places: FloatArray, covariance: FloatArray) -> Spread:
+def spreads(predicted: FloatArray, covariance: FloatArray) -> Spread:
     """How predicted directions (K, 3) scatter with the covariance (3, 3) of the attitude."""
-    k = len(places)
+    k = len(predicted)
     us, vs, out = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3))
     for n in range(k):
-        tangent(places[n], us[n], vs[n])
+        tangent(predicted[n], us[n], vs[n])
         uu, uv, vv = 0.0, 0.0, 0.0
         for i in range(3):
             for j in range(3):
@@ -136,9 +136,11 @@ def spreads(places: FloatArray, covariance: FloatArray) -> Spread:
 
 
 @kernel
-def _apart(observed: FloatArray, place: FloatArray, spread: Spread, k: int, s2: float) -> tuple[float, float, float]:
+def _apart(
+    observed: FloatArray, predicted: FloatArray, spread: Spread, k: int, s2: float
+) -> tuple[float, float, float]:
     """Squared Mahalanobis distance of a star of variance `s2` from the predicted one `k`, and its way along u and v."""
-    x, y, z = observed[0] - place[0], observed[1] - place[1], observed[2] - place[2]
+    x, y, z = observed[0] - predicted[0], observed[1] - predicted[1], observed[2] - predicted[2]
     a = spread.u[k, 0] * x + spread.u[k, 1] * y + spread.u[k, 2] * z
     b = spread.v[k, 0] * x + spread.v[k, 1] * y + spread.v[k, 2] * z
     uu, uv, vv = spread.covariance[k, 0] + s2, spread.covariance[k, 1], spread.covariance[k, 2] + s2
@@ -147,7 +149,7 @@ def _apart(observed: FloatArray, place: FloatArray, spread: Spread, k: int, s2: 
 
 @kernel
 def match_gated(
-    observed: FloatArray, sigma: FloatArray, places: FloatArray, spread: Spread, gate2: float, match: Match
+    observed: FloatArray, sigma: FloatArray, predicted: FloatArray, spread: Spread, gate2: float, match: Match
 ) -> int:
     """Nearest predicted star of each observed one by Mahalanobis distance, each used once; how many have one.
 
@@ -156,20 +158,20 @@ def match_gated(
     index, distance2, owner = match
     owner[:] = -1
     count, largest = 0, 0.0
-    for k in range(len(places)):
+    for k in range(len(predicted)):
         largest = max(largest, spread.covariance[k, 0] + spread.covariance[k, 2])
     for i in range(len(observed)):
         index[i], distance2[i] = -1, np.inf
         s2 = sigma[i] ** 2
         reach2 = gate2 * (largest + s2)
         best, at = gate2, -1
-        for k in range(len(places)):
+        for k in range(len(predicted)):
             far = 0.0
             for axis in range(3):
-                far += (observed[i, axis] - places[k, axis]) ** 2
+                far += (observed[i, axis] - predicted[k, axis]) ** 2
             if far > reach2:
                 continue
-            d2, _, _ = _apart(observed[i], places[k], spread, k, s2)
+            d2, _, _ = _apart(observed[i], predicted[k], spread, k, s2)
             if d2 < best:
                 best, at = d2, k
         if at < 0:
@@ -187,7 +189,7 @@ def match_gated(
 
 @kernel
 def track(
-    observed: FloatArray, sigma: FloatArray, places: FloatArray, covariance: FloatArray, area: float
+    observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, area: float
 ) -> tuple[IntArray, FloatArray, FloatArray, float]:
     """Match observed stars with predicted ones, and weigh whether chance would do as well.
 
@@ -204,7 +206,7 @@ def track(
     ----------
     observed, sigma : (N, 3), (N,)
         Directions and their standard errors on one axis, rad.
-    places, covariance : (K, 3), (3, 3)
+    predicted, covariance : (K, 3), (3, 3)
         Predicted directions, brightest first, camera frame; covariance of the predicted attitude, rad².
     area : float
         Solid angle in which stars were looked for, sr.
@@ -214,25 +216,25 @@ def track(
     predicted star of each observed one or −1 (N,), δ (3,), its covariance given prediction and stars (3, 3), ln B
     (−inf where nothing matches).
     """
-    n, k = len(observed), len(places)
+    n, k = len(observed), len(predicted)
     match = Match(np.full(n, -1), np.full(n, np.inf), np.full(k, -1))
-    turn, moved = np.zeros(3), places.copy()
+    turn, moved = np.zeros(3), predicted.copy()
     nothing = match.partner, np.zeros(3), covariance, -math.inf
     if n == 0 or k == 0:
         return nothing
     precision, _ = inverse(covariance, 3)
-    spread, smallest = spreads(places, covariance), np.min(sigma)
-    if match_gated(observed, sigma, places, spread, GATE2, match) == 0:
+    spread, smallest = spreads(predicted, covariance), np.min(sigma)
+    if match_gated(observed, sigma, predicted, spread, GATE2, match) == 0:
         return nothing
     # a gate that the prediction rather than the centroid makes wide may hold the wrong star
     if np.max(spread.covariance[:, 0] + spread.covariance[:, 2]) > _TIGHT2 * smallest**2:
-        turn = _consensus(observed, sigma, places, covariance, spread)
+        turn = _consensus(observed, sigma, predicted, covariance, spread)
         posterior, _ = inverse(precision + np.eye(3) / (4.0 * smallest**2), 3)
     else:
-        turn, posterior, _ = fit_turn(observed, sigma, places, match.partner, precision, turn)
+        turn, posterior, _ = fit_turn(observed, sigma, predicted, match.partner, precision, turn)
     last, information = np.full(n, -2), precision
     for round_ in range(_ROUNDS):
-        transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
+        transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
         spread = spreads(moved, posterior)
         if match_gated(observed, sigma, moved, spread, GATE2 if round_ == 0 else KEEP2, match) == 0:
             return match.partner, -turn, covariance, -math.inf
@@ -240,34 +242,35 @@ def track(
         for i in range(n):
             same = same and match.partner[i] == last[i]
             last[i] = match.partner[i]
-        turn, posterior, information = fit_turn(observed, sigma, places, match.partner, precision, turn)
+        turn, posterior, information = fit_turn(observed, sigma, predicted, match.partner, precision, turn)
         if same:
             break
-    evidence = log_evidence(observed, sigma, places, match.partner, precision, turn, information, area)
+    evidence = log_evidence(observed, sigma, predicted, match.partner, precision, turn, information, area)
     return match.partner, -turn, posterior, evidence
 
 
 @kernel
 def _consensus(
-    observed: FloatArray, sigma: FloatArray, places: FloatArray, covariance: FloatArray, spread: Spread
+    observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:
     """The rotation (3,), of those that one pair of stars within its gate proposes, under which the most stars fit."""
-    n, k = len(observed), len(places)
-    moved, match = np.empty_like(places), Match(np.empty(n, np.int64), np.empty(n), np.empty(k, np.int64))
+    n, k = len(observed), len(predicted)
+    moved, match = np.empty_like(predicted), Match(np.empty(n, np.int64), np.empty(n), np.empty(k, np.int64))
     best_turn, best, starts = np.zeros(3), -np.inf, 0
     turn, left = np.empty(3), np.empty((3, 3))
     for j in range(k):
         for i in range(n):
             s2 = sigma[i] ** 2
-            d2, a, b = _apart(observed[i], places[j], spread, j, s2)
-            cosine = observed[i, 0] * places[j, 0] + observed[i, 1] * places[j, 1] + observed[i, 2] * places[j, 2]
+            d2, a, b = _apart(observed[i], predicted[j], spread, j, s2)
+            cosine = observed[i, 0] * predicted[j, 0] + observed[i, 1] * predicted[j, 1]
+            cosine += observed[i, 2] * predicted[j, 2]
             if d2 > GATE2 or cosine < 0.5:
                 continue
             starts += 1
             if starts > _MOST_STARTS:
                 return best_turn
             _turn_of_one(covariance, spread, j, s2, (a, b), turn, left)
-            transform(turned(np.eye(3), turn[0], turn[1], turn[2]), places, moved)
+            transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
             after = spreads(moved, left)
             count = match_gated(observed, sigma, moved, after, GATE2, match)
             # a wide gate is easily met: what a match is worth falls with the logarithm of its area

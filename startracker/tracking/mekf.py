@@ -93,9 +93,9 @@ class Innovation:
     distance2 : float
         νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
     freedom : int
-        Number of directions in the attitude's error that the measurement tells of: 3, or 2 for one star.
+        Number of directions in the attitude's error that are measured: 3, or 2 for one star.
     whitened : (3,) array, optional
-        The innovation in camera axes, whitened: three independent normal numbers of variance 1 where filter and sensor
+        The innovation in camera axes, whitened: three independent Gaussian deviates of variance 1 if filter and sensor
         are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646).
         None for one star.
     """

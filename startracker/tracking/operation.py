@@ -9,7 +9,7 @@ Moon       anything larger than a star is cleared from the frame
 exposure   a frame whose two brightest stars each have more than four saturated pixels is discarded, and the next one
            exposed for less; where the stars are faint, for longer again
 
-And after it: magnitudes by the calibrated relation, and the map of blemished pixels, which stay while stars move.
+And after it: magnitudes by the calibrated relation, and the map of defective pixels, which stay while stars move.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class SensorOperation:
         self.exposure_s = self._allowed(exposure_s)
         """Exposure of the next frame."""
         self.blemishes: BoolImage = np.zeros((camera.height, camera.width), np.bool_)
-        """Map of blemished pixels so far."""
+        """Map of defective pixels so far."""
         self._suspended_s = self._resume_s = -math.inf
         self._seen: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._count = BadPixelCount(settings.blemish_sigma, settings.blemish_share, detection.background_tile_px)
@@ -213,14 +213,14 @@ class SensorOperation:
 
     # ------------------------------------------------------------------ after it
     def learn(self, image: ArrayLike, verdict: Verdict, attitude: Attitude | None, stars: MatchedStars) -> None:
-        """Let a frame tell of blemished pixels, if the sky has moved since the last one that did.
+        """Update the map of defective pixels with a frame, if the sky has moved since the last one that was used.
 
         Parameters
         ----------
         image : array_like, shape (H, W)
             The frame as it came.
         verdict : Verdict
-            What `judge` made of it; one that was not used tells nothing.
+            What `judge` made of it; one that was not used is ignored.
         attitude : Attitude, optional
             Of the camera; without one nothing is learnt.
         stars : MatchedStars
@@ -242,14 +242,14 @@ class SensorOperation:
         """Median shift of stars over the field between two attitudes, pixels; those that leave it count as far."""
         camera = self.camera
         x, y = np.meshgrid(np.linspace(0, camera.width - 1, 4), np.linspace(0, camera.height - 1, 4))
-        places = np.stack([x.ravel(), y.ravel()], axis=1)
-        vectors = now.apply(before.inverse.apply(camera.unproject(places)))
-        shift = np.hypot(*(camera.project(vectors) - places).T)
+        pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+        vectors = now.apply(before.inverse.apply(camera.unproject(pixels)))
+        shift = np.hypot(*(camera.project(vectors) - pixels).T)
         return float(np.median(np.where(np.isfinite(shift), shift, np.inf)))
 
 
 def image_magnitudes(flux_dn: ArrayLike, gain_e_per_dn: float, exposure_s: float, zero_point: float) -> FloatArray:
-    """Magnitudes by the calibrated relation, m = zero point − 2.5 lg(electrons a second); (N,), NaN without signal.
+    """Magnitudes by the calibrated relation, m = zero point − 2.5 lg(electrons per second); (N,), NaN without signal.
 
     Exact for stars of the colour of calibration; others differ by what their spectra do between V and the detector's
     band (Greyling 1995, section 3.4.3: a table of magnitude against output voltage).

@@ -1,4 +1,4 @@
-"""How large the centroids' errors really are, told by the residuals of the frames before."""
+"""Size of the centroid errors, estimated from the residuals of previous frames."""
 
 from __future__ import annotations
 

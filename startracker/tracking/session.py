@@ -56,7 +56,7 @@ class TrackingSession:
 
     Notes
     -----
-    A solution's attitude is the filter's, with its covariance: what this frame and all before it tell. Times are those
+    A solution's attitude is the filter's, with its covariance, from this and all previous frames. Times are those
     of mid-exposure. A frame that came before has the status ``stale``, one without a usable time ``bad_time``; neither
     has an attitude, and `filter_attitude` is the prediction. Updates from several threads wait for each other.
     """
@@ -164,7 +164,7 @@ class TrackingSession:
         Returns
         -------
         Solution
-            Its attitude is the filter's. `state` tells how it came about.
+            Its attitude is the filter's. `state` describes how it was obtained.
 
         Raises
         ------
@@ -177,23 +177,23 @@ class TrackingSession:
             if refused is not None:
                 return self._refuse(*refused, np.empty((0, 2)), clock)
             self._frame = pixels
-            told = {"observer": observer, "saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
-            return self._update_image(image, told, clock)
+            given = {"observer": observer, "saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
+            return self._update_image(image, given, clock)
 
-    def _update_image(self, image: ArrayLike, told: dict[str, Any], clock: Clock) -> Solution:
-        expected = self._expect(told["observer"])
+    def _update_image(self, image: ArrayLike, given: dict[str, Any], clock: Clock) -> Solution:
+        expected = self._expect(given["observer"])
         if expected is not None and self._filter is not None:
             length = streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s)
             covariance, largest = self._filter.attitude_covariance, self.settings.max_window_px
             half = window_half(self.tracker, expected, covariance, length, largest)
-            detector = told["saturation_dn"], told["gain_e_per_dn"]
+            detector = given["saturation_dn"], given["gain_e_per_dn"]
             seen = look(image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if self._accepts(followed):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
-        found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **told)
+        found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **given)
         followed = None
         if not found.solved and expected is not None:
             # windows hold chance neighbours; over the whole frame a few stars just where predicted weigh more
@@ -212,7 +212,7 @@ class TrackingSession:
     ) -> Solution:
         """Attitude of star positions measured elsewhere; parameters as in `update` and `StarTracker.solve_centroids`.
 
-        The centroids' error is told by the residuals of the frames before.
+        The centroid error is estimated from the residuals of previous frames.
         """
         with self._lock:
             clock, points = Clock(), np.asarray(xy, dtype=float)

@@ -46,7 +46,7 @@ def _background(image: NDArray[Any], x: int, y: int, half: int, rim: FloatArray)
 def lay_out(
     image: NDArray[Any], x: IntArray, y: IntArray, half: int, columns: int, noise_floor: float
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """Windows of an image as a mosaic, with the level and the noise of the background that each one's rim tells.
+    """Windows of an image as a mosaic, with the level and the noise of the background at the border of each.
 
     Level: the median of the rim (the outermost two rings of pixels); noise: 1.4826 times the median distance from it
     of those pixels, but no less than 0.7 times the median over all windows. Between the windows, and where one leaves
@@ -107,7 +107,7 @@ def cell_px(half: int) -> int:
 
 
 def to_image(xy: FloatArray, x: IntArray, y: IntArray, half: int, columns: int) -> FloatArray:
-    """Places (N, 2) on the image of places on the mosaic."""
+    """Positions (N, 2) on the image of positions on the mosaic."""
     pitch = cell_px(half)
     column = np.clip(np.floor_divide(xy[:, 0] + 0.5, pitch).astype(np.int64), 0, columns - 1)
     row = np.maximum(np.floor_divide(xy[:, 1] + 0.5, pitch).astype(np.int64), 0)

@@ -123,10 +123,10 @@ def find_trails(
     settings : DetectionSettings, optional
         `threshold_sigma`, `max_stars`, `psf_sigma_px` (None: measured).
     saturation_dn, gain_e_per_dn : float, optional
-        Saturated pixels are left out; the gain tells the photon noise.
+        Saturated pixels are excluded; the gain determines the photon noise.
     known : array, shape (N, 4), optional
-        Middle x and y and half the length along x and y of trails found before, brightest first, which tell the motion
-        if they can. Those shorter than 25 px are measured as they are, longer ones looked for anew.
+        Middle x and y and half the length along x and y of trails found before, brightest first, from which the
+        motion is estimated if possible. Those shorter than 25 px are measured as they are, longer ones searched again.
     direction_rad : float, optional
         Direction of the trails, from x to y, to 8°, where it is known: the search is then shorter.
 
@@ -137,10 +137,10 @@ def find_trails(
 
     Notes
     -----
-    Across the trail a position is as good as its signal-to-noise ratio: σ / SNR. Along, only the two ends tell, and
-    their error is √(2π) σ / r px, with r the signal of a pixel's length of the trail over the noise of a pixel, as
-    long as r is well above 1. Below, the error grows as of a jump in noise (Hinkley 1970); the covariance has both.
-    Trails that the border cuts have no middle and are left out.
+    Across the trail a position is as good as its signal-to-noise ratio: σ / SNR. Along it only the two ends have
+    information, and their error is √(2π) σ / r px, with r the signal of a pixel's length of the trail over the noise of
+    a pixel, as long as r is well above 1. Below, the error grows as of a jump in noise (Hinkley 1970); the covariance
+    has both. Trails that the border cuts have no middle and are left out.
     """
     settings = settings or DetectionSettings()
     pixels, given = as_pixels(image), settings.psf_sigma_px

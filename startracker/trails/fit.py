@@ -39,7 +39,7 @@ _CONVERGED = 1e-2
 _CLIP = 4.0
 """Noise in a pixel at most counted along a line, so that a hot pixel or a cosmic ray does not decide where it ends."""
 _BRIGHT_SNR = 30.0
-"""Above it a trail has its own direction and length: they are then known better than the frame's motion tells."""
+"""Above it a trail has its own direction and length, which are then known better than from the frame's motion."""
 _SWEEPS = 2
 _GOOD_CHI2, _ASIDE_SIGMAS = 2.0, 2.5
 """χ² a degree of freedom above which a fit is begun again so many widths beside its first start."""

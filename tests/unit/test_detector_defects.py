@@ -65,7 +65,7 @@ def test_the_map_holds_all_defects():
 @pytest.mark.parametrize("key", ["hot_columns", "dead_columns"])
 def test_more_columns_than_there_are(key):
     keys = {key: 201, "hot_column_dark_e_s": 1.0}
-    with pytest.raises(InputError, match=f"detector.{key} = 201 is more than the 200 columns"):
+    with pytest.raises(InputError, match=f"detector.{key} = 201 exceeds the 200 columns"):
         build_fixed_pattern(section(**keys), 1)
     assert [found[0] for found in contradictions(flat(section(**keys)))] == [f"detector.{key}"]
 

@@ -96,7 +96,7 @@ def test_maps_are_taken_in_single_precision():
 
 
 def test_what_begins_a_row_stands_at_its_beginning():
-    with pytest.raises(ValueError, match="begin a sequence"):
+    with pytest.raises(ValueError, match="a sequence of steps must begin"):
         apply_steps(np.ones((3, 4)), [of_map(DARK_CURRENT, 2.0), of_map(PHOTO_RESPONSE, 1.5)], np.empty((3, 4)))
 
 

@@ -188,7 +188,7 @@ def test_a_star_changes_no_other_pixel():
 def test_means_that_cannot_be_counted(wrong):
     mean = np.ones(10)
     mean[3] = wrong
-    with pytest.raises(InputError, match="they must lie in 0 to 1e"):
+    with pytest.raises(InputError, match="must be in 0 to 1e"):
         draw_poisson(mean, stream(6, "wrong"))
 
 

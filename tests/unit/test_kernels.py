@@ -75,6 +75,28 @@ def test_a_log_is_not_told_of_a_short_wait(tmp_path):
     assert subprocess.run(command, capture_output=True, check=True, env=environment).stderr == b""
 
 
+SIDE_BY_SIDE = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from startracker.sorting import sort
+print("ready", flush=True)
+while not Path(sys.argv[1]).exists():
+    time.sleep(0.001)
+sort(np.array([2.0, 1.0]))
+print(sum(sort.stats.cache_misses.values()))
+"""
+
+
+def test_of_two_processes_one_compiles_and_the_other_loads(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", SIDE_BY_SIDE, str(tmp_path / "go")]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) for _ in range(2)]
+    assert all(process.stdout.readline() == "ready\n" for process in both)
+    (tmp_path / "go").touch()
+    assert sorted(process.communicate(timeout=120)[0] for process in both) == ["0\n", "1\n"]
+
+
 @pytest.mark.parametrize("task", ["run", "solve"])
 def test_most_kernels_that_a_task_expects_are_there(task):
     expected, missing = expected_kernels(task), []

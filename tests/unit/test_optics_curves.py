@@ -135,7 +135,7 @@ def test_binary_file_and_folder(tmp_path):
         ([400.0], [1.0], "two or more points"),
         ([400.0, 500.0], [1.0], "two or more points"),
         ([400.0, math.nan], [1.0, 1.0], "finite"),
-        ([400.0, 400.0], [1.0, 1.0], "must rise"),
+        ([400.0, 400.0], [1.0, 1.0], "must be ascending"),
     ],
 )
 def test_faults_of_arrays(wavelength_nm, value, said):

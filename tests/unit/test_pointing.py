@@ -75,7 +75,7 @@ def test_mounting_by_quaternion_is_normalised():
 
 @pytest.mark.parametrize(
     ("mounting", "message"),
-    [("orbit_norm", r"'orbit_norm' is not one of the mountings.*did you mean"), ((0.0, 0.0, 0.0, 0.0), "not zero")],
+    [("orbit_norm", r"'orbit_norm' is not one of the mountings.*did you mean"), ((0.0, 0.0, 0.0, 0.0), "non-zero")],
 )
 def test_mountings_that_cannot_be_used(mounting, message):
     with pytest.raises(InputError, match=message):

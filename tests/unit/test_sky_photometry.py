@@ -124,7 +124,7 @@ def test_faults():
 
 @pytest.mark.parametrize("edges", [[500.0], [500.0, 400.0], [[1.0, 2.0]]])
 def test_edges_must_rise(photometer, edges):
-    with pytest.raises(InputError, match="edges of wavelength bins must be two or more and rise"):
+    with pytest.raises(InputError, match="at least two ascending edges"):
         photometer.bin_weights([0.5], edges)
 
 

@@ -45,7 +45,7 @@ def test_expected_stars_are_the_guides_on_the_image(tracker, observer):
     assert set(found.index) <= set(guide.in_field(attitude, margin_px=3.0)[0])
     assert (np.diff(found.index) > 0).all()
     rows = np.searchsorted(found.index, index)
-    np.testing.assert_allclose(found.places[rows], vectors, atol=1e-12)
+    np.testing.assert_allclose(found.predicted[rows], vectors, atol=1e-12)
     np.testing.assert_allclose(found.directions[rows], guide.directions[index], atol=1e-12)
 
 
@@ -63,11 +63,11 @@ def test_spread_is_the_attitudes_covariance_seen_across_the_star():
 
 
 def test_match_uses_no_star_twice_and_the_nearer_wins():
-    places = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
-    places /= np.linalg.norm(places, axis=1, keepdims=True)
-    seen = places[[0, 0, 1]] + np.array([[3e-4, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
+    predicted = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
+    predicted /= np.linalg.norm(predicted, axis=1, keepdims=True)
+    seen = predicted[[0, 0, 1]] + np.array([[3e-4, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
     match = Match(np.empty(3, np.int64), np.empty(3), np.empty(2, np.int64))
-    count = match_gated(seen, np.full(3, 1e-4), places, spreads(places, np.eye(3) * 1e-12), 18.4, match)
+    count = match_gated(seen, np.full(3, 1e-4), predicted, spreads(predicted, np.eye(3) * 1e-12), 18.4, match)
     assert count == 2
     assert list(match.partner) == [-1, 0, 1]
     assert match.distance2[1:] == pytest.approx([1.0, 1.0], rel=1e-3)
@@ -79,13 +79,13 @@ def test_match_follows_the_common_rotation_not_the_nearest_star(tracker):
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
     expected = Sky(tracker.guide).expected(attitude, None, 40)
     turn = Attitude.from_rotation_vector([20 / CAMERA.fx, -15 / CAMERA.fx, 0.01], "camera", "camera").as_matrix()
-    true = expected.places @ turn.T
-    false = expected.places + rng.normal(size=true.shape) * 5.0 / CAMERA.fx
+    true = expected.predicted @ turn.T
+    false = expected.predicted + rng.normal(size=true.shape) * 5.0 / CAMERA.fx
     false /= np.linalg.norm(false, axis=1, keepdims=True)
     seen = np.concatenate([true, false])
     sigma = np.full(len(seen), 0.15 / CAMERA.fx)
     p = np.eye(3) * (10.0 / CAMERA.fx) ** 2
-    partner, delta, after, evidence = track(seen, sigma, expected.places, p, tracker.guide.solid_angle_sr)
+    partner, delta, after, evidence = track(seen, sigma, expected.predicted, p, tracker.guide.solid_angle_sr)
     n = len(true)
     assert list(partner[:n]) == list(range(n))
     assert (partner[n:] >= 0).sum() == 0
@@ -136,7 +136,7 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     rng = np.random.default_rng(5)
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
     expected = Sky(tracker.guide).expected(attitude, None, 40)
-    centre = CAMERA.project(expected.places)
+    centre = CAMERA.project(expected.predicted)
     rows, columns = np.mgrid[0:256, 0:256]
     image = rng.normal(100.0, 3.0, size=(256, 256))
     for x, y in centre:
@@ -198,7 +198,7 @@ def test_frames_are_accepted_by_the_rule_of_identification(tracker):
     session.reset(attitude, 0.01)
     followed = session._follow_centroids(xy[:1], None, None)
     seen, sigma = followed.seen, followed.seen.sigma_px * CAMERA.pixel_rad
-    expected = followed.expected.places
+    expected = followed.expected.predicted
     covariance = np.eye(3) * math.radians(0.01) ** 2
     *_, evidence = track(seen.vectors, sigma, expected, covariance, seen.area_sr)
     assert followed.log_chance == pytest.approx(log_chance(evidence), rel=1e-6)
