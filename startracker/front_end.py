@@ -28,7 +28,7 @@ from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
 from startracker.trace import Step, Steps
-from startracker.trails import Trails, find_trails
+from startracker.trails import Trails, find_trails, mid_exposure
 
 __all__ = ["Clock", "FoundStars", "find_stars"]
 
@@ -82,6 +82,8 @@ class FoundStars:
         Covariance of each centroid; None: `variance_px2` on both axes.
     common_px2 : (2, 2), optional
         Covariance of an error common to all centroids (`Centroids.common_px2`).
+    misfit : float, optional
+        How far the star images are from those that were fitted (`Centroids.misfit`).
     trailed : bool
         Whether the centroids are midpoints of trails.
     other : callable, optional
@@ -100,6 +102,7 @@ class FoundStars:
     saturated: int = 0
     covariance_px2: FloatArray | None = None
     common_px2: FloatArray | None = None
+    misfit: float | None = None
     trailed: bool = False
     other: Callable[[], FoundStars | None] | None = None
 
@@ -263,10 +266,10 @@ class _Looks:
         if trails is None:  # short trails are then measured as the detector found them
             return self.points(self.spots) if self.spots.are_streaks else None
         stars = trails.centroids
-        xy = stars.xy - _bow(stars.xy, camera, trails, self._middle)
+        xy, common = mid_exposure(trails, camera)
         length = float(np.hypot(*trails.motion[:2]))
         text = f"{len(stars)} trails with a common motion, {length:.1f} px at the image centre"
-        return self._found(stars, partial(Step, "detection", text), xy, True)
+        return self._found(replace(stars, common_px2=common), partial(Step, "detection", text), xy, True)
 
     def _found(
         self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], xy: FloatArray, trailed: bool
@@ -281,6 +284,7 @@ class _Looks:
             saturated=int(np.count_nonzero(stars.saturated)),
             covariance_px2=stars.covariance,
             common_px2=stars.common_px2,
+            misfit=stars.misfit,
             trailed=trailed,
         )
 
@@ -290,29 +294,3 @@ def _lines(spots: Spots | None) -> FloatArray:
     if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])
-
-
-def _bow(xy: FloatArray, camera: Camera, trails: Trails, middle: FloatArray) -> FloatArray:
-    """Offset (N, 2), pixels, of the midpoint of a trail from the position of its star at mid-exposure.
-
-    Under a constant body rate the image moves neither at constant speed nor along a straight line: along the trail the
-    midpoint is that of its ends; across it, it is the mean of an arc, at two thirds of the arc's height.
-    """
-    a, b, c = trails.motion
-    here = camera.unproject(xy)
-    half = 0.5 * np.array([-b / camera.fy, a / camera.fx, c])
-    angle = float(np.linalg.norm(half))
-    if angle < 1e-12:
-        return np.zeros_like(xy)
-    axis = half / angle
-    ends = []
-    for turn in (angle, -angle):
-        along = (here @ axis)[:, None] * axis
-        turned = (here - along) * math.cos(turn) + np.cross(axis, here) * math.sin(turn) + along
-        ends.append(camera.project(turned))
-    off = 0.5 * (ends[0] + ends[1]) - xy
-    direction = motion_at(xy - middle, trails.motion)
-    direction /= np.maximum(np.hypot(*direction.T), 1e-12)[:, None]
-    along = (off * direction).sum(axis=1)[:, None] * direction
-    bow = along + (off - along) / 3.0
-    return np.where(np.isfinite(bow), bow, 0.0)

@@ -14,6 +14,7 @@ from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation import OPTIMAL, Estimator
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
+from startracker.estimation.pixel_phase import HARMONIC_SIGMA, phase_columns, phase_shift, shared_shift
 from startracker.estimation.pose import (
     TRUSTED,
     UNKNOWN_FLOOR_PX,
@@ -23,6 +24,7 @@ from startracker.estimation.pose import (
     few_stars_factor,
     fit_pose,
     pixel_slopes,
+    probability_as_assumed,
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
@@ -43,6 +45,8 @@ _MOST_FIT = 0.85
 NAMED_PX, BY_CHANCE = 3.0, 0.02
 """A centroid this near to a guide star is this star, where at most this share of the guide stars would have a centroid
 as near by chance."""
+_MISFITTING = 0.01
+"""Probability of star images as assumed below which errors may depend on the position in the pixel."""
 RATE_SIGMA_RAD_S = math.radians(2.0)
 """Rate of a body, about each axis, of which nothing is known but that the stars are seen."""
 EPOCH_SIGMA_YR = 30.0
@@ -92,6 +96,8 @@ class Measured(NamedTuple):
         Where the two axes differ, as of streaks.
     common_px2 : (2, 2), optional
         Of an error that all centroids share, which turns the attitude and no residual shows.
+    misfit : float, optional
+        How far the star images are from those that were fitted to them (`Centroids.misfit`).
     """
 
     xy: FloatArray
@@ -99,6 +105,7 @@ class Measured(NamedTuple):
     variance_px2: FloatArray | None = None
     covariance_px2: FloatArray | None = None
     common_px2: FloatArray | None = None
+    misfit: float | None = None
 
 
 def refine(
@@ -144,7 +151,8 @@ def refine(
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
     if known and stars.covariance_px2 is not None:
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
-    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer)
+    as_assumed = probability_as_assumed(stars.misfit)
+    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -152,10 +160,11 @@ def refine(
         other = field.settled(fit.named, fit.matrix, fewest)
         fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
     used, named, fits = fit.used, fit.named, fit.fits
-    matrix, covariance = field.attitude(fit.pose, fit.matrix, used, fit.measured, estimator)
-    if stars.common_px2 is not None:
+    matrix, covariance = field.attitude(fit, estimator)
+    common_px2 = shared_shift(fit.phases) + (0.0 if stars.common_px2 is None else stars.common_px2)
+    if common_px2.any():
         turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
-        covariance = covariance + turn_per_px @ stars.common_px2 @ turn_per_px.T
+        covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
     if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - camera.project(guide.directions[named[:, 1]] @ matrix.T)
@@ -199,11 +208,13 @@ def _matched(
 
 
 class _Fit(NamedTuple):
-    """A pose and the attitude (3, 3) that it comes to, the pairs it was fitted to, the positions (N, 2) that these were
-    measured at, all pairs that are named, and whether they fit."""
+    """A pose and the attitude (3, 3) that it comes to, amplitudes of errors by the position in the pixel (0 or 8,), the
+    pairs it was fitted to, the positions (N, 2) that these were measured at, all pairs that are named, and whether they
+    fit."""
 
     pose: Pose
     matrix: FloatArray
+    phases: FloatArray
     used: IntArray
     measured: FloatArray
     named: IntArray
@@ -221,12 +232,13 @@ class _Field:
     guide: GuideDatabase
     free_focal: bool
     observer: Observer | None
+    as_assumed: float
 
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the fit before, until these stay the same."""
         measured = self.xy
-        pose, matrix = self.fit(used, matrix, measured)
-        named, fits, merged = self.named(pose, matrix)
+        pose, matrix, phases = self.fit(used, matrix, measured)
+        named, fits, merged = self.named(pose, matrix, phases)
         for _ in range(_ROUNDS):
             fitting = named[fits]
             if len(fitting) < fewest:
@@ -234,22 +246,30 @@ class _Field:
             if np.array_equal(fitting, used) and np.array_equal(merged, measured):
                 break
             used, measured = fitting, merged
-            pose, matrix = self.fit(used, matrix, measured)
-            named, fits, merged = self.named(pose, matrix)
-        return _Fit(pose, matrix, used, measured, named, fits)
+            pose, matrix, phases = self.fit(used, matrix, measured)
+            named, fits, merged = self.named(pose, matrix, phases)
+        return _Fit(pose, matrix, phases, used, measured, named, fits)
 
-    def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray]:
-        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), and the attitude that it comes to; from
-        measured positions (N, 2), see `_named`."""
+    def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, FloatArray]:
+        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), the attitude that it comes to, and amplitudes
+        of errors by the position in the pixel; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
         reference = self.guide.directions[pairs[:, 1]]
         residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
         offset -= (camera.cx, camera.cy)
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
         first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
-        given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma)
+        given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
+        phases = np.empty(0)
         if self.known:
             pose = fit_pose(given, TRUSTED, first, models)
+            if self.as_assumed < _MISFITTING:
+                columns = np.concatenate([extra, phase_columns(measured[stars])], axis=2)
+                sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * HARMONIC_SIGMA])
+                other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models)
+                if other.log_evidence > pose.log_evidence:
+                    theirs = np.arange(len(extra_sigma), len(sigma))
+                    phases, pose = other.unknowns[theirs], other._replace(unknowns=np.delete(other.unknowns, theirs))
         else:
             scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
             for _ in range(2):
@@ -258,7 +278,7 @@ class _Field:
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
         x, y, z = pose.turn
-        return pose, turned(matrix, -x, -y, -z)
+        return pose, turned(matrix, -x, -y, -z), phases
 
     def _extra(
         self, guides: IntArray, matrix: FloatArray, slopes: FloatArray, offset: FloatArray
@@ -281,7 +301,7 @@ class _Field:
             return np.zeros((len(guides), 2, 0)), np.zeros(0)
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
 
-    def named(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, BoolArray, FloatArray]:
+    def named(self, pose: Pose, matrix: FloatArray, phases: FloatArray) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids that belong to guide stars, which of them fit within their errors, and the
         positions (N, 2), those of duplicates merged."""
         index, pixels, moved = self._predicted(pose, matrix)
@@ -289,10 +309,10 @@ class _Field:
         area = float(self.camera.width * self.camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
-        found: tuple[IntArray, BoolArray, FloatArray] = named(
-            self.xy, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px
-        )
-        return found
+        shift = phase_shift(self.xy, phases)
+        right = self.xy - shift
+        pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
+        return pairs, fits, np.where(merged == right, self.xy, merged + shift)
 
     def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
@@ -304,11 +324,10 @@ class _Field:
         extra, _ = self._extra(index, matrix, slopes, offset)
         return index, pixels, displacements(offset, extra, pose.unknowns)
 
-    def attitude(
-        self, pose: Pose, matrix: FloatArray, used: IntArray, measured: FloatArray, estimator: Estimator
-    ) -> tuple[FloatArray, FloatArray]:
+    def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
-        covariance, camera = pose.covariance, self.camera
+        pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
+        covariance, measured = pose.covariance, fit.measured - phase_shift(fit.measured, fit.phases)
         if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
             reference = self.guide.directions[used[:, 1]]
             _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)

@@ -236,7 +236,7 @@ class StarTracker:
             stars = look() if callable(look) else look
             if stars is None:
                 continue
-            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2
+            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
             tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
             looks.append((stars, tried))
             if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):

@@ -12,7 +12,7 @@ from startracker.centroid.frame import Prepared, collect, measure_moments, prepa
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
-from startracker.centroid.result import Centroids
+from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import correct_skewness
 from startracker.centroid.window import MEASURED, Peaks, Pixels
 from startracker.detection.background import Background
@@ -22,7 +22,7 @@ from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
-__all__ = ["SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
+__all__ = ["MISFIT_SIGMA", "SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -35,7 +35,8 @@ _CEILING_SHARE = 0.9
 SYSTEMATIC_PX = 0.001
 """Floor of a position's standard deviation, twice the error of the table's interpolation; less than a moment's, as a
 star image that is not the assumed one shows in the residuals of the fit, and counts there."""
-_MISFIT_SIGMA = 4.0
+MISFIT_SIGMA = 4.0
+"""Excess of a fit's χ² over its mean, in standard deviations, from which the covariance is as many times as large."""
 _ASTRAY_PX = 1.5
 
 
@@ -110,8 +111,9 @@ def maximum_likelihood(
     saturated star within a tenth of its highest. Windows reach 2½ σ, at least ``window_px``.
 
     The covariance further has a floor of 0.001 px, and is χ² per degree of freedom times as large where that is more
-    than four standard deviations above one (an image that is not as assumed). A star that cannot be fitted gets its
-    `first_moment`.
+    than four standard deviations above one, unless the brightest stars all misfit (`Centroids.misfit`): then the
+    assumed image is wrong, which need not move the stars, and their residuals show how large the errors are. A star
+    that cannot be fitted gets its `first_moment`.
 
     Parameters
     ----------
@@ -147,23 +149,25 @@ def _fit(
     psf, starts = _start(frame, spots, moments, sigmas)
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
-    table = _accepted(fits, moments, group)
+    excess = (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
+    misfit = misfit_of_brightest(fits[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
+    table = _accepted(fits, moments, group, misfit is None or misfit < MISFIT_SIGMA)
     common = None
     if frame.settings.psf is None:
         half = int(starts.half.min())
         common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
-    return found if common is None or not common.any() else replace(found, common_px2=common)
+    return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
 
 
 @kernel
-def _accepted(fits: FloatArray, moments: FloatArray, group: IntArray) -> FloatArray:
-    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large; by moments where a fit failed, and
-    such a star counts as apart from its group."""
+def _accepted(fits: FloatArray, moments: FloatArray, group: IntArray, blends: bool) -> FloatArray:
+    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large, as of `blends`; by moments where a
+    fit failed, and such a star counts as apart from its group."""
     out = np.empty((len(fits), MEASURED))
     for n in range(len(fits)):
         misfit, factor, finite = fits[n, 6] / fits[n, 7], 1.0, True
-        if misfit > 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7]):
+        if blends and misfit > 1.0 + MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7]):
             factor = misfit
         for k in range(MEASURED):
             out[n, k] = fits[n, k] * (factor if k > 2 else 1.0)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Centroids"]
+__all__ = ["Centroids", "misfit_of_brightest"]
 
 FloatArray = NDArray[np.float64]
+
+_BRIGHTEST, _FEWEST = 9, 5
+_MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
+"""Standard error of the median of normal deviates times the root of their number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +33,8 @@ class Centroids:
         Whether the star's image is saturated.
     common_px2 : array, shape (2, 2), optional
         Covariance of an error that all positions share, px², not part of `covariance`; None: there is none.
+    misfit : float, optional
+        How far the brightest stars are from the image that was fitted to them (`misfit_of_brightest`); None: unknown.
     """
 
     xy: FloatArray
@@ -35,6 +42,7 @@ class Centroids:
     covariance: FloatArray
     saturated: NDArray[np.bool_]
     common_px2: FloatArray | None = None
+    misfit: float | None = None
 
     def __len__(self) -> int:
         return len(self.flux)
@@ -43,3 +51,20 @@ class Centroids:
     def none(cls) -> Centroids:
         """No stars."""
         return cls(np.empty((0, 2)), np.empty(0), np.empty((0, 2, 2)), np.empty(0, np.bool_))
+
+
+def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
+    """Median excess of χ² of the nine brightest stars' fits, in its standard errors; None for fewer than five.
+
+    Parameters
+    ----------
+    flux : (N,)
+        Brightness in any unit.
+    excess : (N,)
+        χ² of each fit minus its degrees of freedom, in standard deviations; not finite: left out.
+    """
+    fitted = np.flatnonzero(np.isfinite(excess))
+    brightest = fitted[np.argsort(-flux[fitted], kind="stable")[:_BRIGHTEST]]
+    if len(brightest) < _FEWEST:
+        return None
+    return float(np.median(excess[brightest])) * math.sqrt(len(brightest)) / _MEDIAN_ERROR

@@ -12,7 +12,8 @@ s²
     Jeffreys' 1/s² where they are not;
 τ
     systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
-    blends, catalogue), on a grid of multiples of the median stated error. T, of trace 2, is I unless the residuals are
+    blends, catalogue), on a grid of multiples of the median stated error; none with a probability that the misfit of
+    the brightest stars' images says (`probability_as_assumed`). T, of trace 2, is I unless the residuals are
     significantly longer along one direction, as those of undersampled images with coma are;
 u
     smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
@@ -24,7 +25,7 @@ Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V 
 N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ V⁻¹ r, ν = 2M − 3 and n the degrees of freedom of the prior of s²:
 
     mean        N⁻¹ Hᵀ V⁻¹ r
-    covariance  N⁻¹ (n + χ²)/(n + ν)
+    covariance  N⁻¹ (n + χ²)/(n + ν − 2), that of a t distribution
     evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
 
 The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance has the
@@ -59,17 +60,23 @@ __all__ = [
     "few_stars_factor",
     "fit_pose",
     "pixel_slopes",
+    "probability_as_assumed",
 ]
 
 FloatArray = NDArray[np.float64]
 
 TRUSTED = 20.0
 """Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
-SYSTEMATIC = np.concatenate((np.zeros(1), 0.4 * 2.0 ** np.arange(9)))
+_OCTAVES = 0.5 * np.arange(19)
+SYSTEMATIC = np.concatenate((np.zeros(1), 0.2 * 2.0**_OCTAVES))
 """Values of τ in units of the median stated error."""
-_FALLING = 0.75 ** np.arange(9)
-_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.array([0.5]), 0.5 * _FALLING / _FALLING.sum())))
-"""As probable as not, and a large one less than a small one: of three stars it is hardly known."""
+_FALLING = 0.75**_OCTAVES
+_PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.ones(1), _FALLING / _FALLING.sum())))
+"""Of each given that there is none, or one: a large one is less probable, as of three stars it is hardly known."""
+_AS_ASSUMED = 0.5
+"""Probability beforehand that there is none."""
+_WRONG_MISFIT = 20.0
+"""Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
 """Relative error of a calibrated focal length, and of a shear, where there is one."""
 FREE_FOCAL_SIGMA = 1e-2
@@ -100,6 +107,8 @@ class Linearised(NamedTuple):
         Stated, pixels².
     extra, extra_sigma : (M, 2, E), (E,)
         Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
+    as_assumed : float
+        Probability beforehand that there is no τ (`probability_as_assumed`).
     """
 
     residual: FloatArray
@@ -108,6 +117,7 @@ class Linearised(NamedTuple):
     covariance: FloatArray
     extra: FloatArray
     extra_sigma: FloatArray
+    as_assumed: float = _AS_ASSUMED
 
 
 class Pose(NamedTuple):
@@ -129,6 +139,8 @@ class Pose(NamedTuple):
         Mean of s².
     unknowns : (E + 3,)
         Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`).
+    log_evidence : float
+        Of all models together, but for a constant that depends on the stars alone.
     """
 
     turn: FloatArray
@@ -138,6 +150,7 @@ class Pose(NamedTuple):
     systematic_px2: float
     factor: float
     unknowns: FloatArray
+    log_evidence: float
 
 
 def few_stars_factor(freedom: int) -> float:
@@ -147,6 +160,26 @@ def few_stars_factor(freedom: int) -> float:
     (ν = 3) its 99 % quantile is 7.8 times as large.
     """
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
+
+
+def probability_as_assumed(misfit: float | None) -> float:
+    """Probability that star images are as assumed, so that there is no τ, by the misfit of the brightest.
+
+    Where they are, the misfit is a normal deviate; where not, exponentially distributed, plus the same noise.
+
+    Parameters
+    ----------
+    misfit : float or None
+        `startracker.centroid.result.misfit_of_brightest`; None: not known.
+    """
+    if misfit is None:
+        return _AS_ASSUMED
+    misfit = max(misfit, -5.0)  # noise may be stated too large
+    clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
+    beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
+    wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
+    part = _AS_ASSUMED * clean
+    return min(max(part / max(part + (1.0 - _AS_ASSUMED) * wrong, 1e-300), 1e-6), 1.0 - 1e-6)
 
 
 @kernel
@@ -320,11 +353,13 @@ def _fit_each_model(
                 chi2 -= mean[t, m, i] * right[i]
             power, chi2 = trusted + freedom, max(chi2, 1e-12)
             if trusted > 0.0:
-                scale[t, m] = (trusted + chi2) / power
+                # the covariance of a t distribution is larger than its squared scale
+                scale[t, m] = (trusted + chi2) / (power - 2.0)
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
             log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
-            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] - 0.5 * log_data
+            probable = stars.as_assumed if t == 0 else 1.0 - stars.as_assumed
+            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] + math.log(probable) - 0.5 * log_data
     return weight, scale, mean, every, plain
 
 
@@ -376,4 +411,4 @@ def _averaged(
     for i in range(3):
         for j in range(3):
             without[i, j] = covariance[i, j] - without[i, j]
-    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:])
+    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:], highest + math.log(total))

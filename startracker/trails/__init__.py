@@ -1,8 +1,10 @@
 """Stars trailed by the camera's turn: the motion that they share, and where each stood in the middle of the exposure.
 
-Takes an image, its background and what is known of its trails; gives `Trails`: centroids and the motion.
+Takes an image, its background and what is known of its trails; gives `Trails`, their middles and the motion, and from
+these with a camera the positions of the stars at mid-exposure.
 """
 
 from startracker.trails.find import Trails, find_trails
+from startracker.trails.turn import mid_exposure
 
-__all__ = ["Trails", "find_trails"]
+__all__ = ["Trails", "find_trails", "mid_exposure"]

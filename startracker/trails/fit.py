@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ __all__ += ["best_stretch", "fit_trail", "measure_trails", "residual_of"]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
 
 X, Y, FLUX, SKY, ANGLE, HALF, SIGMA = range(7)
 """Parameters of a trail: middle, px; light and level beside it, DN; direction, rad; half length and width, px."""
@@ -41,6 +43,28 @@ _BRIGHT_SNR = 30.0
 _SWEEPS = 2
 _GOOD_CHI2, _ASIDE_SIGMAS = 2.0, 2.5
 """χ² a degree of freedom above which a fit is begun again so many widths beside its first start."""
+
+
+class Measured(NamedTuple):
+    """Fits of M trails.
+
+    Parameters
+    ----------
+    table : (M, 7)
+        Parameters.
+    covariance : (M, 3, 3)
+        Of x, y and flux.
+    chi2, freedom : (M,)
+        χ² a degree of freedom, and these.
+    alone : bool (M,)
+        Whether direction and length are those of the trail, not of the frame's motion.
+    """
+
+    table: FloatArray
+    covariance: FloatArray
+    chi2: FloatArray
+    freedom: IntArray
+    alone: NDArray[np.bool_]
 
 
 @kernel
@@ -181,7 +205,7 @@ def _light(pixels: FloatArray, p: FloatArray, normal: FloatArray, right: FloatAr
 @kernel
 def fit_trail(
     residual: FloatImage, noise: Plane, start: FloatArray, size: int, slack: float, inverse_gain: float
-) -> tuple[FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, float, int]:
     """Least-squares fit of a trail (Levenberg 1944, Marquardt 1963).
 
     Parameters
@@ -201,7 +225,8 @@ def fit_trail(
 
     Returns
     -------
-    parameters (7,), covariance of those fitted (size, size), χ² a degree of freedom (infinite: no fit)
+    parameters (7,), covariance of those fitted (size, size), χ² a degree of freedom (infinite: no fit), degrees of
+    freedom
     """
     p, trial = start.copy(), start.copy()
     pixels = _window(residual, noise, p, slack)
@@ -209,11 +234,11 @@ def fit_trail(
     new_normal, new_right, step = np.zeros((LINE, LINE)), np.zeros(LINE), np.zeros(LINE)
     none = np.zeros((size, size))
     if pixels.shape[1] <= size:
-        return p, none, np.inf
+        return p, none, np.inf, 0
     if not p[FLUX] > 0.0:
         _light(pixels, p, normal, right)
         if not p[FLUX] > 0.0:
-            return p, none, np.inf
+            return p, none, np.inf, 0
     chi2, count = np.inf, 0
     for outlier, steps in ((np.inf, _FIRST_STEPS if size == PLACE else _STEPS), (_OUTLIER, _STEPS)):
         chi2, count = _normal_equations(pixels, p, size, inverse_gain, outlier, normal, right)
@@ -223,7 +248,7 @@ def fit_trail(
             for i in range(size):
                 factor[i, i] *= 1.0 + damping
             if not factorise(factor, size):
-                return p, none, np.inf
+                return p, none, np.inf, 0
             substitute(factor, size, step)
             gain = 0.0
             for i in range(size):
@@ -248,11 +273,11 @@ def fit_trail(
             break
     factor[:] = normal
     if count <= size or not factorise(factor, size):
-        return p, none, np.inf
+        return p, none, np.inf, 0
     covariance = np.eye(size)
     for i in range(size):
         substitute(factor, size, covariance[i])
-    return p, covariance, chi2 / (count - size)
+    return p, covariance, chi2 / (count - size), count - size
 
 
 @kernel
@@ -321,7 +346,7 @@ def _overlap(p: FloatArray, other: FloatArray) -> bool:
 @kernel
 def measure_trails(
     residual: FloatImage, noise: Plane, starts: FloatArray, inverse_gain: float, threshold: float, most: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> Measured:
     """Fits of trails, each with the light of the others subtracted; the residual is left without them.
 
     Parameters
@@ -332,12 +357,10 @@ def measure_trails(
         Least signal-to-noise ratio.
     most : int
         Trails wanted.
-
-    Returns
-    -------
-    parameters (M, 7), covariances (M, 3, 3) of x, y and flux, χ² a degree of freedom (M,)
     """
-    found, covariances, chi2s = np.empty_like(starts), np.empty((len(starts), 3, 3)), np.empty(len(starts))
+    found, covariances = np.empty_like(starts), np.empty((len(starts), 3, 3))
+    chi2s, freedoms = np.empty(len(starts)), np.empty(len(starts), np.int64)
+    alone = np.zeros(len(starts), np.bool_)
     count = 0
     for n in range(len(starts)):
         if count == most:
@@ -348,21 +371,21 @@ def measure_trails(
         shift, _ = best_stretch(residual, noise, start, start[HALF] + away, length, length)
         start[X] += shift * math.cos(start[ANGLE])
         start[Y] += shift * math.sin(start[ANGLE])
-        p, covariance, chi2 = fit_trail(residual, noise, start, PLACE, 2.0, inverse_gain)
+        p, covariance, chi2, freedom = fit_trail(residual, noise, start, PLACE, 2.0, inverse_gain)
         for side in (-1.0, 1.0):
             # a search of clipped light finds bright trails to within some widths only
             if chi2 > _GOOD_CHI2:
                 aside, off = start.copy(), side * _ASIDE_SIGMAS * start[SIGMA]
                 aside[X] -= off * math.sin(start[ANGLE])
                 aside[Y] += off * math.cos(start[ANGLE])
-                other, other_covariance, other_chi2 = fit_trail(residual, noise, aside, PLACE, 2.0, inverse_gain)
-                if other_chi2 < chi2:
-                    p, covariance, chi2 = other, other_covariance, other_chi2
+                other = fit_trail(residual, noise, aside, PLACE, 2.0, inverse_gain)
+                if other[2] < chi2:
+                    p, covariance, chi2, freedom = other
         strong = chi2 < np.inf and p[FLUX] >= threshold * math.sqrt(covariance[FLUX, FLUX])
         if not strong or math.hypot(p[X] - starts[n, X], p[Y] - starts[n, Y]) > 0.5 * p[HALF]:
             continue
         _subtract(residual, p, 1.0)
-        found[count], covariances[count], chi2s[count] = p, covariance[:3, :3], chi2
+        found[count], covariances[count], chi2s[count], freedoms[count] = p, covariance[:3, :3], chi2, freedom
         count += 1
     for sweep in range(_SWEEPS):
         for n in range(count):
@@ -373,8 +396,10 @@ def measure_trails(
             if not (crowded or (bright and sweep == 0)):
                 continue
             _subtract(residual, found[n], -1.0)
-            p, covariance, chi2 = fit_trail(residual, noise, found[n], SHAPE if bright else PLACE, 2.0, inverse_gain)
+            size = SHAPE if bright else PLACE
+            p, covariance, chi2, freedom = fit_trail(residual, noise, found[n], size, 2.0, inverse_gain)
             if chi2 < np.inf:
-                found[n], covariances[n], chi2s[n] = p, covariance[:3, :3], chi2
+                found[n], covariances[n], chi2s[n], freedoms[n] = p, covariance[:3, :3], chi2, freedom
+                alone[n] = bright
             _subtract(residual, found[n], 1.0)
-    return found[:count], covariances[:count], chi2s[:count]
+    return Measured(found[:count], covariances[:count], chi2s[:count], freedoms[:count], alone[:count])

@@ -21,10 +21,10 @@ from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.detection import METHODS, Background, estimate
-from startracker.front_end import _bow
 from startracker.settings import DetectionSettings
-from startracker.trails import Trails, find_trails
+from startracker.trails import Trails, find_trails, mid_exposure
 from startracker.trails.lines import best_lines
+from startracker.trails.turn import fit_turn
 
 FloatArray = NDArray[np.float64]
 
@@ -266,9 +266,16 @@ def test_middle_of_a_streak_is_set_right_for_the_camera() -> None:
         :, None
     ] * side
     motion = np.array([turn[1] * camera.fx, -turn[0] * camera.fy, turn[2]])
-    none = Trails(Centroids.none(), motion)
-    np.testing.assert_allclose(_bow(xy, camera, none, np.array([511.5, 511.5])), expected, atol=0.04)
+    stated = np.broadcast_to(0.01**2 * np.eye(2), (3, 2, 2))
+    centroids = Centroids(xy, np.ones(3), stated, np.zeros(3, bool))
+    lengths = path[-1] - path[0]
+    by_motion = Trails(centroids, motion, lengths, np.zeros(3, bool))
+    np.testing.assert_allclose(xy - mid_exposure(by_motion, camera)[0], expected, atol=0.04)
     assert np.abs(expected).max() > 0.3
+    by_trails = Trails(centroids, motion * (1.0, 1.02, 0.9), -lengths, np.ones(3, bool))
+    half, covariance = fit_turn(by_trails, camera)
+    assert np.all(np.abs(half - 0.5 * turn) < 3.0 * np.sqrt(np.diag(covariance)) + 1e-5)
+    np.testing.assert_allclose(xy - mid_exposure(by_trails, camera)[0], expected, atol=0.01)
 
 
 @pytest.mark.parametrize(("rate_deg_s", "length"), [(3.0, 48.0), (10.0, 159.0)])

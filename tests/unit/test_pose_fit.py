@@ -43,8 +43,9 @@ def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, firs
             chi2 = r @ big @ r - mean @ h.T @ big @ r
             log = np.linalg.slogdet(big)[1] + np.log(precision[3:]).sum() - np.linalg.slogdet(normal)[1]
             log -= (trusted + freedom) * np.log(trusted + chi2)
-            weight.append(0.5 * log + pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t])
-            factor = (trusted + chi2) / (trusted + freedom)
+            prior = pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t] + np.log(pose._AS_ASSUMED)
+            weight.append(0.5 * log + prior)
+            factor = (trusted + chi2) / (trusted + freedom - (2.0 if trusted else 0.0))
             if not trusted:
                 factor = max(factor, pose.UNKNOWN_FLOOR_PX**2 / unit)
             means.append(mean[:3])
@@ -74,7 +75,7 @@ def problem(seed, stars, scale=0.0, columns=0):
 def test_the_kernel_is_its_twin(stars, scale, columns, trusted, first, models):
     given = problem(stars, stars, scale, columns)
     found = fit_pose(given, trusted, first, models)
-    turn, covariance = twin(*given, trusted, first, models)
+    turn, covariance = twin(*given[:6], trusted, first, models)
     sigma = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.turn / sigma, turn / sigma, atol=1e-6)
     np.testing.assert_allclose(
@@ -102,7 +103,7 @@ def test_a_systematic_error_along_one_direction_is_told_so():
     iso = pose._fit_models(given, columns, 20.0, 0, 3, np.eye(2))
     shape = pose._shape_of_systematic(given[0], columns, iso)
     assert np.trace(shape) == pytest.approx(2.0)
-    turn, covariance = twin(*given, 20.0, 0, 3, (shape[0, 0], shape[0, 1], shape[1, 1]))
+    turn, covariance = twin(*given[:6], 20.0, 0, 3, (shape[0, 0], shape[0, 1], shape[1, 1]))
     np.testing.assert_allclose(found.turn, turn, rtol=1e-6)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-9 * covariance.max())
 
