@@ -12,7 +12,17 @@ from startracker.distortion import project_pinhole, unproject_pinhole
 from startracker.fisheye import fisheye_project, fisheye_unproject
 from startracker.kernels import kernel
 
-__all__ = ["HEIGHT", "LENS", "LIMIT_RAD", "WIDTH", "ImageMap", "image_map", "to_directions", "to_pixels"]
+__all__ = [
+    "HEIGHT",
+    "LENS",
+    "LIMIT_RAD",
+    "WIDTH",
+    "ImageMap",
+    "image_map",
+    "pixel_slopes",
+    "to_directions",
+    "to_pixels",
+]
 
 FloatArray = NDArray[np.float64]
 ImageMap = NDArray[np.float64]
@@ -20,6 +30,8 @@ ImageMap = NDArray[np.float64]
 FX, FY, CX, CY, WIDTH, HEIGHT, PINHOLE, EQUISOLID, LIMIT_RAD, LENS = range(10)
 """Indices: focal lengths (the first negative for a mirrored image), principal point and size, pixels; 1 for a pinhole,
 else 0; 1 for an equisolid fisheye, else 0; limiting angle; from `LENS` on the lens coefficients."""
+_STEP_RAD = 1e-5
+"""Of the central differences of `pixel_slopes`."""
 
 
 def image_map(
@@ -60,3 +72,22 @@ def to_directions(xy: FloatArray, image: ImageMap) -> FloatArray:
         points[i, 0], points[i, 1] = (xy[i, 0] - cx) / fx, (xy[i, 1] - cy) / fy
     around: FloatArray = fisheye_unproject(points, image[LENS:], image[EQUISOLID] == 1.0, image[LIMIT_RAD])
     return around
+
+
+@kernel
+def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
+    """∂(x, y)/∂θ (M, 2, 3), pixels per radian, of stars seen along unit vectors (M, 3) when the camera turns by θ."""
+    moved, out = np.empty((6 * len(vectors), 3)), np.empty((len(vectors), 2, 3))
+    for n in range(len(vectors)):
+        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
+        for k in range(2):
+            a, i = _STEP_RAD * (1 - 2 * k), 6 * n + 3 * k
+            moved[i, 0], moved[i, 1], moved[i, 2] = x, y + a * z, z - a * y
+            moved[i + 1, 0], moved[i + 1, 1], moved[i + 1, 2] = x - a * z, y, z + a * x
+            moved[i + 2, 0], moved[i + 2, 1], moved[i + 2, 2] = x + a * y, y - a * x, z
+    pixels = to_pixels(moved, image)
+    for n in range(len(vectors)):
+        for k in range(3):
+            for axis in range(2):
+                out[n, axis, k] = (pixels[6 * n + k, axis] - pixels[6 * n + 3 + k, axis]) / (2.0 * _STEP_RAD)
+    return out

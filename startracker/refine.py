@@ -14,7 +14,15 @@ from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation import OPTIMAL, Estimator
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
-from startracker.estimation.pixel_phase import HARMONIC_SIGMA, phase_columns, phase_shift, shared_shift
+from startracker.estimation.image_errors import (
+    AMPLITUDE_SIGMA,
+    NO_IMAGE_ERRORS,
+    ImageErrors,
+    error_columns,
+    probability_as_assumed,
+    shared_shift,
+    shift_of,
+)
 from startracker.estimation.pose import (
     TRUSTED,
     UNKNOWN_FLOOR_PX,
@@ -23,12 +31,10 @@ from startracker.estimation.pose import (
     displacements,
     few_stars_factor,
     fit_pose,
-    pixel_slopes,
-    probability_as_assumed,
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
-from startracker.image_map import ImageMap, to_pixels
+from startracker.image_map import ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import solve, turned
 from startracker.observer import Observer, unknown_aberration
@@ -161,7 +167,7 @@ def refine(
         fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
-    common_px2 = shared_shift(fit.phases) + (0.0 if stars.common_px2 is None else stars.common_px2)
+    common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
     if common_px2.any():
         turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
         covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
@@ -208,13 +214,13 @@ def _matched(
 
 
 class _Fit(NamedTuple):
-    """A pose and the attitude (3, 3) that it comes to, amplitudes of errors by the position in the pixel (0 or 8,), the
+    """A pose and the attitude (3, 3) that it comes to, errors that the field shares, the
     pairs it was fitted to, the positions (N, 2) that these were measured at, all pairs that are named, and whether they
     fit."""
 
     pose: Pose
     matrix: FloatArray
-    phases: FloatArray
+    errors: ImageErrors
     used: IntArray
     measured: FloatArray
     named: IntArray
@@ -237,8 +243,8 @@ class _Field:
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the fit before, until these stay the same."""
         measured = self.xy
-        pose, matrix, phases = self.fit(used, matrix, measured)
-        named, fits, merged = self.named(pose, matrix, phases)
+        pose, matrix, errors = self.fit(used, matrix, measured)
+        named, fits, merged = self.named(pose, matrix, errors)
         for _ in range(_ROUNDS):
             fitting = named[fits]
             if len(fitting) < fewest:
@@ -246,13 +252,18 @@ class _Field:
             if np.array_equal(fitting, used) and np.array_equal(merged, measured):
                 break
             used, measured = fitting, merged
-            pose, matrix, phases = self.fit(used, matrix, measured)
-            named, fits, merged = self.named(pose, matrix, phases)
-        return _Fit(pose, matrix, phases, used, measured, named, fits)
+            pose, matrix, errors = self.fit(used, matrix, measured)
+            named, fits, merged = self.named(pose, matrix, errors)
+        return _Fit(pose, matrix, errors, used, measured, named, fits)
 
-    def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, FloatArray]:
-        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), the attitude that it comes to, and amplitudes
-        of errors by the position in the pixel; from measured positions (N, 2), see `named`."""
+    def from_centre(self, xy: FloatArray) -> FloatArray:
+        """Positions from the principal point, in units of half the diagonal of the image."""
+        camera = self.camera
+        return (xy - (camera.cx, camera.cy)) / (0.5 * math.hypot(camera.width, camera.height))
+
+    def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
+        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), the attitude that it comes to, and the
+        errors that the field shares; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
         reference = self.guide.directions[pairs[:, 1]]
         residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
@@ -260,16 +271,18 @@ class _Field:
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
         first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
-        phases = np.empty(0)
+        errors = NO_IMAGE_ERRORS
         if self.known:
             pose = fit_pose(given, TRUSTED, first, models)
             if self.as_assumed < _MISFITTING:
-                columns = np.concatenate([extra, phase_columns(measured[stars])], axis=2)
-                sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * HARMONIC_SIGMA])
+                seen = measured[stars]
+                columns = np.concatenate([extra, error_columns(seen, self.from_centre(seen))], axis=2)
+                sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * AMPLITUDE_SIGMA])
                 other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models)
                 if other.log_evidence > pose.log_evidence:
                     theirs = np.arange(len(extra_sigma), len(sigma))
-                    phases, pose = other.unknowns[theirs], other._replace(unknowns=np.delete(other.unknowns, theirs))
+                    errors = ImageErrors(other.unknowns[theirs], other.unknowns_variance[theirs])
+                    pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
         else:
             scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
             for _ in range(2):
@@ -278,7 +291,7 @@ class _Field:
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
         x, y, z = pose.turn
-        return pose, turned(matrix, -x, -y, -z), phases
+        return pose, turned(matrix, -x, -y, -z), errors
 
     def _extra(
         self, guides: IntArray, matrix: FloatArray, slopes: FloatArray, offset: FloatArray
@@ -301,7 +314,7 @@ class _Field:
             return np.zeros((len(guides), 2, 0)), np.zeros(0)
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
 
-    def named(self, pose: Pose, matrix: FloatArray, phases: FloatArray) -> tuple[IntArray, BoolArray, FloatArray]:
+    def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids that belong to guide stars, which of them fit within their errors, and the
         positions (N, 2), those of duplicates merged."""
         index, pixels, moved = self._predicted(pose, matrix)
@@ -309,7 +322,7 @@ class _Field:
         area = float(self.camera.width * self.camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
-        shift = phase_shift(self.xy, phases)
+        shift = shift_of(self.xy, self.from_centre(self.xy), errors)
         right = self.xy - shift
         pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
         return pairs, fits, np.where(merged == right, self.xy, merged + shift)
@@ -327,7 +340,10 @@ class _Field:
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
-        covariance, measured = pose.covariance, fit.measured - phase_shift(fit.measured, fit.phases)
+        covariance, measured = (
+            pose.covariance,
+            fit.measured - shift_of(fit.measured, self.from_centre(fit.measured), fit.errors),
+        )
         if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
             reference = self.guide.directions[used[:, 1]]
             _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)

@@ -13,7 +13,7 @@ s²
 τ
     systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
     blends, catalogue), on a grid of multiples of the median stated error; none with a probability that the misfit of
-    the brightest stars' images says (`probability_as_assumed`). T, of trace 2, is I unless the residuals are
+    the brightest stars' images says (`image_errors`). T, of trace 2, is I unless the residuals are
     significantly longer along one direction, as those of undersampled images with coma are;
 u
     smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
-from startracker.image_map import ImageMap, to_pixels
+from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.kernels import kernel
 from startracker.linalg import inverse
 from startracker.sorting import median
@@ -59,8 +59,6 @@ __all__ = [
     "displacements",
     "few_stars_factor",
     "fit_pose",
-    "pixel_slopes",
-    "probability_as_assumed",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -73,10 +71,6 @@ SYSTEMATIC = np.concatenate((np.zeros(1), 0.2 * 2.0**_OCTAVES))
 _FALLING = 0.75**_OCTAVES
 _PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.ones(1), _FALLING / _FALLING.sum())))
 """Of each given that there is none, or one: a large one is less probable, as of three stars it is hardly known."""
-_AS_ASSUMED = 0.5
-"""Probability beforehand that there is none."""
-_WRONG_MISFIT = 20.0
-"""Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
 """Relative error of a calibrated focal length, and of a shear, where there is one."""
 FREE_FOCAL_SIGMA = 1e-2
@@ -89,7 +83,6 @@ _LEAST_ELONGATION = 9.0
 """Of the systematic error: square over its variance, which noise exceeds once in ninety times."""
 _MOST_ELONGATION = 0.95
 _FARTHEST_SQUARE = 9.0
-_STEP_RAD = 1e-5
 
 
 class Linearised(NamedTuple):
@@ -100,7 +93,7 @@ class Linearised(NamedTuple):
     residual : (M, 2)
         Measured minus predicted, pixels.
     slopes : (M, 2, 3)
-        `pixel_slopes`.
+        `startracker.image_map.pixel_slopes`.
     offset : (M, 2)
         Predicted positions from the principal point: what the focal length scales.
     covariance : (M, 2, 2)
@@ -117,7 +110,7 @@ class Linearised(NamedTuple):
     covariance: FloatArray
     extra: FloatArray
     extra_sigma: FloatArray
-    as_assumed: float = _AS_ASSUMED
+    as_assumed: float = AS_ASSUMED
 
 
 class Pose(NamedTuple):
@@ -137,8 +130,9 @@ class Pose(NamedTuple):
         Mean of s² τ².
     factor : float
         Mean of s².
-    unknowns : (E + 3,)
-        Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`).
+    unknowns, unknowns_variance : (E + 3,)
+        Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and
+        their variances.
     log_evidence : float
         Of all models together, but for a constant that depends on the stars alone.
     """
@@ -150,6 +144,7 @@ class Pose(NamedTuple):
     systematic_px2: float
     factor: float
     unknowns: FloatArray
+    unknowns_variance: FloatArray
     log_evidence: float
 
 
@@ -160,45 +155,6 @@ def few_stars_factor(freedom: int) -> float:
     (ν = 3) its 99 % quantile is 7.8 times as large.
     """
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
-
-
-def probability_as_assumed(misfit: float | None) -> float:
-    """Probability that star images are as assumed, so that there is no τ, by the misfit of the brightest.
-
-    Where they are, the misfit is a normal deviate; where not, exponentially distributed, plus the same noise.
-
-    Parameters
-    ----------
-    misfit : float or None
-        `startracker.centroid.result.misfit_of_brightest`; None: not known.
-    """
-    if misfit is None:
-        return _AS_ASSUMED
-    misfit = max(misfit, -5.0)  # noise may be stated too large
-    clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
-    beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
-    wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
-    part = _AS_ASSUMED * clean
-    return min(max(part / max(part + (1.0 - _AS_ASSUMED) * wrong, 1e-300), 1e-6), 1.0 - 1e-6)
-
-
-@kernel
-def pixel_slopes(vectors: FloatArray, image: ImageMap) -> FloatArray:
-    """∂(x, y)/∂θ (M, 2, 3), pixels per radian, of stars seen along unit vectors (M, 3) when the camera turns by θ."""
-    moved, out = np.empty((6 * len(vectors), 3)), np.empty((len(vectors), 2, 3))
-    for n in range(len(vectors)):
-        x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
-        for k in range(2):
-            a, i = _STEP_RAD * (1 - 2 * k), 6 * n + 3 * k
-            moved[i, 0], moved[i, 1], moved[i, 2] = x, y + a * z, z - a * y
-            moved[i + 1, 0], moved[i + 1, 1], moved[i + 1, 2] = x - a * z, y, z + a * x
-            moved[i + 2, 0], moved[i + 2, 1], moved[i + 2, 2] = x + a * y, y - a * x, z
-    pixels = to_pixels(moved, image)
-    for n in range(len(vectors)):
-        for k in range(3):
-            for axis in range(2):
-                out[n, axis, k] = (pixels[6 * n + k, axis] - pixels[6 * n + 3 + k, axis]) / (2.0 * _STEP_RAD)
-    return out
 
 
 def _columns(stars: Linearised) -> FloatArray:
@@ -392,7 +348,7 @@ def _averaged(
                 centre[i] += weight[t, m] * mean[t, m, i]
             factor += weight[t, m] * scale[t, m]
             systematic += weight[t, m] * scale[t, m] * SYSTEMATIC[t] ** 2 * unit
-    covariance, without = np.zeros((3, 3)), np.zeros((3, 3))
+    covariance, without, variance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(len(centre))
     for t in range(weight.shape[0]):
         for m in range(3):
             share = weight[t, m]
@@ -403,6 +359,8 @@ def _averaged(
                     away = (mean[t, m, i] - centre[i]) * (mean[t, m, j] - centre[j])
                     covariance[i, j] += share * (scale[t, m] * every[t, m, i, j] + away)
                     without[i, j] += share * scale[t, m] * plain[t, i, j]
+            for i in range(len(centre)):
+                variance[i] += share * (scale[t, m] * every[t, m, i, i] + (mean[t, m, i] - centre[i]) ** 2)
             last = 5 + known
             covariance[2, 2] += share * mean[t, m, last] ** 2
     sigma = np.empty(len(trace))
@@ -411,4 +369,6 @@ def _averaged(
     for i in range(3):
         for j in range(3):
             without[i, j] = covariance[i, j] - without[i, j]
-    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:], highest + math.log(total))
+    return Pose(
+        centre[:3], covariance, without, sigma, systematic, factor, centre[3:], variance[3:], highest + math.log(total)
+    )

@@ -50,15 +50,15 @@ def test_mistakes_are_one_clear_line_and_leave_nothing(arguments, tmp_path, monk
 def test_interrupt_keeps_finished_points_and_resume_completes_them(trials_done, tmp_path, monkeypatch, capsys):
     command = ["sweep", "tc211", "--out", "s", "--trials", "4", "--workers", "1", "--over", "optics.aperture_mm=14,16"]
     monkeypatch.chdir(tmp_path)
-    tell = SweepProgress.tell
+    update = SweepProgress.update
 
     def interrupt(self, done, total, point):
-        tell(self, done, total, point)
+        update(self, done, total, point)
         if point.index == 1 and trials_done <= done < 8:
             os.kill(os.getpid(), signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(SweepProgress, "tell", interrupt)
+        patch.setattr(SweepProgress, "update", interrupt)
         assert _run(command) == 130
     assert "1 of 2 points are finished and kept" in capsys.readouterr().out
     before = json.loads(Path("s/sweep.json").read_text())

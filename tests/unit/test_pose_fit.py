@@ -8,7 +8,8 @@ from startracker import Attitude, Camera, StarTracker
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import pose
-from startracker.estimation.pose import Linearised, displacements, few_stars_factor, fit_pose, pixel_slopes
+from startracker.estimation.pose import Linearised, displacements, few_stars_factor, fit_pose
+from startracker.image_map import pixel_slopes
 from startracker.observer import Observer, aberrate, unknown_aberration
 from startracker.solution import MatchedStars
 
@@ -43,7 +44,7 @@ def twin(residual, slopes, offset, covariance, extra, extra_sigma, trusted, firs
             chi2 = r @ big @ r - mean @ h.T @ big @ r
             log = np.linalg.slogdet(big)[1] + np.log(precision[3:]).sum() - np.linalg.slogdet(normal)[1]
             log -= (trusted + freedom) * np.log(trusted + chi2)
-            prior = pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t] + np.log(pose._AS_ASSUMED)
+            prior = pose._PRIOR_OF_MODELS[m] + pose._PRIOR_OF_SYSTEMATIC[t] + np.log(pose.AS_ASSUMED)
             weight.append(0.5 * log + prior)
             factor = (trusted + chi2) / (trusted + freedom - (2.0 if trusted else 0.0))
             if not trusted:

@@ -25,7 +25,7 @@ from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
 from startracker.camera import Camera
-from startracker.estimation.pose import pixel_slopes as slopes_of_pixels
+from startracker.image_map import pixel_slopes as slopes_of_pixels
 from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]

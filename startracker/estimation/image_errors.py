@@ -1,0 +1,112 @@
+"""Errors of positions that the whole field shares, where star images are not as fitted: by the position in the pixel,
+and along the radius of the field.
+
+The first are those of images narrower than a pixel, or of another shape than the fitted one. On each axis such an error
+is a periodic function of the position in the pixel, whose mean a calibrated camera does not have (Anderson & King 2000,
+PASP 112, 1360, section 2). Two harmonics are fitted to the residuals. They are functions of the measured position,
+not of the predicted one, which an error of the attitude would move along: the model stays linear, and the covariance
+true. Their mean over measured positions is zero where that over true ones is, as the integral of f f' over a period is
+zero.
+
+The second is that of aberrations which grow with the distance from the axis: they move images along the radius, bright
+stars otherwise than the calibration's. With the focal length, which is fitted anyhow, r³ has the lowest terms of it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "AMPLITUDE_SIGMA",
+    "AS_ASSUMED",
+    "NO_IMAGE_ERRORS",
+    "ImageErrors",
+    "error_columns",
+    "probability_as_assumed",
+    "shared_shift",
+    "shift_of",
+]
+
+FloatArray = NDArray[np.float64]
+
+AS_ASSUMED = 0.5
+"""Probability beforehand that star images are as assumed, so that there is no systematic error."""
+_WRONG_MISFIT = 20.0
+"""Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
+_HARMONICS = 2
+AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
+"""Standard deviation of the amplitudes beforehand (9,), in units of the systematic error that the frame shows; that of
+the last one is at the corners, where it is largest."""
+_SHARED_PART = 0.1
+"""Shift of all stars over the amplitude of the cosines, as measured for coma in and out of focus."""
+
+
+class ImageErrors(NamedTuple):
+    """Amplitudes (9,) of the columns of `error_columns`, pixels, and their variances (9,); or none of either."""
+
+    amplitudes: FloatArray
+    variance: FloatArray
+
+
+NO_IMAGE_ERRORS = ImageErrors(np.zeros(0), np.zeros(0))
+
+
+def error_columns(xy: FloatArray, field: FloatArray) -> FloatArray:
+    """Displacements (N, 2, 9): sine and cosine of each harmonic of x, of y, and the radial one, 1 at the corners.
+
+    Parameters
+    ----------
+    xy : (N, 2)
+        Measured positions, pixels.
+    field : (N, 2)
+        The same from the principal point, in units of half the diagonal of the image.
+    """
+    out = np.zeros((len(xy), 2, 4 * _HARMONICS + 1))
+    for axis in range(2):
+        for k in range(_HARMONICS):
+            angle, column = 2.0 * np.pi * (k + 1) * xy[:, axis], 2 * (_HARMONICS * axis + k)
+            out[:, axis, column], out[:, axis, column + 1] = np.sin(angle), np.cos(angle)
+    out[:, :, -1] = field * np.sum(field**2, axis=1)[:, None]
+    return out
+
+
+def shift_of(xy: FloatArray, field: FloatArray, errors: ImageErrors) -> FloatArray:
+    """Error (N, 2) of measured positions, pixels; see `error_columns`."""
+    return np.asarray(error_columns(xy, field) @ errors.amplitudes) if len(errors.amplitudes) else np.zeros_like(xy)
+
+
+def shared_shift(errors: ImageErrors) -> FloatArray:
+    """Covariance (2, 2) of the shift of all stars that goes with the cosines, px².
+
+    A symmetric image has sines alone. The skewness that makes the cosines also moves all stars, faint ones otherwise
+    than those that a calibration rests upon, and no residual of the positions shows it. The squares of the amplitudes
+    are taken less their variances, as noise and skewness that differs over the field move no star with the others.
+    """
+    if not len(errors.amplitudes):
+        return np.zeros((2, 2))
+    squares = (errors.amplitudes**2 - errors.variance)[: 4 * _HARMONICS].reshape(2, _HARMONICS, 2)[:, :, 1]
+    return np.diag(_SHARED_PART**2 * np.maximum(squares.sum(axis=1), 0.0))
+
+
+def probability_as_assumed(misfit: float | None) -> float:
+    """Probability that star images are as assumed, so that there is no τ (`pose`), by the misfit of the brightest.
+
+    Where they are, the misfit is a normal deviate; where not, exponentially distributed, plus the same noise.
+
+    Parameters
+    ----------
+    misfit : float or None
+        `startracker.centroid.result.misfit_of_brightest`; None: not known.
+    """
+    if misfit is None:
+        return AS_ASSUMED
+    misfit = max(misfit, -5.0)  # noise may be stated too large
+    clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
+    beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
+    wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
+    part = AS_ASSUMED * clean
+    return min(max(part / max(part + (1.0 - AS_ASSUMED) * wrong, 1e-300), 1e-6), 1.0 - 1e-6)
