@@ -121,7 +121,7 @@ def _image(folder: Path) -> Path:
     return preview
 
 
-class _Recorder(event.Listener):  # type: ignore[misc]
+class _Recorder(event.Listener):  # type: ignore[misc]  # numba has no types
     """Numba event listener that records compile times, excluding those of nested kernels."""
 
     def __init__(self) -> None:

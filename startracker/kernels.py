@@ -102,7 +102,7 @@ def processor_clock() -> float:
     return time.process_time() - progress.processor_s
 
 
-class _Listener(event.Listener):  # type: ignore[misc]
+class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
     """Passes on what the compiler says, and spares it the search for garbage.
 
     Its millions of small objects live until a kernel is done; looking for garbage among them takes a tenth of its time.

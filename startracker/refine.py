@@ -21,7 +21,6 @@ from startracker.estimation.image_errors import (
     error_columns,
     probability_as_assumed,
     shared_shift,
-    shift_of,
 )
 from startracker.estimation.pose import (
     TRUSTED,
@@ -214,9 +213,8 @@ def _matched(
 
 
 class _Fit(NamedTuple):
-    """A pose and the attitude (3, 3) that it comes to, errors that the field shares, the
-    pairs it was fitted to, the positions (N, 2) that these were measured at, all pairs that are named, and whether they
-    fit."""
+    """A pose and the attitude (3, 3) that it comes to, errors that the field shares, the pairs it was fitted to,
+    the positions (N, 2) that these were measured at, all pairs that are named, and whether they fit."""
 
     pose: Pose
     matrix: FloatArray
@@ -256,10 +254,15 @@ class _Field:
             named, fits, merged = self.named(pose, matrix, errors)
         return _Fit(pose, matrix, errors, used, measured, named, fits)
 
-    def from_centre(self, xy: FloatArray) -> FloatArray:
-        """Positions from the principal point, in units of half the diagonal of the image."""
+    def _error_columns(self, xy: FloatArray) -> FloatArray:
+        """`error_columns` of measured positions (N, 2) of this camera."""
         camera = self.camera
-        return (xy - (camera.cx, camera.cy)) / (0.5 * math.hypot(camera.width, camera.height))
+        half_diagonal = 0.5 * math.hypot(camera.width, camera.height)
+        return error_columns(xy, (xy - (camera.cx, camera.cy)) / half_diagonal)
+
+    def _corrected(self, xy: FloatArray, errors: ImageErrors) -> FloatArray:
+        """Measured positions (N, 2) without the errors that the field shares."""
+        return xy - self._error_columns(xy) @ errors.amplitudes if len(errors.amplitudes) else xy
 
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), the attitude that it comes to, and the
@@ -275,8 +278,7 @@ class _Field:
         if self.known:
             pose = fit_pose(given, TRUSTED, first, models)
             if self.as_assumed < _MISFITTING:
-                seen = measured[stars]
-                columns = np.concatenate([extra, error_columns(seen, self.from_centre(seen))], axis=2)
+                columns = np.concatenate([extra, self._error_columns(measured[stars])], axis=2)
                 sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * AMPLITUDE_SIGMA])
                 other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models)
                 if other.log_evidence > pose.log_evidence:
@@ -322,10 +324,9 @@ class _Field:
         area = float(self.camera.width * self.camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
-        shift = shift_of(self.xy, self.from_centre(self.xy), errors)
-        right = self.xy - shift
+        right = self._corrected(self.xy, errors)
         pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
-        return pairs, fits, np.where(merged == right, self.xy, merged + shift)
+        return pairs, fits, np.where(merged == right, self.xy, merged + (self.xy - right))
 
     def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
@@ -340,10 +341,7 @@ class _Field:
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
-        covariance, measured = (
-            pose.covariance,
-            fit.measured - shift_of(fit.measured, self.from_centre(fit.measured), fit.errors),
-        )
+        covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
         if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
             reference = self.guide.directions[used[:, 1]]
             _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)

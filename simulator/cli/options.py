@@ -50,5 +50,5 @@ def as_command(request: type, module: str) -> Callable[..., None]:
         raise typer.Exit(import_module(f"simulator.cli.{module}").main(request(**given)))
 
     command.__doc__ = request.__doc__
-    command.__signature__ = inspect.signature(request, eval_str=True)  # type: ignore[attr-defined]
+    command.__signature__ = inspect.signature(request, eval_str=True)  # type: ignore[attr-defined]  # for typer
     return command

@@ -28,7 +28,6 @@ __all__ = [
     "error_columns",
     "probability_as_assumed",
     "shared_shift",
-    "shift_of",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -72,11 +71,6 @@ def error_columns(xy: FloatArray, field: FloatArray) -> FloatArray:
             out[:, axis, column], out[:, axis, column + 1] = np.sin(angle), np.cos(angle)
     out[:, :, -1] = field * np.sum(field**2, axis=1)[:, None]
     return out
-
-
-def shift_of(xy: FloatArray, field: FloatArray, errors: ImageErrors) -> FloatArray:
-    """Error (N, 2) of measured positions, pixels; see `error_columns`."""
-    return np.asarray(error_columns(xy, field) @ errors.amplitudes) if len(errors.amplitudes) else np.zeros_like(xy)
 
 
 def shared_shift(errors: ImageErrors) -> FloatArray:

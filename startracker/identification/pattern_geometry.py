@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.estimation.directions import pair_rotation
+from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.identification.pattern_table import chord
 from startracker.kernels import kernel
-from startracker.linalg import solve, triple_product, turned
+from startracker.linalg import solve, transform, triple_product, turned
 
 __all__ = ["correspondence", "pattern_attitude"]
 
@@ -92,18 +92,9 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
             if d > longest:
                 longest, a, b = d, j, i
     matrix: FloatArray = pair_rotation(observed, reference, a, b)
+    predicted, every, sigma = np.empty((n, 3)), np.arange(n), np.ones(n)
     for _ in range(3):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        for i in range(n):
-            p = matrix @ reference[i]
-            e = observed[i] - p
-            for j in range(3):
-                normal[j, j] += 1.0
-                for k in range(3):
-                    normal[j, k] -= p[j] * p[k]
-            right[0] += p[1] * e[2] - p[2] * e[1]
-            right[1] += p[2] * e[0] - p[0] * e[2]
-            right[2] += p[0] * e[1] - p[1] * e[0]
-        change = solve(normal, right)
+        transform(matrix, reference, predicted)
+        change = solve(*normal_equations(observed, observed, predicted, every, sigma, 3))
         matrix = turned(matrix, change[0], change[1], change[2])
     return matrix
