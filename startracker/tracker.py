@@ -26,8 +26,7 @@ from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids, stated_variance
 from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, is_beyond_doubt
 from startracker.identification.free_scale import FEWEST_MATCHED
-from startracker.identification.given import as_prior, usable_directions
-from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.refine import Measured, Refined, refine
