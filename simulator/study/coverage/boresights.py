@@ -19,6 +19,7 @@ from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.scene import GivenState
 from simulator.sky.ephemeris import barycentric_position_au
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.constants import AU_KM
@@ -207,7 +208,7 @@ def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
         def streams(stage: str) -> np.random.Generator:
             return stream(scenario.seed, stage, index)
 
-        return scenes.scene(index, streams, 1e-6, 0.0, at_s=float(t_s[index])).pointing.camera.as_matrix()
+        return scenes.scene(index, streams, 1e-6, 0.0, GivenState(at_s=float(t_s[index]))).pointing.camera.as_matrix()
 
     return np.array([attitude(index) for index in range(len(t_s))])
 
