@@ -197,41 +197,27 @@ def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float,
 
 @dataclass(eq=False)
 class FreeSearch:
-    """Search for the stars of one image with the focal length free.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids, brightest first.
-    flux : (N,), optional
-        All positive.
-    width, height : int
-        Size of the image.
-    catalog : str or StarCatalog
-    settings : IdentificationSettings
-        For the false-alarm rate.
-    observer : Observer, optional
-    variance_px2 : (N,), optional
-        Variance of the centroids on one axis, for the final fit.
-    rough : Camera, optional
-        Initial projection and distortion; the focal length is that of the band.
-    trials : int
-        Number of patterns tried so far.
-    operations : int
-        Operations counted so far (`IdentificationSettings.max_operations_free_scale`).
-    """
+    """Search for the stars of one image with the focal length free."""
 
     xy: FloatArray
+    """Centroids, brightest first, (N, 2)."""
     flux: FloatArray | None
+    """All positive, (N,)."""
     width: int
     height: int
+    """Size of the image."""
     catalog: str | StarCatalog
     settings: IdentificationSettings
+    """For the false-alarm rate."""
     observer: Observer | None
     trials: int = 0
+    """Number of patterns tried so far."""
     variance_px2: FloatArray | None = None
+    """Variance of the centroids on one axis, for the final fit, (N,)."""
     rough: Camera | None = None
+    """Initial projection and distortion; the focal length is that of the band."""
     operations: int = 0
+    """Operations counted so far (`IdentificationSettings.max_operations_free_scale`)."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids

@@ -52,24 +52,16 @@ clean:
 
 @dataclass(frozen=True)
 class CExport:
-    """Source files, and the memory of their tables.
-
-    Parameters
-    ----------
-    prefix : str
-        Prefix of all names.
-    files : dict of str to str
-        File name to text.
-    table_bytes : dict of str to int
-        Array name to size in bytes.
-    most_steps : int
-        Maximum number of comparisons of catalogue pairs in the search for triads.
-    """
+    """Source files, and the memory of their tables."""
 
     prefix: str
+    """Prefix of all names."""
     files: dict[str, str]
+    """File name to text."""
     table_bytes: dict[str, int]
+    """Array name to size in bytes."""
     most_steps: int = 0
+    """Maximum number of comparisons of catalogue pairs in the search for triads."""
 
 
 def export_c(

@@ -51,38 +51,26 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Star candidates of a frame.
-
-    Parameters
-    ----------
-    xy, flux : (N, 2), (N,)
-        Pixels, and signal (NaN: not known).
-    vectors : (N, 3)
-        Directions in the camera frame.
-    gate_px, sigma_px : (N,)
-        Standard errors for the match, and as measured.
-    stated_px : (N,)
-        Those that the residuals are compared with.
-    windows : int
-        Windows looked at; 0: the whole frame.
-    area_sr : float
-        Solid angle of all that was looked at.
-    window_xy : (windows, 2), optional
-        Central pixels of the windows.
-    window_half_px : int
-        A window has 2 half + 1 pixels a side.
-    """
+    """Star candidates of a frame."""
 
     xy: FloatArray
     flux: FloatArray
+    """Pixels, and signal, (N, 2) and (N,); NaN: not known."""
     vectors: FloatArray
+    """Directions in the camera frame, (N, 3)."""
     gate_px: FloatArray
     sigma_px: FloatArray
+    """Standard errors for the match, and as measured, (N,)."""
     stated_px: FloatArray
+    """Those that the residuals are compared with, (N,)."""
     windows: int
+    """Windows looked at; 0: the whole frame."""
     area_sr: float
+    """Solid angle of all that was looked at."""
     window_xy: FloatArray | None = None
+    """Central pixels of the windows, (windows, 2)."""
     window_half_px: int = 0
+    """A window has 2 half + 1 pixels a side."""
 
     def select(self, rows: NDArray[Any]) -> Seen:
         """Some of them."""

@@ -84,26 +84,18 @@ class RateNoise:
 
 @dataclass(frozen=True)
 class Innovation:
-    """How a measurement compared with the prediction.
-
-    Parameters
-    ----------
-    accepted : bool
-        Whether it lay within the gate and was used.
-    distance2 : float
-        νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
-    freedom : int
-        Number of directions in the attitude's error that are measured: 3, or 2 for one star.
-    whitened : (3,) array, optional
-        The innovation in camera axes, whitened: three independent Gaussian deviates of variance 1 if filter and sensor
-        are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646).
-        None for one star.
-    """
+    """How a measurement compared with the prediction."""
 
     accepted: bool
+    """Whether it lay within the gate and was used."""
     distance2: float
+    """νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed."""
     freedom: int
+    """Number of directions in the attitude's error that are measured: 3, or 2 for one star."""
     whitened: FloatArray | None = field(default=None, compare=False)
+    """The innovation in camera axes, whitened, (3,): three independent Gaussian deviates of variance 1 if filter and
+    sensor are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13,
+    646). None for one star."""
 
 
 class Mekf:

@@ -48,27 +48,18 @@ _REMEMBERED = 8
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the rules make of a frame.
-
-    Parameters
-    ----------
-    rule : str
-        The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty.
-    reason : str
-        The finding in words.
-    image : float32 array, shape (H, W), optional
-        Frame for the tracker, NaN where it is not to be used; None: not used at all.
-    saturated_px : tuple of int
-        Saturated pixels of the stars that have any, most first; what touches the border is no whole star.
-    cleared : bool array, shape (H, W), optional
-        What was cleared for its size; None: nothing.
-    """
+    """What the rules make of a frame."""
 
     rule: str
+    """The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty."""
     reason: str
+    """The finding in words."""
     image: NDArray[np.float32] | None
+    """Frame for the tracker, NaN where it is not to be used, (H, W); None: not used at all."""
     saturated_px: tuple[int, ...] = ()
+    """Saturated pixels of the stars that have any, most first; what touches the border is no whole star."""
     cleared: BoolImage | None = field(default=None, repr=False)
+    """What was cleared for its size, (H, W); None: nothing."""
 
     @property
     def cleared_px(self) -> int:
