@@ -12,6 +12,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Self
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
@@ -248,6 +249,8 @@ class AnyIdentificationSettings(IdentificationSettings):
     enclosed_tolerance_deg: float | None = 1.0
     vote_number: int = 2
     three_stars: bool = True
+
+    __repr__ = changed_fields
 
 
 SETTINGS: dict[str, type[IdentificationSettings]] = {

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
+from startracker.display import described, html_card, photograph
 from startracker.errors import InputError
 
 __all__ = ["LoadedImage", "read_image"]
@@ -55,6 +56,18 @@ class LoadedImage:
     saturation_dn: float | None = None
     header: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"saturation {self.saturation_dn:g} DN"
+        return described("LoadedImage", f"{width}×{height} px", full, *self.notes)
+
+    def _repr_html_(self) -> str:
+        """The image with its size, for notebooks."""
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"{self.saturation_dn:g} DN"
+        rows = {"size": f"{width}×{height} px", "saturation": full, "notes": "; ".join(self.notes)}
+        return html_card("Image", rows, photograph(self.image, "image"))
 
 
 def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = True) -> LoadedImage:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.identification_settings import (
     AdaptiveSettings,
@@ -228,6 +229,8 @@ class OperationSettings:
     blemish_sigma: float = 5.0
     blemish_shift_px: float = 8.0
     reference_b_v: float = 0.65
+
+    __repr__ = changed_fields
 
     def __post_init__(self) -> None:
         check_settings(

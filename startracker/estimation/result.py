@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.rotations import normalised
 
@@ -32,6 +33,8 @@ class Estimate:
 
     matrix: FloatArray
     covariance: FloatArray
+
+    __repr__ = fields_repr
 
 
 def check_directions(

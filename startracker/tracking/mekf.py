@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
+from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
@@ -105,6 +106,8 @@ class Innovation:
     freedom: int
     whitened: FloatArray | None = field(default=None, compare=False)
 
+    __repr__ = fields_repr
+
 
 class Mekf:
     """The filter.
@@ -136,6 +139,11 @@ class Mekf:
         self._scale = np.zeros(3)
         self._rate = np.zeros(3)
         self.reset(attitude, covariance, rate_rad_s)
+
+    def __repr__(self) -> str:
+        sigma = angle_text(math.sqrt(float(np.diag(self._covariance)[:3].max())))
+        rate = f"{math.degrees(math.hypot(*self.rate_rad_s.tolist())):.3g}°/s"
+        return described("Mekf", repr(self.attitude), f"σ {sigma}", rate, "gyro" if self.has_gyro else "no gyro")
 
     def reset(
         self,

@@ -27,6 +27,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
@@ -69,6 +70,8 @@ class Verdict:
     image: NDArray[np.float32] | None
     saturated_px: tuple[int, ...] = ()
     cleared: BoolImage | None = field(default=None, repr=False)
+
+    __repr__ = fields_repr
 
     @property
     def cleared_px(self) -> int:
