@@ -274,6 +274,18 @@ def coordinates(radec_deg):
     return SkyCoord(*np.asarray(radec_deg).T, unit="deg")
 
 
+def test_the_sample_photograph_is_solved():
+    """It ships with the package, so that the first photograph of a reader needs no download."""
+    file = startracker.sample_photo()
+    assert file.stat().st_size < 500_000
+    image = startracker.read_image(file)
+    found = startracker.solve_unknown_fov(image)
+    rendered = startracker.Attitude.from_radec_roll(83.0, 1.0, 12.0)
+    assert np.degrees(found.attitude.angle_to(rendered)) < 0.03  # aberration, 20″, and 14″ of centroids
+    assert found.fov_deg == pytest.approx(42.54, abs=0.02)
+    assert "Rigel" in found._repr_html_()
+
+
 def test_studies_as_tables(study, monkeypatch):
     table = study.to_astropy()
     assert len(table) == study.summary["trials"]
