@@ -74,6 +74,9 @@ class Renderer:
         device = self.detector.parameters
         self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
 
+    def __repr__(self) -> str:
+        return f"Renderer({self.scenario!r})"
+
     def scene(
         self,
         index: int = 0,

@@ -37,6 +37,7 @@ from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.display import fields_repr
 from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
@@ -76,6 +77,8 @@ class Scene:
     """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
+
+    __repr__ = fields_repr
 
     @property
     def stars(self) -> StarCatalog:

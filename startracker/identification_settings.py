@@ -12,6 +12,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Self
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
@@ -236,6 +237,8 @@ class AnyIdentificationSettings(IdentificationSettings):
     """Triads: fewest of a group that must name a guide star."""
     three_stars: bool = True
     """Triads: where only three stars are seen and all triads agree, one vote is enough."""
+
+    __repr__ = changed_fields
 
 
 SETTINGS: dict[str, type[IdentificationSettings]] = {

@@ -15,6 +15,7 @@ from simulator.optics import airy, diffraction
 from simulator.optics.measured import measured_centroid
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.registry import lookup
@@ -109,6 +110,8 @@ class Psf:
     geometric_px: tuple[float, float] = (0.0, 0.0)
     """Position of the geometric centroid of an aberrated image relative to the star's, which is its measured centroid
     (`simulator.optics.measured.measured_centroid`), pixels along columns and rows."""
+
+    __repr__ = fields_repr
 
     def __post_init__(self) -> None:
         for table in (self.core, self.wing, self.drawn):

@@ -13,6 +13,7 @@ from simulator.sky.ephemeris import DE421_NAME, barycentric, barycentric_positio
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import PLANETS, moon_v, planet_v, sun_v
 from startracker.constants import AU_KM
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
 
@@ -79,6 +80,8 @@ class Bodies:
     """(N,): Illuminated fraction of the disk, 0 to 1."""
     b_v: FloatArray
     """(N,): B − V."""
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.name)

@@ -27,6 +27,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
@@ -60,6 +61,8 @@ class Verdict:
     """Saturated pixels of the stars that have any, most first; what touches the border is no whole star."""
     cleared: BoolImage | None = field(default=None, repr=False)
     """What was cleared for its size, (H, W); None: nothing."""
+
+    __repr__ = fields_repr
 
     @property
     def cleared_px(self) -> int:

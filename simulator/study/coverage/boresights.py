@@ -23,6 +23,7 @@ from simulator.scene import GivenState
 from simulator.sky.ephemeris import barycentric_position_au
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.constants import AU_KM
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
@@ -73,6 +74,8 @@ class Boresights:
     """(N,): By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken."""
     rolls: int = 1
     """Attitudes a direction, which follow one another."""
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.matrices)
