@@ -15,7 +15,6 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.attitude import Attitude
-from startracker.blind import FreeSearch
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
@@ -23,6 +22,7 @@ from startracker.catalog.stars import StarCatalog
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids, stated_variance
 from startracker.given_image import given_image
