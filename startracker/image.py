@@ -95,7 +95,7 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
     """
     file = Path(path)
     if file.is_dir():
-        raise InputError(f"{file}: is a folder; give the image files in it")
+        raise InputError(f"{file}: is a folder; give the image files inside it")
     try:
         with file.open("rb") as stream:
             start = stream.read(32)
@@ -109,7 +109,7 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
     loaded = _read_fits(file) if is_fits else _read_picture(file, upright and bayer is None)
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
-            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; leave bayer out")
+            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; omit bayer")
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
         # the gains differ by colour: take the lowest level at which any pixel saturates
@@ -249,7 +249,7 @@ def _read_fits(file: Path) -> LoadedImage:
                     }
                     break
                 else:
-                    raise InputError(f"{file}: holds no two-dimensional image; {_HINT}")
+                    raise InputError(f"{file}: contains no two-dimensional image; {_HINT}")
     except InputError:
         raise
     except Exception as error:

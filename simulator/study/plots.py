@@ -1,6 +1,7 @@
 """Plots of a study: each function draws one figure from the columns of the trials.
 
-Colours are those of Okabe & Ito (2008), distinguished by the colour-blind and in grey print; markers differ as well.
+Colours are those of Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
+well.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
 
 
 def frame_preview(frame: Frame, truth: FrameTruth) -> Figure:
-    """A frame with its brightest true sources by name."""
+    """A frame with the names of its brightest true sources."""
     height, width = frame.image.shape
     figure, grid = picture(1, 1, (7.4, 7.4 * min(1.3, height / width) + 0.6))
     ax = grid[0, 0]
@@ -65,12 +66,12 @@ def frame_preview(frame: Frame, truth: FrameTruth) -> Figure:
 
 _FEW_GREYS = 24
 MOST_NAMES = 12
-"""Sources of a preview that are named."""
+"""Maximum number of named sources in a preview."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shades:
-    """An image as it is drawn."""
+    """An image prepared for display."""
 
     grey: NDArray[Any]
     """How dark; `whole` is black."""
@@ -82,10 +83,10 @@ class Shades:
 
 
 def shades_of(image: NDArray[Any], preview_px: int | None = None) -> Shades:
-    """Reversed grey with an arcsinh stretch: sky white, stars dark, faint and bright at once.
+    """Inverted greyscale with an arcsinh stretch: dark stars on a white sky.
 
-    With `preview_px` at most so many samples a side, each the brightest pixel of its block so that no star is lost, and
-    in few greys: a small file.
+    With `preview_px` at most this number of samples per side, each the brightest pixel of its block so that no star is
+    lost, and with few grey levels, for a small file.
     """
     low, high, spread = _levels(image)
     soft = 4.0 * spread  # the noise stays pale, stars grow dark at once
@@ -102,7 +103,7 @@ def _show_sky(ax: Axes, shades: Shades) -> None:
     from matplotlib import colormaps
 
     width, height = shades.width, shades.height
-    # bytes: resampled as real numbers it takes eight times the memory
+    # bytes: resampling in floating point would take eight times the memory
     rgba = colormaps["Greys"](shades.grey / shades.whole / 1.1, bytes=True)
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     ax.imshow(rgba, origin="upper", interpolation="nearest", extent=extent)
