@@ -19,13 +19,15 @@ from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids
+from startracker.given_image import given_image
 from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
 from startracker.identification.last_fit import last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
-from startracker.observer import Observer, unknown_aberration
+from startracker.interop import plain
+from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -71,12 +73,13 @@ def solve_unknown_fov(
     Parameters
     ----------
     source : array_like
-        An image (H, W); or, if `width` and `height` are given, centroids (N, 2) in pixels.
+        An image (H, W), or an object that has one, as in `StarTracker.solve`; or, if `width` and `height` are given,
+        centroids (N, 2) in pixels.
     width, height : int, optional
         Size of the image from which the centroids were measured.
     flux : array_like, shape (N,), optional
         Signal of the centroids; if omitted they are taken as sorted by brightness.
-    fov_deg : float, optional
+    fov_deg : float or astropy Quantity, optional
         Approximate field of view across the width; None: 3° to 72° is searched.
     fov_error : float
         Maximum relative error of `fov_deg`.
@@ -104,6 +107,7 @@ def solve_unknown_fov(
     InputError
         For an unknown name or an invalid field of view, parity or size.
     """
+    fov_deg = plain(fov_deg, "deg", "fov_deg")
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")
     if not 0.0 < fov_error < 1.0:
@@ -115,6 +119,8 @@ def solve_unknown_fov(
     if (width is None) != (height is None):
         raise InputError("centroids need both the width and the height of their image")
     clock = Clock()
+    given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
+    source, observer = given.image, given.observer
     signal: FloatArray | None
     found: FoundStars | None = None
     if width is None or height is None:
@@ -125,8 +131,8 @@ def solve_unknown_fov(
             detection or DetectionSettings(),
             centroid or CentroidSettings(),
             clock,
-            saturation_dn=saturation_dn,
-            gain_e_per_dn=gain_e_per_dn,
+            saturation_dn=given.saturation_dn,
+            gain_e_per_dn=given.gain_e_per_dn,
         )
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=False))
@@ -197,41 +203,27 @@ def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float,
 
 @dataclass(eq=False)
 class FreeSearch:
-    """Search for the stars of one image with the focal length free.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids, brightest first.
-    flux : (N,), optional
-        All positive.
-    width, height : int
-        Size of the image.
-    catalog : str or StarCatalog
-    settings : IdentificationSettings
-        For the false-alarm rate.
-    observer : Observer, optional
-    variance_px2 : (N,), optional
-        Variance of the centroids on one axis, for the final fit.
-    rough : Camera, optional
-        Initial projection and distortion; the focal length is that of the band.
-    trials : int
-        Number of patterns tried so far.
-    operations : int
-        Operations counted so far (`IdentificationSettings.max_operations_free_scale`).
-    """
+    """Search for the stars of one image with the focal length free."""
 
     xy: FloatArray
+    """Centroids, brightest first, (N, 2)."""
     flux: FloatArray | None
+    """All positive, (N,)."""
     width: int
     height: int
+    """Size of the image."""
     catalog: str | StarCatalog
     settings: IdentificationSettings
+    """For the false-alarm rate."""
     observer: Observer | None
     trials: int = 0
+    """Number of patterns tried so far."""
     variance_px2: FloatArray | None = None
+    """Variance of the centroids on one axis, for the final fit, (N,)."""
     rough: Camera | None = None
+    """Initial projection and distortion; the focal length is that of the band."""
     operations: int = 0
+    """Operations counted so far (`IdentificationSettings.max_operations_free_scale`)."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids
@@ -374,7 +366,9 @@ class FreeSearch:
             residual,
         )
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
-        covariance = fit.covariance if self.observer else fit.covariance + unknown_aberration(fit.matrix)
+        covariance = fit.covariance
+        if not corrects_aberration(self.observer):
+            covariance = covariance + unknown_aberration(fit.matrix)
         return Solution(
             Status.SOLVED,
             reason,
@@ -386,4 +380,5 @@ class FreeSearch:
             fit.camera.parity,
             camera=fit.camera,
             log_false_alarm=chance,
+            observer=self.observer,
         )

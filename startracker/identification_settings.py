@@ -12,6 +12,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Self
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
@@ -212,42 +213,32 @@ class TriadSettings(IdentificationSettings):
 
 @dataclass(frozen=True)
 class AnyIdentificationSettings(IdentificationSettings):
-    """Settings of all methods, as in a scenario; a method reads those that are its own.
-
-    Parameters
-    ----------
-    separation_tolerance_deg : float or None
-        All but `pattern_hash`: largest difference between a measured and a catalogued separation; None: from the
-        camera and the centroids' errors. Greyling 1995: 0.2°.
-    magnitude_tolerance : float
-        `adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
-        zero point is taken off.
-    max_stars : int or None
-        `match_groups`, `pyramid` and triads: brightest stars used; None: the method's own number, 8, 30 and 12.
-    group_threshold : int
-        `match_groups`: first limit on the match-group size; lowered from the largest group found.
-    max_groups_per_star : int
-        `match_groups`: groups kept for each observed star (Greyling 1995: group size limit).
-    rotation_tolerance_deg, grouping_tolerance_deg : float
-        Triads (Yee 1999): largest difference between the two rotations of a triad, and from the mean of its group.
-    enclosed_tolerance_deg : float or None
-        Triads: largest difference of an inner angle; None leaves that test out.
-    vote_number : int
-        Triads: fewest of a group that must name a guide star.
-    three_stars : bool
-        Triads: where only three stars are seen and all triads agree, one vote is enough.
-    """
+    """Settings of all methods, as in a scenario; a method reads those that are its own."""
 
     separation_tolerance_deg: float | None = None
+    """All but `pattern_hash`: largest difference between a measured and a catalogued separation; None: from the camera
+    and the centroids' errors. Greyling 1995: 0.2°."""
     magnitude_tolerance: float = 2.0
+    """`adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
+    zero point is taken off."""
     max_stars: int | None = None
+    """`match_groups`, `pyramid` and triads: brightest stars used; None: the method's own number, 8, 30 and 12."""
     group_threshold: int = 5
+    """`match_groups`: first limit on the match-group size; lowered from the largest group found."""
     max_groups_per_star: int = 11
+    """`match_groups`: groups kept for each observed star (Greyling 1995: group size limit)."""
     rotation_tolerance_deg: float = 5.0
+    """Triads (Yee 1999): largest difference between the two rotations of a triad."""
     grouping_tolerance_deg: float = 5.0
+    """Triads: largest difference of a triad's rotation from the mean of its group."""
     enclosed_tolerance_deg: float | None = 1.0
+    """Triads: largest difference of an inner angle; None leaves that test out."""
     vote_number: int = 2
+    """Triads: fewest of a group that must name a guide star."""
     three_stars: bool = True
+    """Triads: where only three stars are seen and all triads agree, one vote is enough."""
+
+    __repr__ = changed_fields
 
 
 SETTINGS: dict[str, type[IdentificationSettings]] = {

@@ -8,6 +8,7 @@ import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
+from startracker.display import described, html_card, photograph
 from startracker.errors import InputError
 
-__all__ = ["LoadedImage", "read_image"]
+__all__ = ["LoadedImage", "read_image", "sample_photo"]
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
@@ -65,6 +67,18 @@ class LoadedImage:
     header: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     colours: NDArray[np.float32] | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"saturation {self.saturation_dn:g} DN"
+        return described("LoadedImage", f"{width}×{height} px", full, *self.notes)
+
+    def _repr_html_(self) -> str:
+        """The image with its size, for notebooks."""
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"{self.saturation_dn:g} DN"
+        rows = {"size": f"{width}×{height} px", "saturation": full, "notes": "; ".join(self.notes)}
+        return html_card("Image", rows, photograph(self.image, "image"))
 
 
 def read_image(
@@ -143,6 +157,15 @@ def _refuse_unreadable(file: Path, data: bytes) -> None:
             f"{file}: raw images of a camera are not read; convert it first, for example: "
             f"dcraw -T -4 -h {shlex.quote(file.name)}, which writes a 16-bit TIFF"
         )
+
+
+def sample_photo() -> Path:
+    """File of a photograph that ships with the package: Orion, 42.5° across, JPEG in colour.
+
+    It was rendered with `simulator` (``tests/oracle/build_sample_photograph.py``) and may be used freely. Its boresight
+    is RA 83°, Dec +1°, roll 12°.
+    """
+    return Path(str(files("startracker"))) / "sample_photo.jpg"
 
 
 def _read_picture(file: Path, data: bytes, upright: bool) -> LoadedImage:

@@ -41,52 +41,34 @@ REFRACTION_SIGMA = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Stars of one image and where the catalogue has them.
-
-    Parameters
-    ----------
-    xy : (M, 2)
-        Measured, pixels.
-    directions : (M, 3)
-        Unit vectors as the observer sees them, ICRS axes.
-    sigma_px : (M,)
-        Standard error on one axis.
-    """
+    """Stars of one image and where the catalogue has them."""
 
     xy: FloatArray
+    """Measured, pixels, (M, 2)."""
     directions: FloatArray
+    """Unit vectors as the observer sees them, ICRS axes, (M, 3)."""
     sigma_px: FloatArray
+    """Standard error on one axis, (M,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """What the stars of all images together say.
-
-    Parameters
-    ----------
-    camera : Camera
-    matrices : list of (3, 3)
-        ICRS to camera, one an image.
-    stretches : (I, 2)
-        Differential refraction of each image, see `stretch`; zero where not fitted.
-    names : tuple of str
-        Parameters of the camera that were fitted.
-    covariance : (P, P)
-        Of these, of the rotation vectors and of the stretches, in this order; errors as stated, priors in.
-    chi2, penalty : float
-        Weighted squares of the residuals, and of the parameters' distances from their priors.
-    residuals : list of (M, 2)
-        Measured minus predicted, pixels.
-    """
+    """What the stars of all images together say."""
 
     camera: Camera
     matrices: list[FloatArray]
+    """ICRS to camera, one an image, each (3, 3)."""
     stretches: FloatArray
+    """Differential refraction of each image, see `stretch`, (I, 2); zero where not fitted."""
     names: tuple[str, ...]
+    """Parameters of the camera that were fitted."""
     covariance: FloatArray
+    """Of these, of the rotation vectors and of the stretches, in this order, (P, P); errors as stated, priors in."""
     chi2: float
     penalty: float
+    """Weighted squares of the residuals, and of the parameters' distances from their priors."""
     residuals: list[FloatArray]
+    """Measured minus predicted, pixels, each (M, 2)."""
 
     @property
     def stars(self) -> int:

@@ -36,7 +36,7 @@ from startracker.identification.association import MARGIN_PX, joined, matched_ag
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import solve, turned
-from startracker.observer import Observer, unknown_aberration
+from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
@@ -60,57 +60,37 @@ EPOCH_SIGMA_YR = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Attitude of one field.
-
-    Parameters
-    ----------
-    matrix : (3, 3)
-        ICRS to camera.
-    covariance : (3, 3)
-        Of the rotation-vector error in camera axes, rad² (`startracker.estimation.pose`).
-    pairs : int (M, 2)
-        Centroid and guide index of all stars that are named.
-    used : bool (M,)
-        Whether a star is part of the fit: blends and other outliers are named, and left out.
-    residual_px : (M, 2)
-        Measured minus predicted by the attitude and the camera.
-    camera : Camera
-        The one given, or with the focal length fitted.
-    """
+    """Attitude of one field."""
 
     matrix: FloatArray
+    """ICRS to camera, (3, 3)."""
     covariance: FloatArray
+    """Of the rotation-vector error in camera axes, rad² (`startracker.estimation.pose`), (3, 3)."""
     pairs: IntArray
+    """Centroid and guide index of all stars that are named, (M, 2)."""
     used: BoolArray
+    """Whether a star is part of the fit, (M,): blends and other outliers are named, and left out."""
     residual_px: FloatArray
+    """Measured minus predicted by the attitude and the camera, (M, 2)."""
     camera: Camera
+    """The one given, or with the focal length fitted."""
 
 
 class Measured(NamedTuple):
-    """Centroids of an image and what is known of their errors.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Pixels.
-    flux : (N,), optional
-        Signal.
-    variance_px2 : (N,), optional
-        Variance on one axis; None: unknown, equal, and estimated from the residuals.
-    covariance_px2 : (N, 2, 2), optional
-        Where the two axes differ, as of streaks.
-    common_px2 : (2, 2), optional
-        Of an error that all centroids share, which turns the attitude and no residual shows.
-    misfit : float, optional
-        How far the star images are from those that were fitted to them (`Centroids.misfit`).
-    """
+    """Centroids of an image and what is known of their errors."""
 
     xy: FloatArray
+    """Pixels, (N, 2)."""
     flux: FloatArray | None = None
+    """Signal, (N,)."""
     variance_px2: FloatArray | None = None
+    """Variance on one axis, (N,); None: unknown, equal, and estimated from the residuals."""
     covariance_px2: FloatArray | None = None
+    """Where the two axes differ, as of streaks, (N, 2, 2)."""
     common_px2: FloatArray | None = None
+    """Of an error that all centroids share, which turns the attitude and no residual shows, (2, 2)."""
     misfit: float | None = None
+    """How far the star images are from those that were fitted to them (`Centroids.misfit`)."""
 
 
 def refine(
@@ -157,7 +137,8 @@ def refine(
     if known and stars.covariance_px2 is not None:
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
     as_assumed = probability_as_assumed(stars.misfit)
-    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
+    free_scale = free_focal or not corrects_aberration(observer)
+    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -351,7 +332,7 @@ class _Field:
             seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
-        if self.observer is None:
+        if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(matrix)
         return matrix, covariance
 

@@ -26,23 +26,16 @@ _STATED_PX = 0.1
 
 @dataclass(frozen=True, eq=False)
 class KnownField:
-    """An identified image.
-
-    Parameters
-    ----------
-    field, camera, matrix
-        Its centroids, the camera fitted to it alone, and the attitude that goes with that.
-    sky : SkyPart
-        Catalogue stars that it could show.
-    pairs : (M, 2)
-        Row of the centroid, row in `sky`.
-    """
+    """An identified image."""
 
     field: StarField
     camera: Camera
     matrix: FloatArray
+    """Its centroids, the camera fitted to it alone, and the attitude that goes with that."""
     sky: SkyPart
+    """Catalogue stars that it could show."""
     pairs: IntArray
+    """Row of the centroid, row in `sky`, (M, 2)."""
 
     def sigma(self, floor_px: float = 0.0) -> FloatArray:
         """Standard error (N,) of each centroid on one axis, px, the catalogue's and a floor included."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
+from startracker.display import described
 from startracker.lens import prior_of
 
 __all__ = ["CalibratedField", "Calibration"]
@@ -21,42 +22,33 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CalibratedField:
-    """One image of a calibration.
-
-    Parameters
-    ----------
-    name : str
-    attitude : Attitude
-        ICRS to camera.
-    covariance : (3, 3)
-        Of the rotation-vector error in camera axes, rad², the camera's errors marginalised.
-    xy : (M, 2)
-        Measured centroids, pixels.
-    catalog_id : int (M,)
-    v_mag : (M,)
-    residual_px : (M, 2)
-        Measured minus predicted.
-    sigma_px : (M,)
-        Standard error on one axis that the fit weighed with.
-    rejected : int
-        Centroids with a catalogue star in the widest gate that disagrees by more than 3.7 robust σ, or in brightness.
-    centroids : int
-        All centroids of the image.
-    refraction : (2,)
-        Fitted stretch (`startracker.lens_fit.stretch`); zero where not fitted.
-    """
+    """One image of a calibration."""
 
     name: str
     attitude: Attitude
+    """ICRS to camera."""
     covariance: FloatArray
+    """Of the rotation-vector error in camera axes, rad², the camera's errors marginalised, (3, 3)."""
     xy: FloatArray
+    """Measured centroids, pixels, (M, 2)."""
     catalog_id: NDArray[np.int64]
+    """Shape (M,)."""
     v_mag: FloatArray
+    """Shape (M,)."""
     residual_px: FloatArray
+    """Measured minus predicted, (M, 2)."""
     sigma_px: FloatArray
+    """Standard error on one axis that the fit weighed with, (M,)."""
     rejected: int
+    """Centroids with a catalogue star in the widest gate that disagrees by more than 3.7 robust σ, or in brightness."""
     centroids: int
+    """All centroids of the image."""
     refraction: FloatArray
+    """Fitted stretch (`startracker.lens_fit.stretch`), (2,); zero where not fitted."""
+
+    def __repr__(self) -> str:
+        stars = f"{len(self.xy)} stars, {self.rejected} rejected"
+        return described("CalibratedField", self.name, repr(self.attitude), stars, f"residual {self.rms_px:.3f} px rms")
 
     @property
     def rms_px(self) -> float:
@@ -103,6 +95,11 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
     WELL_MEASURED_PX: ClassVar[float] = 0.2
+
+    def __repr__(self) -> str:
+        fields = f"{len(self.fields)} images" if len(self.fields) != 1 else "1 image"
+        fit = f"{fields}, {self.stars} stars, residual {self.rms_px:.3f} px rms", f"fitted {' '.join(self.names)}"
+        return described("Calibration", repr(self.camera), *fit)
 
     @property
     def residual_px(self) -> FloatArray:

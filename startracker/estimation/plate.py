@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import normalised
@@ -33,28 +34,21 @@ _SLENDER = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A photograph's plate constants.
-
-    Parameters
-    ----------
-    center_deg : array, shape (2,)
-        Right ascension and declination of the image's origin.
-    tangent_deg : array, shape (2,)
-        Where the standard coordinates touch the sky: the centre before the last iteration.
-    matrix, offset : array, shape (2, 2), (2,)
-        (ξ, η) = matrix @ (x, y) + offset, in radians; negative determinant where the picture is as seen in the sky
-        with y up.
-    residual_deg : array, shape (M, 2)
-        Computed minus catalogued right ascension and declination of each star.
-    iterations : int
-    """
+    """A photograph's plate constants."""
 
     center_deg: FloatArray
+    """Right ascension and declination of the image's origin, (2,)."""
     tangent_deg: FloatArray
+    """Where the standard coordinates touch the sky, (2,): the centre before the last iteration."""
     matrix: FloatArray
     offset: FloatArray
+    """(ξ, η) = matrix @ (x, y) + offset, in radians, (2, 2), (2,); negative determinant where the picture is as seen in
+    the sky with y up."""
     residual_deg: FloatArray
+    """Computed minus catalogued right ascension and declination of each star, (M, 2)."""
     iterations: int
+
+    __repr__ = fields_repr
 
     @property
     def constants(self) -> FloatArray:

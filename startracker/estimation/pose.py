@@ -86,66 +86,45 @@ _FARTHEST_SQUARE = 9.0
 
 
 class Linearised(NamedTuple):
-    """Stars of one field about a first attitude.
-
-    Parameters
-    ----------
-    residual : (M, 2)
-        Measured minus predicted, pixels.
-    slopes : (M, 2, 3)
-        `startracker.image_map.pixel_slopes`.
-    offset : (M, 2)
-        Predicted positions from the principal point: what the focal length scales.
-    covariance : (M, 2, 2)
-        Stated, pixels².
-    extra, extra_sigma : (M, 2, E), (E,)
-        Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
-    as_assumed : float
-        Probability beforehand that there is no τ (`probability_as_assumed`).
-    """
+    """Stars of one field about a first attitude."""
 
     residual: FloatArray
+    """Measured minus predicted, pixels, (M, 2)."""
     slopes: FloatArray
+    """`startracker.image_map.pixel_slopes`, (M, 2, 3)."""
     offset: FloatArray
+    """Predicted positions from the principal point, (M, 2): what the focal length scales."""
     covariance: FloatArray
+    """Stated, pixels², (M, 2, 2)."""
     extra: FloatArray
     extra_sigma: FloatArray
+    """Displacements that are always fitted, and the standard deviations of their amplitudes beforehand, (M, 2, E),
+    (E,)."""
     as_assumed: float = AS_ASSUMED
+    """Probability beforehand that there is no τ (`probability_as_assumed`)."""
 
 
 class Pose(NamedTuple):
-    """Fit of one field.
-
-    Parameters
-    ----------
-    turn : (3,)
-        Rotation vector θ that corrects the attitude: v → v − θ × v in the camera.
-    covariance : (3, 3)
-        Of the rotation vector, rad².
-    camera_part : (3, 3)
-        Of that, what the camera's unknowns add.
-    sigma_px : (M,)
-        Standard error of each star on one axis, systematic part and factor included.
-    systematic_px2 : float
-        Mean of s² τ².
-    factor : float
-        Mean of s².
-    unknowns, unknowns_variance : (E + 3,)
-        Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and
-        their variances.
-    log_evidence : float
-        Of all models together, but for a constant that depends on the stars alone.
-    """
+    """Fit of one field."""
 
     turn: FloatArray
+    """Rotation vector θ that corrects the attitude, (3,): v → v − θ × v in the camera."""
     covariance: FloatArray
+    """Of the rotation vector, rad², (3, 3)."""
     camera_part: FloatArray
+    """Of that, what the camera's unknowns add, (3, 3)."""
     sigma_px: FloatArray
+    """Standard error of each star on one axis, systematic part and factor included, (M,)."""
     systematic_px2: float
+    """Mean of s² τ²."""
     factor: float
+    """Mean of s²."""
     unknowns: FloatArray
     unknowns_variance: FloatArray
+    """Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and their
+    variances, (E + 3,)."""
     log_evidence: float
+    """Of all models together, but for a constant that depends on the stars alone."""
 
 
 def few_stars_factor(freedom: int) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.rotations import normalised
 
@@ -20,18 +21,14 @@ _DISTINCT_RAD = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Attitude estimate.
-
-    Parameters
-    ----------
-    matrix : array, shape (3, 3)
-        Proper rotation, ``observed = matrix @ reference``.
-    covariance : array, shape (3, 3)
-        Of the error's rotation vector, rad², in the axes of the observed vectors.
-    """
+    """Attitude estimate."""
 
     matrix: FloatArray
+    """Proper rotation, ``observed = matrix @ reference``, (3, 3)."""
     covariance: FloatArray
+    """Of the error's rotation vector, rad², in the axes of the observed vectors, (3, 3)."""
+
+    __repr__ = fields_repr
 
 
 def check_directions(

@@ -20,7 +20,7 @@ from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 
-__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px", "window_half"]
+__all__ = ["Expected", "Seen", "Sky", "as_pixels", "centroids_seen", "look", "streak_px", "window_half"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,38 +51,26 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Star candidates of a frame.
-
-    Parameters
-    ----------
-    xy, flux : (N, 2), (N,)
-        Pixels, and signal (NaN: not known).
-    vectors : (N, 3)
-        Directions in the camera frame.
-    gate_px, sigma_px : (N,)
-        Standard errors for the match, and as measured.
-    stated_px : (N,)
-        Those that the residuals are compared with.
-    windows : int
-        Windows looked at; 0: the whole frame.
-    area_sr : float
-        Solid angle of all that was looked at.
-    window_xy : (windows, 2), optional
-        Central pixels of the windows.
-    window_half_px : int
-        A window has 2 half + 1 pixels a side.
-    """
+    """Star candidates of a frame."""
 
     xy: FloatArray
     flux: FloatArray
+    """Pixels, and signal, (N, 2) and (N,); NaN: not known."""
     vectors: FloatArray
+    """Directions in the camera frame, (N, 3)."""
     gate_px: FloatArray
     sigma_px: FloatArray
+    """Standard errors for the match, and as measured, (N,)."""
     stated_px: FloatArray
+    """Those that the residuals are compared with, (N,)."""
     windows: int
+    """Windows looked at; 0: the whole frame."""
     area_sr: float
+    """Solid angle of all that was looked at."""
     window_xy: FloatArray | None = None
+    """Central pixels of the windows, (windows, 2)."""
     window_half_px: int = 0
+    """A window has 2 half + 1 pixels a side."""
 
     def select(self, rows: NDArray[Any]) -> Seen:
         """Some of them."""
@@ -192,7 +180,7 @@ def look(
     -------
     Seen, or None where windows will not do.
     """
-    camera, pixels = tracker.camera, plain(image)
+    camera, pixels = tracker.camera, as_pixels(image)
     if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
         return None
     centre = camera.project(expected.predicted)
@@ -239,7 +227,7 @@ def _with_direction(seen: Seen) -> Seen:
     return seen if usable.all() else seen.select(usable)
 
 
-def plain(image: ArrayLike) -> NDArray[Any] | None:
+def as_pixels(image: ArrayLike) -> NDArray[Any] | None:
     """Image as a kernel reads it, without a copy where that can be; None for what is none."""
     try:
         pixels = np.asarray(image)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
+from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
@@ -84,26 +85,20 @@ class RateNoise:
 
 @dataclass(frozen=True)
 class Innovation:
-    """How a measurement compared with the prediction.
-
-    Parameters
-    ----------
-    accepted : bool
-        Whether it lay within the gate and was used.
-    distance2 : float
-        νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
-    freedom : int
-        Number of directions in the attitude's error that are measured: 3, or 2 for one star.
-    whitened : (3,) array, optional
-        The innovation in camera axes, whitened: three independent Gaussian deviates of variance 1 if filter and sensor
-        are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646).
-        None for one star.
-    """
+    """How a measurement compared with the prediction."""
 
     accepted: bool
+    """Whether it lay within the gate and was used."""
     distance2: float
+    """νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed."""
     freedom: int
+    """Number of directions in the attitude's error that are measured: 3, or 2 for one star."""
     whitened: FloatArray | None = field(default=None, compare=False)
+    """The innovation in camera axes, whitened, (3,): three independent Gaussian deviates of variance 1 if filter and
+    sensor are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13,
+    646). None for one star."""
+
+    __repr__ = fields_repr
 
 
 class Mekf:
@@ -136,6 +131,11 @@ class Mekf:
         self._scale = np.zeros(3)
         self._rate = np.zeros(3)
         self.reset(attitude, covariance, rate_rad_s)
+
+    def __repr__(self) -> str:
+        sigma = angle_text(math.sqrt(float(np.diag(self._covariance)[:3].max())))
+        rate = f"{math.degrees(math.hypot(*self.rate_rad_s.tolist())):.3g}°/s"
+        return described("Mekf", repr(self.attitude), f"σ {sigma}", rate, "gyro" if self.has_gyro else "no gyro")
 
     def reset(
         self,

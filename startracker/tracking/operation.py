@@ -27,6 +27,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
@@ -48,27 +49,20 @@ _REMEMBERED = 8
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the rules make of a frame.
-
-    Parameters
-    ----------
-    rule : str
-        The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty.
-    reason : str
-        The finding in words.
-    image : float32 array, shape (H, W), optional
-        Frame for the tracker, NaN where it is not to be used; None: not used at all.
-    saturated_px : tuple of int
-        Saturated pixels of the stars that have any, most first; what touches the border is no whole star.
-    cleared : bool array, shape (H, W), optional
-        What was cleared for its size; None: nothing.
-    """
+    """What the rules make of a frame."""
 
     rule: str
+    """The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty."""
     reason: str
+    """The finding in words."""
     image: NDArray[np.float32] | None
+    """Frame for the tracker, NaN where it is not to be used, (H, W); None: not used at all."""
     saturated_px: tuple[int, ...] = ()
+    """Saturated pixels of the stars that have any, most first; what touches the border is no whole star."""
     cleared: BoolImage | None = field(default=None, repr=False)
+    """What was cleared for its size, (H, W); None: nothing."""
+
+    __repr__ = fields_repr
 
     @property
     def cleared_px(self) -> int:

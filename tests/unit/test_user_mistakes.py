@@ -83,8 +83,8 @@ def test_base_may_be_the_name_of_a_scenario_that_ships(tmp_path, monkeypatch):
 @pytest.mark.parametrize("text", ["2026-02-30", "2026-13-01T00:00:00Z", "2026-03-21T25:00:00"])
 def test_a_date_that_does_not_exist_is_called_so(fails, text):
     line = fails("render", "cubesat", "--at", text)
-    assert "there is no such date or time" in line
-    with pytest.raises(ScenarioError, match="there is no such date or time"):
+    assert "no such date or time" in line
+    with pytest.raises(ScenarioError, match="no such date or time"):
         load_scenario("cubesat", [f"epoch='{text}'"])
 
 
