@@ -179,6 +179,9 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
     if solution.covariance is not None:
         x, y, z = np.sqrt(np.diag(solution.covariance)) / ARCSEC_RAD
         steps.append(Step("attitude", f"standard errors {x:.2g}″ and {y:.2g}″ across the boresight, {z:.2g}″ about it"))
+    if not solution.aberration_corrected:
+        unknown = "aberration (up to 26″) is not corrected, as the observer's velocity was not given"
+        steps.append(Step("attitude", f"{unknown}; the standard errors include it"))
     return tuple(steps)
 
 

@@ -12,6 +12,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Self
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
@@ -237,6 +238,8 @@ class AnyIdentificationSettings(IdentificationSettings):
     """Triads: minimum number of votes for a guide star in a group."""
     three_stars: bool = True
     """Triads: where only three stars are seen and all triads agree, one vote is enough."""
+
+    __repr__ = changed_fields
 
 
 SETTINGS: dict[str, type[IdentificationSettings]] = {

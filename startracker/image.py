@@ -6,6 +6,7 @@ import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
+from startracker.display import described, html_card, photograph
 from startracker.errors import InputError
 
-__all__ = ["LoadedImage", "read_image"]
+__all__ = ["LoadedImage", "read_image", "sample_photo"]
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
@@ -55,6 +57,18 @@ class LoadedImage:
     saturation_dn: float | None = None
     header: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"saturation {self.saturation_dn:g} DN"
+        return described("LoadedImage", f"{width}×{height} px", full, *self.notes)
+
+    def _repr_html_(self) -> str:
+        """The image with its size, for notebooks."""
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"{self.saturation_dn:g} DN"
+        rows = {"size": f"{width}×{height} px", "saturation": full, "notes": "; ".join(self.notes)}
+        return html_card("Image", rows, photograph(self.image, "image"))
 
 
 def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = True) -> LoadedImage:
@@ -109,6 +123,15 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
     if not np.isfinite(loaded.image).any():
         raise InputError(f"{file}: no pixel is a finite number; {_HINT} of the sky")
     return loaded
+
+
+def sample_photo() -> Path:
+    """File of a photograph that ships with the package: Orion, 42.5° across, JPEG in colour.
+
+    It was rendered with `simulator` (``tests/oracle/build_sample_photograph.py``) and may be used freely. Its boresight
+    is RA 83°, Dec +1°, roll 12°.
+    """
+    return Path(str(files("startracker"))) / "sample_photo.jpg"
 
 
 def _read_picture(file: Path, upright: bool) -> LoadedImage:

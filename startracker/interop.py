@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["is_rotation", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
+__all__ = ["is_rotation", "is_skycoord", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
 
 
 def plain(given: Any, unit: str, name: str) -> Any:
@@ -39,6 +39,11 @@ def is_time(given: Any) -> bool:
 def julian_year(given: Any) -> Any:
     """Julian epoch, TT, of an astropy ``Time``; anything else is returned unchanged."""
     return float(given.tt.jyear) if is_time(given) and np.ndim(given.tt.jyear) == 0 else given
+
+
+def is_skycoord(given: Any) -> bool:
+    """Whether this is an astropy ``SkyCoord``."""
+    return hasattr(given, "icrs")
 
 
 def skycoord_deg(given: Any, name: str) -> tuple[float, float]:

@@ -37,7 +37,7 @@ from startracker.identification.association import MARGIN_PX, joined, matched_ag
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import solve, turned
-from startracker.observer import Observer, unknown_aberration
+from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
@@ -139,7 +139,8 @@ def refine(
     if known and stars.covariance_px2 is not None:
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
     as_assumed = probability_as_assumed(stars.misfit)
-    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
+    free_scale = free_focal or not corrects_aberration(observer)
+    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -335,7 +336,7 @@ class _Field:
             seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
-        if self.observer is None:
+        if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(matrix)
         return matrix, covariance
 

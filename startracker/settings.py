@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.identification_settings import (
     AdaptiveSettings,
@@ -209,6 +210,8 @@ class OperationSettings:
     """Minimum motion of the stars since the last frame that was counted."""
     reference_b_v: float = 0.65
     """Colour for which flux and magnitude were calibrated on the ground."""
+
+    __repr__ = changed_fields
 
     def __post_init__(self) -> None:
         check_settings(

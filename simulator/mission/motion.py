@@ -25,6 +25,7 @@ from simulator.mission.parameters import PointingParameters, SequenceMotion, Sle
 from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 
 __all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
 
@@ -49,6 +50,8 @@ class MotionState:
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity, camera axes."""
 
+    __repr__ = fields_repr
+
 
 @dataclass(frozen=True, eq=False)
 class RateProfile:
@@ -58,6 +61,8 @@ class RateProfile:
     """(N,): Seconds after the first frame, ascending."""
     rate_rad_s: FloatArray
     """(N, 3): Body axes."""
+
+    __repr__ = fields_repr
 
     def at(self, t_s: float) -> FloatArray:
         """Rate (3,) at a time."""

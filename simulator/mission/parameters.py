@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from simulator.optics.jitter import NO_JITTER, Jitter
+from startracker.display import changed_fields
 
 Vector = tuple[float, float, float]
 
@@ -26,6 +27,8 @@ class OrbitParameters:
     """Angle from the ascending node at the epoch."""
     propagator: str = "j2"
     """``j2``: analytic circular orbit with secular J2; ``sgp4``: the same mean elements through SGP4."""
+
+    __repr__ = changed_fields
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ class PointingParameters:
     """Free spin instead of the local level; off if its rate is 0."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
+
+    __repr__ = changed_fields
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from simulator.mission.orbit import Orbit
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from startracker.attitude import Attitude, direction_to_radec
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -71,6 +72,8 @@ class Pointing:
     """Body → camera."""
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity in camera axes."""
+
+    __repr__ = fields_repr
 
 
 def mounting_of(parameters: PointingParameters) -> Attitude:

@@ -21,8 +21,10 @@ from simulator.scenario.document import REPORTED, Table, Value, parse_document, 
 from simulator.scenario.errors import Location, Problem, ScenarioError, Violation
 from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
-from simulator.scenario.overrides import apply_overrides, merge, set_option
+from simulator.scenario.overrides import apply_overrides, merge, set_option, set_values
+from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
+from startracker.display import described
 from startracker.errors import InputWarning
 from startracker.identification_settings import unread_keys
 
@@ -78,11 +80,25 @@ class Scenario(ScenarioModel):
     def __hash__(self) -> int:
         return hash(tuple(flatten(self).values()))
 
+    def __repr__(self) -> str:
+        optics, detector = self.optics, self.detector
+        lens = f"{optics.focal_length_mm:g} mm f/{optics.focal_length_mm / optics.aperture_mm:.2g}"
+        return described(
+            "Scenario",
+            self.name,
+            lens,
+            f"{detector.width}×{detector.height} px",
+            f"exposure {detector.exposure_s:g} s",
+            f"{self.orbit.altitude_km:g} km orbit",
+            f"{self.study.trials} trials",
+            f"seed {self.seed}",
+        )
+
     @classmethod
     def load(
         cls,
         path: str | Path,
-        overrides: Sequence[str] = (),
+        overrides: Sequence[str] | Mapping[str, Any] = (),
         seed: int | None = None,
         trials: int | None = None,
         *,
@@ -94,8 +110,9 @@ class Scenario(ScenarioModel):
         ----------
         path : str or Path
             YAML file, or the bare name of an included scenario (``sunsat``).
-        overrides : sequence of str
-            ``path=value`` as for ``--set`` on the command line; the value is YAML.
+        overrides : sequence of str, or mapping
+            ``path=value`` as for ``--set`` on the command line, where the value is YAML; or values by dotted path,
+            which may be astropy quantities and times: ``{"optics.aperture_mm": 2 * u.cm}``.
         seed, trials : int, optional
             Replace ``seed`` and ``study.trials``.
         names : mapping, optional
@@ -117,7 +134,12 @@ class Scenario(ScenarioModel):
 
     @classmethod
     def parse(
-        cls, text: str, overrides: Sequence[str] = (), *, name: str = "<text>", names: NameChecks | None = None
+        cls,
+        text: str,
+        overrides: Sequence[str] | Mapping[str, Any] = (),
+        *,
+        name: str = "<text>",
+        names: NameChecks | None = None,
     ) -> Scenario:
         """Read a scenario from text; parameters as in `load`. Other files are relative to the working folder."""
         problems: list[Problem] = []
@@ -184,8 +206,12 @@ class Scenario(ScenarioModel):
         return self.changed(_NOISELESS)
 
     def changed(self, values: Mapping[str, Any]) -> Scenario:
-        """The same scenario with other values by dotted path, checked again; its files are still found."""
-        scenario = type(self).model_validate(nest(flatten(self) | dict(values)))
+        """The same scenario with other values by dotted path, checked again; its files are still found.
+
+        Values may be astropy quantities, as in `load`.
+        """
+        written = {path: as_written(path, value, _KEYS) for path, value in values.items()}
+        scenario = type(self).model_validate(nest(flatten(self) | written))
         scenario._path = self._path
         return scenario
 
@@ -196,7 +222,7 @@ _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 def _build(
     cls: type[Scenario],
     tree: Table,
-    overrides: Iterable[str],
+    overrides: Iterable[str] | Mapping[str, Any],
     problems: list[Problem],
     *,
     names: NameChecks | None,
@@ -204,7 +230,10 @@ def _build(
     trials: int | None = None,
 ) -> Scenario:
     top = tree.location
-    options = apply_overrides(Table(top), overrides, problems)
+    if isinstance(overrides, Mapping):
+        options = set_values(Table(top), overrides, _KEYS, problems)
+    else:
+        options = apply_overrides(Table(top), overrides, problems)
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)

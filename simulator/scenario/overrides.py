@@ -1,11 +1,26 @@
-"""Command-line options that set keys: ``--set optics.aperture_mm=25``, ``--seed 2``, ``--trials 100``."""
+"""Values that override those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from simulator.scenario.document import Entry, Table, Value, parse_value
 from simulator.scenario.errors import Location, Problem
+from simulator.scenario.fields import Key
+from simulator.scenario.quantities import as_written
+from startracker.errors import InputError
+
+
+def set_values(tree: Table, values: Mapping[str, Any], keys: Mapping[str, Key], problems: list[Problem]) -> Table:
+    """The tree with values put in by dotted path, each as `as_written` converts it."""
+    for path, value in values.items():
+        location = Location(path, key=path)
+        try:
+            tree = merge(tree, _nest(path, Value(as_written(path, value, keys), location), location))
+        except InputError as error:
+            problems.append(Problem(location, path, str(error).removeprefix(f"{path} ")))
+    return tree
 
 
 def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Problem]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import platform
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from simulator.scenario import Scenario
+from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.statistics import BODY_AXES, median, summarise
@@ -21,6 +23,7 @@ from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
 from startracker._version import __version__
+from startracker.display import angle_text, described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
@@ -44,7 +47,7 @@ _VERSIONED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Rows):
     """Result of a study."""
 
     scenario: Scenario
@@ -62,6 +65,26 @@ class Study:
     def trials(self) -> pa.Table:
         """One row per trial, in memory."""
         return self.columns.table()
+
+    def _table(self) -> pa.Table:
+        return self.trials
+
+    def _meta(self) -> dict[str, Any]:
+        return {name: self.summary[name] for name in ("name", "seed", "version")}
+
+    def __repr__(self) -> str:
+        summary = self.summary
+        counts = f"{summary['trials']} trials, {summary['solved']} solved, {summary['wrong']} wrong"
+        rms_deg = {axis: summary["errors_deg"][axis]["rms"] for axis in BODY_AXES}
+        known = [f"{axis} {angle_text(math.radians(rms))}" for axis, rms in rms_deg.items() if rms is not None]
+        accuracy = f"rms {', '.join(known)}" if known else ""
+        return described("Study", summary["name"], counts, accuracy, str(self.folder or ""))
+
+    def _repr_html_(self) -> str:
+        """The answer of the study with a chart of its errors, for notebooks."""
+        from simulator.study.notebook import study_card
+
+        return study_card(self.summary, self.columns)
 
 
 def run(

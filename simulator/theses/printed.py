@@ -19,6 +19,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.study import style as report_style
 from simulator.study.style import STUDY_STYLE
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -105,6 +106,9 @@ class Section:
     title: str
     rows: Sequence[Row]
     figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return described("Section", self.title, f"{len(self.rows)} rows", f"{len(self.figures)} figures")
 
     def figure(self, name: str) -> Figure:
         """One figure, drawn in the study's style."""

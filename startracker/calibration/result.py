@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
+from startracker.display import described
 from startracker.lens import prior_of
 
 __all__ = ["CalibratedField", "Calibration"]
@@ -46,6 +47,10 @@ class CalibratedField:
     """Number of all centroids of the image."""
     refraction: FloatArray
     """Fitted stretch (`startracker.lens_fit.stretch`), (2,); zero if not fitted."""
+
+    def __repr__(self) -> str:
+        stars = f"{len(self.xy)} stars, {self.rejected} rejected"
+        return described("CalibratedField", self.name, repr(self.attitude), stars, f"residual {self.rms_px:.3f} px rms")
 
     @property
     def rms_px(self) -> float:
@@ -93,6 +98,11 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
     WELL_MEASURED_PX: ClassVar[float] = 0.2
+
+    def __repr__(self) -> str:
+        fields = f"{len(self.fields)} images" if len(self.fields) != 1 else "1 image"
+        fit = f"{fields}, {self.stars} stars, residual {self.rms_px:.3f} px rms", f"fitted {' '.join(self.names)}"
+        return described("Calibration", repr(self.camera), *fit)
 
     @property
     def residual_px(self) -> FloatArray:

@@ -22,6 +22,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image, voxel_grid
 from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.display import described
 from startracker.errors import InputError
 from startracker.observer import Observer
 from startracker.settings import IdentificationSettings
@@ -127,6 +128,10 @@ class GuideDatabase:
     _shape: list[FieldShape] = field(default_factory=list)
 
     # ------------------------------------------------------------------ construction
+    def __repr__(self) -> str:
+        limit, epoch = f"to V {self.v_mag[-1]:.1f}" if len(self) else "", f"epoch {self.epoch_jyear:.2f}"
+        return described("GuideDatabase", self.catalog.name, f"{len(self):,} guide stars {limit}", epoch)
+
     @classmethod
     def build(
         cls,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import normalised
@@ -46,6 +47,8 @@ class Plate:
     residual_deg: FloatArray
     """Computed minus catalogue right ascension and declination of each star, (M, 2)."""
     iterations: int
+
+    __repr__ = fields_repr
 
     @property
     def constants(self) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.rotations import normalised
 
@@ -27,6 +28,8 @@ class Estimate:
     """Proper rotation, ``observed = matrix @ reference``, (3, 3)."""
     covariance: FloatArray
     """Covariance of the rotation vector of the error, rad², in the axes of the observed vectors, (3, 3)."""
+
+    __repr__ = fields_repr
 
 
 def check_directions(

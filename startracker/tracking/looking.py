@@ -20,7 +20,7 @@ from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 
-__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px", "window_half"]
+__all__ = ["Expected", "Seen", "Sky", "as_pixels", "centroids_seen", "look", "streak_px", "window_half"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -180,7 +180,7 @@ def look(
     -------
     Seen, or None if windows cannot be used.
     """
-    camera, pixels = tracker.camera, plain(image)
+    camera, pixels = tracker.camera, as_pixels(image)
     if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
         return None
     centre = camera.project(expected.predicted)
@@ -227,7 +227,7 @@ def _with_direction(seen: Seen) -> Seen:
     return seen if usable.all() else seen.select(usable)
 
 
-def plain(image: ArrayLike) -> NDArray[Any] | None:
+def as_pixels(image: ArrayLike) -> NDArray[Any] | None:
     """Image for kernels, without a copy if possible; None if it is not an image."""
     try:
         pixels = np.asarray(image)

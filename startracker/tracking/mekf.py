@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
+from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
@@ -97,6 +98,8 @@ class Innovation:
     are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646). None
     for a single star."""
 
+    __repr__ = fields_repr
+
 
 class Mekf:
     """The filter.
@@ -128,6 +131,11 @@ class Mekf:
         self._scale = np.zeros(3)
         self._rate = np.zeros(3)
         self.reset(attitude, covariance, rate_rad_s)
+
+    def __repr__(self) -> str:
+        sigma = angle_text(math.sqrt(float(np.diag(self._covariance)[:3].max())))
+        rate = f"{math.degrees(math.hypot(*self.rate_rad_s.tolist())):.3g}°/s"
+        return described("Mekf", repr(self.attitude), f"σ {sigma}", rate, "gyro" if self.has_gyro else "no gyro")
 
     def reset(
         self,

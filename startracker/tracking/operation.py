@@ -27,6 +27,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
@@ -60,6 +61,8 @@ class Verdict:
     """Numbers of saturated pixels of saturated stars, in descending order; objects at the border are excluded."""
     cleared: BoolImage | None = field(default=None, repr=False)
     """Mask of pixels removed because of their size, (H, W); None: none."""
+
+    __repr__ = fields_repr
 
     @property
     def cleared_px(self) -> int:

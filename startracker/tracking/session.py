@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import Attitude
+from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
+from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
-from startracker.observer import Observer
+from startracker.interop import is_rotation, plain
+from startracker.observer import Observer, corrects_aberration
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
-from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look, plain, streak_px, window_half
+from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.repeats import FrameMemory, list_key
 from startracker.tracking.scatter import Scatter
@@ -52,7 +55,8 @@ class TrackingSession:
     settings : TrackingSettings
         Settings of tracking.
     exposure_s : float
-        Exposure time, which with the rate determines the length of star images and windows.
+        Exposure time, which with the rate determines the length of star images and windows. Frames of the simulator
+        state their own.
 
     Notes
     -----
@@ -69,6 +73,7 @@ class TrackingSession:
         settings: TrackingSettings | None = None,
         exposure_s: float = 0.0,
     ) -> None:
+        exposure_s = plain(exposure_s, "s", "exposure_s")
         if not (math.isfinite(exposure_s) and exposure_s >= 0.0):
             raise InputError(f"the exposure must be zero or positive; got {exposure_s}")
         self.tracker = tracker
@@ -81,8 +86,13 @@ class TrackingSession:
         self._frame: NDArray[Any] | bytes | None = None
         self._used_s: float | None = None
         self._note = ""
+        self._observer: Observer | None = None
         self._sky = Sky(tracker.guide)
         self._lock = threading.RLock()
+
+    def __repr__(self) -> str:
+        now = f"{self.state.mode}, {self._filter!r}" if self._filter else "no attitude yet"
+        return described("TrackingSession", now, repr(self.tracker.camera))
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_lock"}
@@ -123,13 +133,16 @@ class TrackingSession:
 
         Parameters
         ----------
-        attitude : Attitude, optional
+        attitude : Attitude or scipy Rotation, optional
             ICRS to camera, at the time of the next frame.
-        sigma_deg : float
-            Standard deviation of the attitude about each axis.
-        rate_rad_s : array_like, optional
-            Rate of the camera.
+        sigma_deg : float or astropy Quantity
+            Standard deviation of the attitude about each axis, degrees.
+        rate_rad_s : array_like or astropy Quantity, shape (3,), optional
+            Rate of the camera, camera axes.
         """
+        if is_rotation(attitude):
+            attitude = Attitude.from_rotation(attitude)
+        sigma_deg, rate_rad_s = plain(sigma_deg, "deg", "sigma_deg"), plain(rate_rad_s, "rad/s", "rate_rad_s")
         if attitude is not None and not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
             raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
         with self._lock:
@@ -142,7 +155,7 @@ class TrackingSession:
     # ------------------------------------------------------------------ frames
     def update(
         self,
-        image: ArrayLike,
+        image: Any,
         t_s: float,
         *,
         gyro_rad_s: ArrayLike | None = None,
@@ -155,10 +168,10 @@ class TrackingSession:
         Parameters
         ----------
         image, observer, saturation_dn, gain_e_per_dn
-            As in `StarTracker.solve`.
-        t_s : float
+            As in `StarTracker.solve`. The exposure time of a frame replaces `exposure_s` of the session.
+        t_s : float or astropy Quantity
             Mid-exposure, seconds of any uniform clock.
-        gyro_rad_s : array_like, shape (3,), optional
+        gyro_rad_s : array_like or astropy Quantity, shape (3,), optional
             Mean measured rate since the last frame, camera axes. Non-finite samples are ignored.
 
         Returns
@@ -172,28 +185,30 @@ class TrackingSession:
             For a time that is not a number, or a gyro rate that is not three numbers or given without a gyro.
         """
         with self._lock:
-            clock, pixels = Clock(), plain(image)
-            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels), observer)
+            clock, given = Clock(), given_image(image, observer, None, saturation_dn, gain_e_per_dn)
+            pixels = as_pixels(given.image)
+            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels), given.observer)
             if refused is not None:
                 return self._refuse(*refused, np.empty((0, 2)), clock)
             self._frame = pixels
-            given = {"observer": observer, "saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
-            return self._update_image(image, given, clock)
+            return self._update_image(given, clock)
 
-    def _update_image(self, image: ArrayLike, given: dict[str, Any], clock: Clock) -> Solution:
-        expected = self._expect(given["observer"])
+    def _update_image(self, given: GivenImage, clock: Clock) -> Solution:
+        expected = self._expect(given.observer)
         if expected is not None and self._filter is not None:
-            length = streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s)
-            covariance, largest = self._filter.attitude_covariance, self.settings.max_window_px
-            half = window_half(self.tracker, expected, covariance, length, largest)
-            detector = given["saturation_dn"], given["gain_e_per_dn"]
-            seen = look(image, self.tracker, expected, half, length, self._scatter.factor, *detector)
+            exposure_s = given.exposure_s or self.exposure_s
+            length = streak_px(self.tracker, self._filter.rate_rad_s, exposure_s)
+            half = window_half(
+                self.tracker, expected, self._filter.attitude_covariance, length, self.settings.max_window_px
+            )
+            detector = given.saturation_dn, given.gain_e_per_dn
+            seen = look(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if self._accepts(followed):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
-        found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **given)
+        found = self.tracker.solve(given, prior=prior, prior_deg=prior_deg)
         followed = None
         if not found.solved and expected is not None:
             # windows contain chance neighbours; over the whole frame a few stars at predicted positions have more
@@ -234,9 +249,11 @@ class TrackingSession:
         self, t_s: float, gyro_rad_s: ArrayLike | None, same_as_s: float | None, observer: Observer | None
     ) -> tuple[Status, str] | None:
         """Propagate to a frame's time; returns status and reason of a frame that cannot be used."""
+        t_s, gyro_rad_s = plain(t_s, "s", "t_s"), plain(gyro_rad_s, "rad/s", "gyro_rad_s")
         gyro, self._note = self._watched.sample(gyro_rad_s)
         now_s = self._clock.read(t_s)
-        self._watched.distrusted, self._watched.without_observer, self._frame = False, observer is None, None
+        self._watched.distrusted, self._watched.without_observer = False, not corrects_aberration(observer)
+        self._frame, self._observer = None, observer
         fault = self._clock.fault(now_s)
         if not fault and now_s == self._used_s and same_as_s is None:
             fault = f"another frame has the same time, {now_s} s: the rotation since then is unknown"
@@ -325,7 +342,8 @@ class TrackingSession:
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        return followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
+        answer = followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
+        return replace(answer, observer=self._observer)
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -370,13 +388,8 @@ class TrackingSession:
             distrusted=self._watched.distrusted,
             note=self._note,
         )
-        return replace(
-            found,
-            reason=self._with_note(found.reason),
-            attitude=self.filter_attitude,
-            covariance=self._given_out(),
-            times_ms={**found.times_ms, **clock.times_ms()},
-        )
+        found = replace(found, reason=self._with_note(found.reason), times_ms={**found.times_ms, **clock.times_ms()})
+        return replace(found, attitude=self.filter_attitude, covariance=self._given_out())
 
     def _given_out(self) -> FloatArray:
         """Covariance (3, 3) of the solution: that of the filter's attitude."""

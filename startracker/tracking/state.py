@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import described
 from startracker.tracking.mekf import Innovation
 
 __all__ = ["TrackingState"]
@@ -59,3 +60,10 @@ class TrackingState:
     note: str = ""
     window_xy: FloatArray | None = field(default=None, compare=False)
     window_half_px: int = 0
+
+    def __repr__(self) -> str:
+        stars = f"{self.matched} of {self.expected} expected stars" if self.expected else f"{self.matched} stars"
+        windows = f"{self.windows} windows" if self.windows else ""
+        flags = [name for name in ("restarted", "distrusted") if getattr(self, name)]
+        solved = "solved" if self.solved else "not solved"
+        return described("TrackingState", self.mode, solved, stars, windows, *flags, self.note)

@@ -19,9 +19,11 @@ from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.scene import GivenState
 from simulator.sky.ephemeris import barycentric_position_au
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.constants import AU_KM
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
@@ -72,6 +74,8 @@ class Boresights:
     """(N,) by body (``sun``, ``moon``, ``earth``): whether its exclusion angle is violated."""
     rolls: int = 1
     """Successive attitudes per direction."""
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.matrices)
@@ -205,7 +209,7 @@ def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
         def streams(stage: str) -> np.random.Generator:
             return stream(scenario.seed, stage, index)
 
-        return scenes.scene(index, streams, 1e-6, 0.0, at_s=float(t_s[index])).pointing.camera.as_matrix()
+        return scenes.scene(index, streams, 1e-6, 0.0, GivenState(at_s=float(t_s[index]))).pointing.camera.as_matrix()
 
     return np.array([attitude(index) for index in range(len(t_s))])
 

@@ -27,6 +27,7 @@ from simulator.study.coverage.boresights import sky_grid
 from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "nominal_rate_rad_s"]
@@ -76,6 +77,8 @@ class Sensitivity:
     electrons: FloatArray
     sigma_px: FloatArray
     """(K,): Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels."""
+
+    __repr__ = fields_repr
 
     @property
     def least_electrons(self) -> float:

@@ -27,6 +27,7 @@ from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import voxel_grid
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Coverage", "baffle_exclusion", "count_stars", "coverage"]
@@ -67,6 +68,8 @@ class Coverage:
     """Stars down to `magnitude_limit` over the whole sky."""
     exclusion: Exclusion = field(default_factory=Exclusion)
     """Exclusion angles."""
+
+    __repr__ = fields_repr
 
     @property
     def allowed_counts(self) -> IntArray:

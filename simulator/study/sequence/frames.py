@@ -31,6 +31,7 @@ from simulator.study.trials.trial import (
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
@@ -65,6 +66,8 @@ class TrackedFrame:
     window_xy: FloatArray
     window_half_px: int
     """(M, 2): Centres of the windows."""
+
+    __repr__ = fields_repr
 
 
 class SequenceRunner:

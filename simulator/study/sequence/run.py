@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
@@ -21,6 +23,7 @@ from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.statistics import median
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import BoresightError
 
 __all__ = ["Sequence", "run_sequence"]
@@ -33,7 +36,7 @@ _FLUSH_FRAMES = 500
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class Sequence(Rows):
     """Result of a sequence."""
 
     scenario: Scenario
@@ -46,6 +49,17 @@ class Sequence:
     """Folder of the files."""
     files: tuple[str, ...] = ()
     """Names of the files."""
+
+    def _table(self) -> pa.Table:
+        return self.frames
+
+    def _meta(self) -> dict[str, Any]:
+        return {"name": self.scenario.name, "seed": self.scenario.seed, "version": __version__}
+
+    def __repr__(self) -> str:
+        solved = int(np.count_nonzero(self.frames["status"].to_numpy(zero_copy_only=False) == "solved"))
+        counts = f"{self.frames.num_rows} frames, {solved} solved"
+        return described("Sequence", self.scenario.name, counts, str(self.folder or ""))
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -25,6 +25,7 @@ from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.sweep.files import cell
 from simulator.study.trials.columns import Columns
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 IGNORED = ("name", "description")
@@ -47,6 +48,8 @@ class ComparedRun:
     """From `simulator.study.point_statistics.point_statistics`."""
     trials_per_second: float | None = None
     """Speed, if recorded."""
+
+    __repr__ = fields_repr
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
+from simulator.study.data_frames import Rows
 from simulator.study.result_files import parquet_bytes
 from simulator.study.results_folder import (
     FILES,
@@ -45,6 +46,7 @@ from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
 from simulator.study.trials.trial import TrialRunner
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import BoresightError, InputError
 
 POINTS_FOLDER = "points"
@@ -165,7 +167,7 @@ def plan_sweep(
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Rows):
     """Result of a sweep."""
 
     table: dict[str, Any]
@@ -179,6 +181,12 @@ class Sweep:
     def trials(self) -> pa.Table:
         """All trials of all points, in memory."""
         return pq.read_table(self.folder / "sweep.parquet")
+
+    def _table(self) -> pa.Table:
+        return self.trials
+
+    def __repr__(self) -> str:
+        return described("Sweep", f"{len(self.table['points'])} points", str(self.folder))
 
 
 def run_sweep(

@@ -40,6 +40,10 @@ class Columns(Mapping[str, NDArray[Any]]):
         self._stamp = _stamp(source)
         self._cache: OrderedDict[str, NDArray[Any]] = OrderedDict()
 
+    def __repr__(self) -> str:
+        first = ", ".join(self._schema.names[:6])
+        return f"Columns({len(self)} columns: {first}{', …' if len(self) > 6 else ''})"
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name in self._cache:
             self._cache.move_to_end(name)
