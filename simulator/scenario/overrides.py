@@ -1,4 +1,4 @@
-"""Values set over those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
+"""Values that override those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def set_values(tree: Table, values: Mapping[str, Any], keys: Mapping[str, Key], 
 
 
 def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Problem]) -> Table:
-    """The tree with every ``path=value`` put in; the value is read as YAML. The later of two wins."""
+    """The tree with every ``path=value`` applied; values are parsed as YAML. The last one takes precedence."""
     for text in overrides:
         path, equals, written = text.partition("=")
         path = path.strip()
@@ -32,7 +32,7 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
         if not equals or not path or not all(path.split(".")):
             problems.append(Problem(Location(f"--set {text}"), "", "must look like section.key=value"))
         elif path == "base":
-            problems.append(Problem(location, "base", "can only be written in a file; load another scenario instead"))
+            problems.append(Problem(location, "base", "can only be set in a file; load another scenario instead"))
         else:
             value = parse_value(written.strip(), location, problems)
             if value is not None:
@@ -41,20 +41,20 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
 
 
 def set_option(tree: Table, option: str, path: str, value: object) -> Table:
-    """The tree with the key of an option such as ``--seed`` put in."""
+    """The tree with the key of an option such as ``--seed`` set."""
     location = Location(option, key=path)
     return merge(tree, _nest(path, Value(value, location), location))
 
 
 def merge(below: Table, above: Table) -> Table:
-    """A new table: sections merge key by key, anything else above replaces what is below."""
+    """A new table: sections are merged key by key, other values of `above` replace those of `below`."""
     merged = Table(below.location, dict(below.entries))
     for key, entry in above.entries.items():
         old = merged.entries.get(key)
         if old and isinstance(old.node, Table) and isinstance(entry.node, Table):
             location = (
                 old.location if entry.location.key else entry.location
-            )  # an option sets one key, the section stays the file's
+            )  # an option sets one key and keeps the location of the section
             merged.entries[key] = Entry(location, merge(old.node, entry.node))
         else:
             merged.entries[key] = entry

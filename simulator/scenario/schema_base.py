@@ -1,4 +1,4 @@
-"""What every section of a scenario is made of: the base class and the kinds of numbers."""
+"""Base class of the sections of a scenario, and types of numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class Section(BaseModel):
-    """Base of every section: unknown keys are errors, values never change, numbers are numbers."""
+    """Base of every section: unknown keys are errors, values are frozen, types are strict."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 

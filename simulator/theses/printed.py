@@ -70,34 +70,26 @@ COLUMNS: dict[str, dict[str, Any]] = {
 class Row:
     """One printed value and the one computed here.
 
-    Parameters
-    ----------
-    where : str
-        Figure, table, equation or section of the work, such as ``"Table 3.3"``.
-    quantity : str
-        What it is.
-    printed, computed : str
-        Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`.
-    verdict : str
-        What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding,
-        catalogue or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result
-        beside which the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a
-        device) is not to be had; ``"open"``, a question that the work leaves open.
-    why : str
-        How it was computed, and the reason of a difference.
-
     Raises
     ------
     ValueError
-        When a row without a printed value is given a verdict of comparison, or the reverse.
+        If a row without a printed value has a verdict of comparison, or the reverse.
     """
 
     where: str
+    """Figure, table, equation or section of the work, such as ``"Table 3.3"``."""
     quantity: str
+    """What it is."""
     printed: str
     computed: str
+    """Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`."""
     verdict: Verdict
+    """What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding, catalogue
+    or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result beside which
+    the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a device) is not to
+    be had; ``"open"``, a question that the work leaves open."""
     why: str = ""
+    """How it was computed, and the reason of a difference."""
 
     def __post_init__(self) -> None:
         if (self.printed in ("", NOTHING)) != (self.verdict == "not printed"):
