@@ -12,11 +12,13 @@ import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from public_names import GROUPS
-from sphinx.application import Sphinx
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 DOCS = Path(__file__).parents[1]
 GENERATED = DOCS / "reference" / "generated"
@@ -235,6 +237,7 @@ BESIDE = {
     "../benchmarks/RESULTS.md": "reference/generated/RESULTS.md",
     "../benchmarks/RESULTS-identification.md": "reference/generated/RESULTS-identification.md",
     "../benchmarks/RESULTS-frames.md": "reference/generated/RESULTS-frames.md",
+    "../examples/plugin/README.md": "reference/generated/plugin.md",
     "../CHANGELOG.md": "reference/generated/CHANGELOG.md",
 }
 """Pages that the site shows in copies, by their paths from docs/ and below it."""
@@ -243,7 +246,7 @@ BESIDE = {
 def copied_pages() -> Pages:
     """The changes and the results of the benchmarks."""
     return {
-        Path(name).stem: (DOCS / name).read_text(encoding="utf-8") for name in BESIDE if (DOCS / name).exists()
+        Path(copy).stem: (DOCS / name).read_text(encoding="utf-8") for name, copy in BESIDE.items()
     }
 
 

@@ -133,7 +133,7 @@ def command_lines(text: str) -> list[list[str]]:
         command: list[str] = []
         for word in [*lexer, ";"]:
             if word != ";":
-                command += sorted(map(str, Path().glob(word))) if "*" in word and "=" not in word else [word]
+                command += sorted(map(str, Path().glob(word)))[:3] if "*" in word and "=" not in word else [word]
             elif command:
                 commands.append(command)
                 command = []
@@ -192,7 +192,7 @@ def run_page(path: Path, *, write: bool = False) -> None:
     new: list[tuple[tuple[int, int], str]] = []
     shown = ""
     for block in blocks(document):
-        where = f"{path.relative_to(ROOT)}:{block.line}"
+        where = f"{path.name}:{block.line}"
         assert block.language in LANGUAGES, f"{where}: the language of a block is one of {', '.join(LANGUAGES)}"
         if block.file:
             Path(block.file).write_text(block.text, encoding="utf-8")
@@ -239,7 +239,7 @@ def _run_block(block: Block, where: str, names: dict[str, object]) -> str:
         tomllib.loads(block.text)
     elif block.language == "sh":
         for words in command_lines(block.text):
-            run_command(reduced(words) if words[0] == "boresight" else words)
+            run_command(["boresight", *reduced(words[1:])] if words[0] == "boresight" else words)
     elif block.language == "console":
         shown = ""
         for command, _ in sessions(block.text):
@@ -265,14 +265,15 @@ def check_scenario(text: str) -> None:
 
 
 @contextlib.contextmanager
-def workspace(folder: Path):
+def workspace(folder: Path, *, photographs: bool = True):
     """Work in a folder where the documents find what they name: the scenarios, a photograph, photographs for a fit."""
     (folder / "scenarios").symlink_to(ROOT / "scenarios")
     shutil.copy(ROOT / "docs/tutorials/photograph/orion_belt.jpg", folder)
     before = Path.cwd()
     os.chdir(folder)
     try:
-        make_photographs()
+        if photographs:
+            make_photographs()
         yield
     finally:
         os.chdir(before)
