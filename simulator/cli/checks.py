@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime
 from pathlib import Path
 
+from simulator.scenario.fields import parse_utc
 from startracker.errors import InputError
 from startracker.picture import FORMATS
 
@@ -32,6 +34,21 @@ def processes(workers: int | None, dask: str | None, trials: int) -> int:
         raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return workers or max(1, min(cores, trials // 100))
+
+
+def utc_time(option: str, text: str) -> datetime:
+    """Date and time of an option, UTC.
+
+    Raises
+    ------
+    InputError
+        For text that is no ISO 8601 time, or a time that does not exist.
+    """
+    try:
+        return parse_utc(text)
+    except ValueError as error:
+        why = f": {error}" if str(error) else " is not an ISO 8601 time such as 2026-03-21T12:00:00Z"
+        raise InputError(f"{option}: '{text}'{why}") from None
 
 
 def picture_format(path: Path | None) -> str:

@@ -20,7 +20,9 @@ class SolveRequest:
     images: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[IMAGE]...", help="PNG, TIFF, JPEG or FITS files, or folders of them.", show_default=False
+            metavar="[IMAGE]...",
+            help="PNG, TIFF, JPEG or FITS files, or folders of them; - reads standard input.",
+            show_default=False,
         ),
     ] = None
     fov_deg: Annotated[
@@ -43,12 +45,22 @@ class SolveRequest:
     size: Annotated[str | None, option("--size", "WxH", "Image size in pixels, for --centroids with --fov.")] = None
     lost_in_space: Annotated[bool, switch("--lost-in-space", "Ignore the prior attitude in a frame's header.")] = False
     as_json: Annotated[bool, switch("--json", "Print one JSON object an image.")] = False
-    wcs: Annotated[Path | None, option("--wcs", "OUT.fits", "Write the image with its world coordinates.")] = None
+    wcs: Annotated[
+        Path | None, option("--wcs", "OUT.fits", "Write the image with its world coordinates; a folder for several.")
+    ] = None
     annotate: Annotated[
-        Path | None, option("--annotate", "OUT.png", "Write the picture with its identified stars.")
+        Path | None,
+        option("--annotate", "OUT.png", "Write the picture with its stars by name (png, jpg, svg, pdf); see above."),
     ] = None
     grid: Annotated[bool, switch("--grid", "Lines of right ascension and declination on it.")] = False
     constellations: Annotated[bool, switch("--constellations", "Lines of the constellations on it.")] = False
+    deep_sky: Annotated[
+        bool, switch("--deep-sky/--no-deep-sky", "Messier objects and bright NGC and IC objects on it.")
+    ] = True
+    colour: Annotated[bool, switch("--colour", "Colours of the identified stars on it, of a grey image.")] = False
+    time: Annotated[
+        str | None, option("--time", "TIME", "When the image was taken (UTC): space motion, and planets on it.")
+    ] = None
     pixels: Annotated[list[str] | None, option("--pixel", "X,Y", "Print where this pixel looks; may be repeated.")] = (
         None
     )

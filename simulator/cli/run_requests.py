@@ -65,7 +65,9 @@ class RenderRequest:
     seed: Seed = None
     set_values: SetValues = None
     out: Annotated[Path | None, option("--out", "FRAME.fits", "Write image, camera and truth as FITS.")] = None
-    preview: Annotated[Path | None, option("--preview", "FRAME.png", "Write a picture.")] = None
+    preview: Annotated[Path | None, option("--preview", "FRAME.png", "Write a picture (png, jpg, svg, pdf).")] = None
+    colour: Annotated[bool, switch("--colour", "Show the stars in their colours on the picture.")] = False
+    axes: Annotated[bool, switch("--axes", "Plot with pixel axes and names instead of the plain picture.")] = False
     noiseless: Annotated[
         bool, switch("--noiseless", "Switch off every noise and flaw of the detector, and the background.")
     ] = False

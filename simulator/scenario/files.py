@@ -1,4 +1,4 @@
-"""Files of a scenario: itself, those that it is based on, and those that its values name."""
+"""Files of a scenario: the file itself, its bases, and the files named by its values."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
 FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
-"""Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
+"""Keys that may name a CSV file, relative to the scenario file, or for ``--set`` to the working folder."""
 
 
 def find_scenario(path: str | Path) -> Path:
-    """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
+    """The file, or for a bare name such as ``sunsat`` that is not a file, the included scenario of that name."""
     return _file_or_shipped(Path(path), str(path))
 
 
 def _file_or_shipped(file: Path, written: str) -> Path:
-    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
+    """`file`, or, if it does not exist and the user wrote a bare name, the included scenario of that name."""
     bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
     if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
         here = Path(__file__).resolve().parent
@@ -38,7 +38,7 @@ def read_chain(
     chain: tuple[tuple[str, str], ...] = (),
     named_at: Location | None = None,
 ) -> Table | None:
-    """Tree of a file laid over its base; None, with the reason among `problems`, where one of them cannot be read."""
+    """Tree of a file merged over its base; None if one of them cannot be read, with the reason in `problems`."""
     text = read_text(file, name, named_at, "base" if named_at else "")
     if isinstance(text, Problem):
         problems.append(text)
@@ -48,7 +48,7 @@ def read_chain(
 
 
 def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tuple[str, str], ...]) -> Table | None:
-    """A tree laid over the base that it names; `chain` are the files (real path, name) that led here."""
+    """A tree merged over its base; `chain` are the files (real path, name) that refer to it."""
     folder = os.path.dirname(name) if chain else ""
     tree = absolute_files(tree, folder)
     entry = tree.entries.pop("base", None)
@@ -66,14 +66,14 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
     known = [seen for seen, _ in chain]
     if real in known:
         circle = " → ".join([n for _, n in chain[known.index(real) :]] + [base_name])
-        problems.append(Problem(entry.location, "base", f"the files are based on each other in a circle: {circle}"))
+        problems.append(Problem(entry.location, "base", f"the files form a circular chain of bases: {circle}"))
         return None
     below = read_chain(Path(base_name), base_name, problems, chain, entry.location)
     return merge(below, tree) if below else None
 
 
 def absolute_files(tree: Table, folder: str) -> Table:
-    """Names of CSV files made absolute, so that they are still found from elsewhere: from a base, or once resolved."""
+    """Names of CSV files as absolute paths, so that they remain valid in another folder."""
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
         for key in keys[:-1]:

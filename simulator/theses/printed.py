@@ -19,6 +19,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.study import style as report_style
 from simulator.study.style import STUDY_STYLE
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,34 +70,26 @@ COLUMNS: dict[str, dict[str, Any]] = {
 class Row:
     """One printed value and the one computed here.
 
-    Parameters
-    ----------
-    where : str
-        Figure, table, equation or section of the work, such as ``"Table 3.3"``.
-    quantity : str
-        What it is.
-    printed, computed : str
-        Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`.
-    verdict : str
-        What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding,
-        catalogue or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result
-        beside which the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a
-        device) is not to be had; ``"open"``, a question that the work leaves open.
-    why : str
-        How it was computed, and the reason of a difference.
-
     Raises
     ------
     ValueError
-        When a row without a printed value is given a verdict of comparison, or the reverse.
+        If a row without a printed value has a verdict of comparison, or the reverse.
     """
 
     where: str
+    """Figure, table, equation or section of the work, such as ``"Table 3.3"``."""
     quantity: str
+    """What it is."""
     printed: str
     computed: str
+    """Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`."""
     verdict: Verdict
+    """What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding, catalogue
+    or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result beside which
+    the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a device) is not to
+    be had; ``"open"``, a question that the work leaves open."""
     why: str = ""
+    """How it was computed, and the reason of a difference."""
 
     def __post_init__(self) -> None:
         if (self.printed in ("", NOTHING)) != (self.verdict == "not printed"):
@@ -111,6 +104,9 @@ class Section:
     title: str
     rows: Sequence[Row]
     figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return described("Section", self.title, f"{len(self.rows)} rows", f"{len(self.figures)} figures")
 
     def figure(self, name: str) -> Figure:
         """One figure, drawn in the study's style."""

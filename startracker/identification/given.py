@@ -11,7 +11,7 @@ from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.identification.observed import Prior
 from startracker.image_map import ImageMap, to_directions
-from startracker.interop import is_rotation, plain
+from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel
 
 __all__ = ["WORST_PX", "as_prior", "usable_directions"]
@@ -54,6 +54,8 @@ def as_prior(attitude: object, prior_deg: float) -> Prior | None:
         return None
     if is_rotation(attitude):
         attitude = Attitude.from_rotation(attitude)
+    if is_skycoord(attitude):
+        raise InputError("a SkyCoord has no roll; give prior=Attitude.from_skycoord(coordinate, roll_deg)")
     if not isinstance(attitude, Attitude):
         made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
         raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")

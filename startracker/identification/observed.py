@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 from startracker.kernels import kernel
 from startracker.solution import Status
 
@@ -38,6 +39,8 @@ class Observed:
     flux: FloatArray | None
     sigma_rad: FloatArray
     kept: dict[float, Any] = field(default_factory=dict)
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -98,3 +101,5 @@ class Identification:
     focal: float = 1.0
     steps: Sequence[str] = ()
     operations: int = 0
+
+    __repr__ = fields_repr
