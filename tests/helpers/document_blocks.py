@@ -10,7 +10,8 @@ text     what is no code
 ======== ===========================================================================================================
 
 A comment before a block changes this: ``<!-- not run: reason -->``; ``<!-- file: NAME -->`` saves the block under this
-name first; ``<!-- output -->`` is a text block with what the Python block before it prints. ``<!-- picture: NAME as PATH -->`` anywhere says from which file a command wrote a picture of the page.
+name first; ``<!-- output -->`` is a text block with what the Python block before it prints. ``<!-- picture: NAME as
+PATH -->`` anywhere says which file of a command is a picture of the page.
 
 ``python tests/helpers/document_blocks.py PAGE.md ...`` runs pages and writes the outputs and pictures into them.
 """
@@ -205,9 +206,10 @@ def run_page(path: Path, *, write: bool = False) -> None:
         if block.language == "console" or block.is_output:
             new.append((block.span, shown))
             if not write:
-                assert without_numbers(shown) == without_numbers(block.text), (
-                    f"{where}: prints something else than is shown; `make docs-outputs` writes it into the page:\n{shown}"
+                told = (
+                    f"{where}: prints something else than is shown; `make docs-outputs` writes into the page:\n{shown}"
                 )
+                assert without_numbers(shown) == without_numbers(block.text), told
     for match in _PICTURE.finditer(document):
         assert Path(match["file"]).is_file(), f"{path.name}: no command wrote {match['file']}"
         if write:

@@ -23,7 +23,8 @@ def test_every_key_of_a_scenario_has_an_entry_with_its_facts():
         assert key.description, f"{key.path} has no description"
         if key.section:
             continue
-        entry = re.search(rf"^::::\{{key\}} {re.escape(key.path)}\n\{{\.facts\}}\n(.+)\n\n(.+)\n::::$", text, re.MULTILINE)
+        start = re.escape(f"::::{{key}} {key.path}\n{{.facts}}\n")
+        entry = re.search(rf"^{start}(.+)\n\n(.+)\n::::$", text, re.MULTILINE)
         assert entry, f"{key.path} has no entry"
         assert "default `" in entry[1] or "required" in entry[1]
         assert not key.unit or f"· {key.unit} ·" in entry[1]
@@ -102,6 +103,35 @@ def test_links_lead_to_files(page):
         made = "generated/" in target or "notebooks/" in target
         if not made and not target.startswith("http"):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_column_of_the_results_is_described():
+    from simulator.scenario import Scenario
+    from simulator.study.run import run
+
+    small = ["detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28"]
+    study = run(Scenario.load("cubesat", small), trials=2)
+    page = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
+    described = _described(page)
+    assert set(study.columns) <= described, sorted(set(study.columns) - described)
+    assert set(study.summary) <= described, sorted(set(study.summary) - described)
+
+
+def test_columns_of_sequences_are_described_where_sequences_are():
+    """The names in docs/sequences.md are those of the result files."""
+    described = _described((ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8"))
+    for name in ("elapsed_s", "mode", "innovation_distance2", "true_rate_x_deg_s", "single_error_roll_deg", "rule"):
+        assert name in described
+
+
+def _described(page: str) -> set[str]:
+    """Names in code in the first column of the tables, with their abbreviations written out."""
+    axes = ("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight")
+    names = set()
+    for row in re.findall(r"^\| (.+?) \| ", page.replace("\\|", "/"), re.MULTILINE):
+        for name in re.findall(r"`([^`]+)`", row):
+            names |= {name.replace("<axis>", axis).replace("<x/y/z>", letter) for axis in axes for letter in "xyz"}
+    return names
 
 
 def test_blocks_are_found_with_their_marks():
