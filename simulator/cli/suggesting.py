@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 from typing import Any
 
 import typer
@@ -22,6 +23,14 @@ class SuggestingGroup(TyperGroup):
         """Names in the order of help."""
         names = list(self.commands)
         return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; Ctrl-C ends it with one line and status 130."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("boresight: interrupted", file=sys.stderr)
+            raise typer.Exit(130) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command of a name."""

@@ -91,6 +91,14 @@ def test_a_base_accepts_what_a_command_accepts(command, tmp_path, name):
     assert "did you mean 'cubesat'?" in line
 
 
+def test_an_interrupt_is_one_line(command, monkeypatch):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("simulator.cli.scenario_commands.validate", interrupt)
+    assert command("validate", "cubesat") == (130, "", "boresight: interrupted\n")
+
+
 def test_shells_complete_scenarios_and_keys():
     assert complete_scenario("cub") == ["cubesat"]
     assert "gallery/moon" in complete_scenario("gallery/")
