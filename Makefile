@@ -3,13 +3,14 @@
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
+# make notebooks    executes the notebooks and stores their outputs
 # make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all test-lowest lint clean cluster-demo bench bench-identification bench-frames
+.PHONY: run test test-all test-lowest lint notebooks clean cluster-demo bench bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -35,6 +36,9 @@ $(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+notebooks: $(VENV)/.installed-test
+	$(BIN)/python tests/helpers/run_notebooks.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

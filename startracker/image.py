@@ -118,7 +118,7 @@ def read_image(
         loaded = replace(loaded, colours=None)
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
-            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; leave bayer out")
+            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; omit bayer")
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
         # the gains differ by colour: take the lowest level at which any pixel saturates
@@ -136,7 +136,7 @@ def read_image(
 
 def _bytes_of(file: Path) -> bytes:
     if file.is_dir():
-        raise InputError(f"{file}: is a folder; give the image files in it")
+        raise InputError(f"{file}: is a folder; give the image files inside it")
     try:
         return file.read_bytes()
     except OSError as error:
@@ -283,7 +283,7 @@ def _read_fits(file: Path) -> LoadedImage:
                     }
                     break
                 else:
-                    raise InputError(f"{file}: holds no two-dimensional image; {_HINT}")
+                    raise InputError(f"{file}: contains no two-dimensional image; {_HINT}")
     except InputError:
         raise
     except Exception as error:

@@ -76,7 +76,5 @@ def rotation_quat(given: Any) -> NDArray[np.float64]:
     """
     quat = np.asarray(given.as_quat(), dtype=float) if is_rotation(given) else np.empty(0)
     if quat.shape != (4,):
-        raise InputError(
-            f"a single scipy Rotation is needed; got {type(given).__name__} of the shape {quat.shape[:-1]}"
-        )
+        raise InputError(f"a single scipy Rotation is needed; got {type(given).__name__} with shape {quat.shape[:-1]}")
     return quat * [-1.0, -1.0, -1.0, 1.0]

@@ -21,7 +21,7 @@ EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 _OBLIQUITY_RAD = np.radians(23.4393)
 _ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
-"""Beyond any spacecraft: the fastest passed the Sun at 192 km/s, the farthest is at 170 au."""
+"""Upper limits: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,5 +143,5 @@ def observer_of(observer: Observer | None, time: Any) -> Observer | None:
     if time is None:
         return observer
     if observer is not None:
-        raise InputError("observer and time both give the epoch; leave time out")
+        raise InputError("observer and time both give the epoch; omit time")
     return Observer(epoch_jyear=time)

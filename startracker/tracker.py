@@ -15,7 +15,6 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.attitude import Attitude
-from startracker.blind import FreeSearch
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
@@ -23,6 +22,7 @@ from startracker.catalog.stars import StarCatalog
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids, stated_variance
 from startracker.given_image import given_image
@@ -297,13 +297,13 @@ class StarTracker:
             known = None if free else directions
             refined = refine(pairs, stars, camera, guide, self._estimate, free, known, observer)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
-            reason = f"{found.reason}; but the estimator says: {error}"
+            reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         solution = self._solved(found, refined, stars, guide, observer, clock)
         return replace(solution, steps=tried, prior_contradicted=contradicted)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
-        """Solution with the focal length fitted along, within its error, and what was tried."""
+        """Solution with fitted focal length, within its error, and the attempts."""
         camera, error = self.camera, self.focal_error
         search = FreeSearch(
             stars.xy,

@@ -1,6 +1,7 @@
 """Plots of a study: each function draws one figure from the columns of the trials.
 
-Colours are those of Okabe & Ito (2008), distinguished by the colour-blind and in grey print; markers differ as well.
+Colours are those of Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
+well.
 """
 
 from __future__ import annotations

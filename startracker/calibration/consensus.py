@@ -39,7 +39,7 @@ class FocalLengths(NamedTuple):
 
     log_factor: FloatArray
     sigma: FloatArray
-    """Natural logarithm of the factor, and its standard error with the image's own residuals, (I,); inf where it has no
+    """Natural logarithm of the factor, and its standard error with the image's own residuals, (I,); inf without a
     fit."""
 
 

@@ -1,4 +1,4 @@
-"""What an attitude estimator hands on, and the checks of what goes in."""
+"""Result of an attitude estimator, and checks of its input."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ __all__ = ["Estimate", "check_directions"]
 FloatArray = NDArray[np.float64]
 
 _DISTINCT_RAD = 1e-9
-"""Directions nearer than this (0.2 mas) to the first's axis say nothing of the turn about it in double precision."""
+"""Minimum angle (0.2 mas) from the axis of the first direction; closer ones do not determine the rotation about it in
+double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Estimate:
     matrix: FloatArray
     """Proper rotation, ``observed = matrix @ reference``, (3, 3)."""
     covariance: FloatArray
-    """Of the error's rotation vector, rad², in the axes of the observed vectors, (3, 3)."""
+    """Covariance of the rotation vector of the error, rad², in the axes of the observed vectors, (3, 3)."""
 
     __repr__ = fields_repr
 
@@ -39,7 +40,7 @@ def check_directions(
     Raises
     ------
     InputError
-        Shapes that do not fit, values that are not finite, a vector of length zero, a standard deviation that is not
+        For inconsistent shapes, values that are not finite, a vector of length zero, a standard deviation that is not
         positive, or fewer than two distinct directions (a direction and its opposite are one axis).
     """
     b = np.ascontiguousarray(observed, dtype=np.float64)

@@ -43,5 +43,5 @@ def identify_around(
 
 
 def _beside_prior(found: Identification) -> Identification:
-    reason = f"{found.reason}; found over the whole sky, not within the prior"
+    reason = f"{found.reason}; found in the search of the whole sky, outside the prior"
     return replace(found, reason=reason)

@@ -1,4 +1,4 @@
-"""How an update of a tracking session went."""
+"""State of a tracking session after an update."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrackingState:
-    """How the last update went.
+    """Result of the last update.
 
     Parameters
     ----------
     mode : str
-        ``tracking``, ``prior`` (whole frame, around the prediction), ``lost_in_space``, or ``coasting`` where the
-        frame was not used at all (status ``stale`` or ``bad_time``).
+        ``tracking``, ``prior`` (whole frame, near the prediction), ``lost_in_space``, or ``coasting`` if the frame was
+        not used (status ``stale`` or ``bad_time``).
     solved : bool
-        Whether the update gave an attitude.
+        Whether the update has an attitude.
     windows : int
-        Windows looked at; 0 where the whole frame was.
+        Number of windows; 0 for the whole frame.
     expected, matched : int
-        Guide stars looked for, and stars matched.
+        Number of guide stars searched for, and of stars matched.
     log_chance : float
-        ln of the largest probability that chance does as well; of tracking alone, else NaN.
+        ln of the upper limit of the chance probability, in mode ``tracking``; otherwise NaN.
     innovation : Innovation, optional
-        How the measurement compared with the prediction; None where there was no prediction.
+        Comparison of the measurement with the prediction; None without a prediction.
     restarted : bool
-        Whether the filter began anew: the first solution, or one that contradicts the prediction.
+        Whether the filter was restarted: by the first solution, or one that contradicts the prediction.
     distrusted : bool
-        Whether the innovations of the last frames together contradicted the filter, which then lost confidence: its
-        covariance and its process noise were raised before the frame was taken in.
+        Whether the innovations of recent frames contradicted the filter, so that its covariance and process noise were
+        increased before the frame was used.
     note : str
-        What else there is to say of the frame: a gyro sample that was left out, a clock that was set back.
+        Further remarks on the frame: an ignored gyro sample, a clock that was set back.
     window_xy : (windows, 2), optional
         Central pixels of the windows.
     window_half_px : int
-        A window has 2 half + 1 pixels a side.
+        A window has 2 half + 1 pixels per side.
     """
 
     mode: str = "lost_in_space"

@@ -249,7 +249,7 @@ def test_file_without_permission(tmp_path):
     file = tmp_path / "closed.yaml"
     file.write_text(GOOD)
     file.chmod(0)
-    with pytest.raises(ScenarioError, match="may not be read"):
+    with pytest.raises(ScenarioError, match="cannot be read"):
         Scenario.load(file)
 
 
