@@ -11,7 +11,7 @@ _FOLDER = Path(__file__).parent
 
 
 def render_page(template: str, **values: Any) -> str:
-    """A template, named by its path from this folder, filled in; what it asks for and is not given is an error."""
+    """Rendered template, given by its path from this folder; undefined values are errors."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(

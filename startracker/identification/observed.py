@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.image_map import ImageMap, to_directions
-from startracker.interop import is_rotation, plain
+from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel
 from startracker.solution import Status
 
@@ -45,6 +46,8 @@ class Observed:
     flux: FloatArray | None
     sigma_rad: FloatArray
     kept: dict[float, Any] = field(default_factory=dict)
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -106,6 +109,8 @@ class Identification:
     steps: Sequence[str] = ()
     operations: int = 0
 
+    __repr__ = fields_repr
+
 
 @kernel
 def usable_directions(
@@ -137,6 +142,8 @@ def as_prior(attitude: object, prior_deg: float) -> Prior | None:
         return None
     if is_rotation(attitude):
         attitude = Attitude.from_rotation(attitude)
+    if is_skycoord(attitude):
+        raise InputError("a SkyCoord has no roll; give prior=Attitude.from_skycoord(coordinate, roll_deg)")
     if not isinstance(attitude, Attitude):
         made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
         raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")

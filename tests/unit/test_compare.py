@@ -121,7 +121,7 @@ def test_page_names_the_runs_and_stands_alone(tmp_path):
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [(["nowhere", "a"], "no such folder"), (["."], "holds no results"), (["a"], "two runs or more")],
+    [(["nowhere", "a"], "no such folder"), (["."], "contains no results"), (["a"], "at least two runs")],
 )
 def test_mistakes_are_one_line(tmp_path, monkeypatch, given, words):
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,5 @@
-"""The report: one self-contained HTML page, the answer in its first lines; as PDF in `simulator.study.report.pdf`."""
+"""The report: one self-contained HTML page, with the answer in its first lines; for PDF see
+`simulator.study.report.pdf`."""
 
 from __future__ import annotations
 
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A report, its text and its figures, but not yet set in type."""
+    """Text and figures of a report, before layout."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
-    """What was run, and its ``summary.json``."""
+    """The scenario, and its ``summary.json``."""
     content: Content
     """Text and tables."""
     panels: Panels
@@ -46,18 +47,18 @@ def build_report(
     runner: TrialRunner | None = None,
     budget: Mapping[str, Any] | None = None,
 ) -> Report:
-    """Everything that a report says and shows.
+    """Content of a report.
 
     Parameters
     ----------
     scenario : Scenario
-        What was run.
+        The scenario.
     summary : mapping
-        As in ``summary.json``; where it says that the run was interrupted, the report says so too.
+        As in ``summary.json``; the report also states if the run was interrupted.
     columns : mapping of arrays
         As in ``trials.parquet``.
     runner : TrialRunner, optional
-        That of the run, so that the example frames need no second one.
+        The runner of the run, which is reused for the example frames.
     budget : mapping, optional
         As in ``budget.json``.
     """
@@ -72,7 +73,7 @@ def build_report(
 
 
 def html_of(report: Report) -> str:
-    """The report as one page: no script, no link to anything outside it, light and dark, for desk, phone and paper."""
+    """The report as one page without scripts or external links, in light and dark, for desktop, phone and print."""
     from markupsafe import Markup
 
     def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:
@@ -101,5 +102,5 @@ def report_html(
     *,
     runner: TrialRunner | None = None,
 ) -> str:
-    """`build_report` and `html_of` in one: the page alone, drawn apart."""
+    """`build_report` and `html_of` in one, drawn in a separate process."""
     return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner))

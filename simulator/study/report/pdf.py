@@ -1,6 +1,6 @@
 """The report as PDF, for signing and filing: A4 pages with the same text and the same figures as the page.
 
-Set by matplotlib alone, so that it needs no browser; the same report gives the same bytes.
+Typeset by matplotlib, without a browser; the same report gives the same bytes.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.27, 11.69  # A4
 MARGIN_IN = 0.7
-_LINE_IN = 1.45 / 72  # a line of text, in inches for each point of its size
-_LETTER_IN = 0.56 / 72  # a letter of DejaVu Sans, on average and with a little to spare, in inches a point
+_LINE_IN = 1.45 / 72  # line height, inches per point of font size
+_LETTER_IN = 0.56 / 72  # mean width of a letter of DejaVu Sans with a margin, inches per point
 
 
 def pdf_of(report: Report) -> bytes:
@@ -31,7 +31,7 @@ def pdf_of(report: Report) -> bytes:
     Parameters
     ----------
     report : Report
-        As `simulator.study.report.page.build_report` makes it.
+        From `simulator.study.report.page.build_report`.
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
@@ -48,7 +48,7 @@ def pdf_of(report: Report) -> bytes:
         paper.table(content.answer.axes)
         paper.text(content.answer.axes.note, 8, colour=SOFT)
         paper.table(content.answer.rates)
-        paper.text("What limits it. " + " ".join(content.answer.limits), 9)
+        paper.text("Limits. " + " ".join(content.answer.limits), 9)
         for note in content.notes:
             paper.text(note, 9, weight="bold")
         paper.heading("Accuracy")
@@ -56,24 +56,24 @@ def pdf_of(report: Report) -> bytes:
         paper.text(content.accuracy.note, 8, colour=SOFT)
         paper.panels(report.panels.errors)
         if report.panels.trends:
-            paper.heading("What the error depends on")
+            paper.heading("Dependence of the error")
             paper.panels(report.panels.trends)
         if content.budget.rows:
             paper.heading("Error budget")
             paper.table(content.budget)
             paper.text(content.budget.note, 8, colour=SOFT)
-        paper.heading("Over time, over the sky")
+        paper.heading("Time and sky")
         paper.panels(report.panels.wide)
         paper.heading("Frames")
         paper.panels([panel for panel, _ in report.frames])
         paper.heading("Outliers")
         paper.table(content.outliers)
         paper.text(f"{content.outliers.note} {RENDER_COMMAND}", 8)
-        paper.heading("How it was made")
+        paper.heading("Method")
         paper.text(content.how, 9)
         paper.text(", ".join(f"{name} {number}" for name, number in report.summary["versions"].items()), 8, colour=SOFT)
-        paper.heading("The scenario with every default spelled out")
-        # without its comments, which take three pages and stand in scenario.resolved.yaml
+        paper.heading("Scenario, with all defaults")
+        # without comments, which take three pages and are in scenario.resolved.yaml
         paper.lines(
             [line for line in scenario.to_yaml().splitlines() if line.strip() and not line.strip().startswith("#")]
         )
@@ -82,14 +82,14 @@ def pdf_of(report: Report) -> bytes:
 
 
 class _Paper:
-    """Sheets filled from top to bottom; a new one is begun where something does not fit any more."""
+    """Pages filled from top to bottom; a new page is started for items that do not fit."""
 
     def __init__(self, pages: PdfPages, footer: str) -> None:
         self.pages = pages
         self.footer = footer
         self.number = 0
         self.sheet: Figure | None = None
-        self.top_in = 0.0  # of what comes next, from the upper edge
+        self.top_in = 0.0  # of the next item, from the upper edge
 
     @property
     def room_in(self) -> float:
@@ -108,7 +108,7 @@ class _Paper:
         return self.sheet
 
     def end(self) -> None:
-        """Send off the sheet under way."""
+        """Finish the current page."""
         if self.sheet is not None:
             self.pages.savefig(self.sheet)  # type: ignore[no-untyped-call]  # matplotlib's has no types
             self.sheet = None
@@ -129,20 +129,20 @@ class _Paper:
         self.top_in += 0.08 if lines else 0.0
 
     def heading(self, text: str) -> None:
-        """A heading, which never stands last on a sheet."""
+        """A heading, which is never the last item on a page."""
         self._need(2.5)
         self.top_in += 0.15
         self.text(text, 13, weight="bold")
 
     def lines(self, lines: list[str], size: float = 7.5) -> None:
-        """Lines as they are, in letters of one width."""
+        """Lines unchanged, in a monospaced font."""
         for line in lines:
             self._need(_LINE_IN * size)
             self._put(MARGIN_IN, self.top_in, line, size, family="monospace")
             self.top_in += _LINE_IN * size
 
     def table(self, table: Table, size: float = 7.5) -> None:
-        """A table; columns as wide as their longest cell where there is room, long cells broken into lines."""
+        """A table; columns as wide as their longest cell if there is room, with long cells wrapped."""
         from matplotlib.lines import Line2D
 
         if not table.rows:
@@ -182,7 +182,7 @@ class _Paper:
         self.top_in += 0.12
 
     def panels(self, panels: list[Panel]) -> None:
-        """Figures, two beside each other, or one across the sheet where it is wide."""
+        """Figures, two per row, or one per row for wide ones."""
         row: list[Panel] = []
         for panel in panels:
             if panel.wide or len(row) == 2:
@@ -215,7 +215,7 @@ class _Paper:
 
     @staticmethod
     def _draw(sheet: Figure, panel: Panel, left: float, top: float, width: float, height: float) -> None:
-        """Axes at their position on the sheet, with room for their labels, in letters of the sheet's size."""
+        """Axes at their position on the page, with room for labels, in the font size of the page."""
         from matplotlib import rc_context
 
         before, below = 0.52, 0.58 if panel.wide else 0.4

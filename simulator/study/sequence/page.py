@@ -1,4 +1,4 @@
-"""The page of a sequence: one self-contained HTML file, the answer in its first lines."""
+"""The page of a sequence: a self-contained HTML file with the answer in its first lines."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from simulator.study.statistics import AXES, BODY_AXES, deg_text
 from simulator.study.style import inline_svg, style_variables
 
 _LARGEST_GIF_BYTES = 12_000_000
-"""A larger animation stays a file beside the page."""
+"""A larger animation remains a separate file."""
 
 
 def sequence_html(
     scenario: Scenario, summary: dict[str, Any], columns: dict[str, NDArray[Any]], gif: bytes | None = None
 ) -> str:
-    """Whole page: no script, no link to anything outside it.
+    """Complete page without scripts or external links.
 
     Parameters
     ----------
     scenario : Scenario
-        What was run.
+        The scenario.
     summary, columns : dict
         As in ``sequence.json`` and ``sequence.parquet``.
     gif : bytes, optional

@@ -1,4 +1,4 @@
-"""The page of a comparison: errors of every run with their intervals in one picture, and tables."""
+"""The page of a comparison: a figure of the errors of all runs with their intervals, and tables."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _ARCSEC = 3600.0
 
 
 def comparison_page(comparison: Comparison) -> str:
-    """Whole page of a comparison: no script, no link to anything outside it."""
+    """Complete page of a comparison, without scripts or external links."""
     return table_page("compare.html.j2", comparison=comparison, picture=embedded(comparison_picture(comparison)))
 
 
 def comparison_picture(comparison: Comparison) -> bytes:
-    """PNG: rms error about every axis, share identified, and matched stars, a line a run, with 95 % intervals."""
+    """PNG: rms error about each axis, identification rate and matched stars, one line per run, with 95 % intervals."""
     runs = comparison.runs
     y = np.arange(len(runs))
     figure, panels = figure_of_panels((12.5, 2.4 + 0.44 * len(runs)), sharey=True)
@@ -46,7 +46,7 @@ def comparison_picture(comparison: Comparison) -> bytes:
 
 
 def _numbers(statistics: dict[str, Any], name: str) -> tuple[float, float, float]:
-    """Value and ends of its interval as the picture has them; NaN for what is not there."""
+    """Value and limits of its interval in the units of the figure; NaN if missing."""
     if name == "rate":
         keys, scale = [f"identification_rate{end}" for end in ("", "_low", "_high")], 100.0
     elif name == "stars":

@@ -1,4 +1,4 @@
-"""Pages with tables of several studies: that of a sweep, and that of a comparison. Self-contained, light and dark."""
+"""Pages with tables of several studies (sweep, comparison): self-contained, light and dark."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulator.study.sweep.plots import SweepFigure
 
 
 def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
-    """Whole page of a sweep: no script, no link to anything outside it.
+    """Complete page of a sweep, without scripts or external links.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
 def meets(statistics: dict[str, Any], specification_deg: dict[str, float]) -> bool:
     """Whether 99.7 % of the errors about every body axis are within the specification, and nothing is wrong.
 
-    Of the trials of the point alone: a point has too few of them for an interval of that percentile.
+    Based on the sample alone, as a point has too few trials for an interval of this percentile.
     """
     found = [(statistics[f"{axis}_p997_deg"], specification_deg[axis]) for axis in BODY_AXES]
     return statistics["wrong"] == 0 and all(p997 is not None and p997 <= limit for p997, limit in found)
 
 
 def table_page(template: str, **values: Any) -> str:
-    """A template of this folder filled in, with what pages of tables share."""
+    """Rendered template of this folder, with common values of pages with tables."""
     return render_page(
         f"sweep/{template}",
         axes=AXES,
@@ -58,12 +58,12 @@ def table_page(template: str, **values: Any) -> str:
 
 
 def embedded(png: bytes) -> str:
-    """A picture as a data address."""
+    """A picture as a data URL."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def interval_text(statistics: dict[str, Any], axis: str) -> str:
-    """Rms of an axis and its 95 % interval, for people."""
+    """Rms of an axis and its 95 % interval, for display."""
     rms, low, high = (deg_text(statistics[f"{axis}_{name}_deg"]) for name in ("rms", "rms_low", "rms_high"))
     if "–" in (low, high):
         return rms
@@ -71,13 +71,13 @@ def interval_text(statistics: dict[str, Any], axis: str) -> str:
 
 
 def percent_text(statistics: dict[str, Any]) -> str:
-    """Share identified and its 95 % interval, for people."""
+    """Identification rate and its 95 % interval, for display."""
     rate, low, high = (statistics[f"identification_rate{end}"] for end in ("", "_low", "_high"))
     return "–" if rate is None else f"{100 * rate:.2f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def value_text(value: Any) -> str:
-    """A value of a key, for people."""
+    """A value of a key, for display."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

@@ -1,7 +1,7 @@
-"""Plots of a sweep: errors and identification against every swept key, and maps over two.
+"""Plots of a sweep: errors and identification rate by swept key, and maps over two keys.
 
-A logarithmic range has a logarithmic axis; names and mixed lists stand side by side. Grey crosses mark what physics
-refuses. The hues are those of Okabe & Ito (2008); every curve has a marker of its own.
+A logarithmic range has a logarithmic axis; names and mixed lists are categories. Grey crosses mark unphysical points.
+The colours are those of Okabe & Ito (2008); curves also differ in their markers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_CURVES = 6
-"""More curves than this in one panel cannot be distinguished: the points are then drawn, and their pooled rms."""
+"""Maximum number of curves in a panel; above it points and their pooled rms are drawn."""
 
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, "#CC79A7", "#444444")
 _MARKERS = "osD^vP"
@@ -30,7 +30,7 @@ Point = dict[str, Any]
 
 @dataclass(frozen=True)
 class SweepFigure:
-    """A picture of the page: the stem of its file, heading, a sentence to read it by, and the PNG."""
+    """A figure of the page: stem of its file, heading, caption, and the PNG."""
 
     name: str
     title: str
@@ -53,14 +53,14 @@ def sweep_figures(table: dict[str, Any]) -> list[SweepFigure]:
         figures.append(SweepFigure(name, f"Against {_label(axis)}", note, save_bytes(figure)))
     if len(table["swept"]) == 2 and table["kind"] == "grid":
         down, across = table["swept"]
-        note = "A number in a cell is the rms in arcseconds, or the share identified in per cent; darker is worse."
+        note = "Values are rms errors in arcseconds, or identification rates in per cent; darker is worse."
         title = f"{_label(down)} and {_label(across)} together"
         figures.append(SweepFigure("map", title, note, save_bytes(error_maps(table))))
     return figures
 
 
 def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
-    """Rms error about every axis, identification rate and matched stars against one key, and how to read it."""
+    """Rms error about each axis, identification rate and matched stars by one key, and the caption."""
     axis = next(a for a in table["swept"] if a["path"] == path)
     others = [a["path"] for a in table["swept"] if a["path"] != path]
     done = [p for p in table["points"] if "statistics" in p]
@@ -82,18 +82,18 @@ def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
         else:
             x, y, low, high = _series(done, path, position, name, scale)
             ax.errorbar(x, y, _bars(y, low, high), fmt="o", color=BLUE, markersize=3, elinewidth=0.6, alpha=0.45,
-                        label="a point of the sweep")  # fmt: skip
+                        label="single point")  # fmt: skip
             if table["kind"] == "grid":
                 ax.plot(
                     *_pooled(x, y, squares=name in AXES),
                     "s-",
                     color=VERMILION,
                     markersize=4,
-                    label="over all other keys",
+                    label="all points",
                 )
         if refused:
             ax.plot(refused, [0.03] * len(refused), "x", color=GREY, transform=ax.get_xaxis_transform(),
-                    label="refused by physics", clip_on=False)  # fmt: skip
+                    label="unphysical", clip_on=False)  # fmt: skip
         found = [p["statistics"][_column(name)] for p in done]
         limit_deg = table["specification_deg"].get(name)
         _dress_x(ax, axis)
@@ -103,15 +103,16 @@ def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
     if len(labels) > 1 or not curves:
         figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=4, frameon=False)
     return figure, (
-        "Root mean square error (left scale) and 3σ, three times it (right scale); dashed: the 3σ specified. "
-        "Bars: 95 % intervals, by bootstrap, and Wilson's for the share identified. "
-        + ("" if curves else "The other keys differ from point to point. ")
-        + "All points saw the same skies and draws, so differences between them are more certain than the bars suggest."
+        "Rms error (left scale) and 3σ, three times the rms (right scale); dashed: specified 3σ. "
+        "Bars: 95 % intervals, by bootstrap, and Wilson's for the identification rate. "
+        + ("" if curves else "The other keys vary between points. ")
+        + "All points share the same attitudes and random numbers, so differences are more accurate than the "
+        "bars suggest."
     )
 
 
 def error_maps(table: dict[str, Any]) -> Figure:
-    """Maps of the rms error about every axis and of the share identified over two swept keys."""
+    """Maps of the rms error about each axis and of the identification rate over two swept keys."""
     down, across = table["swept"]
     rows, columns = down["values"], across["values"]
     at = {(p["values"][down["path"]], p["values"][across["path"]]): p for p in table["points"]}
@@ -148,7 +149,7 @@ _Y_LABELS = {"identification_rate": "identified [%]", "stars_matched_mean": "sta
 
 
 def _quantities() -> list[tuple[str, str, float]]:
-    """What the eight panels show: name, title, scale."""
+    """Name, title and scale of the eight panels."""
     rows = [(axis, TITLES[axis], _ARCSEC) for axis in AXES]
     rows.insert(3, ("identification_rate", "", 100.0))
     return [*rows, ("stars_matched_mean", "", 1.0)]
@@ -172,7 +173,7 @@ def _text(value: Any) -> str:
 
 
 def _position_along(axis: dict[str, Any], points: list[Point]) -> Any:
-    """Function from a value to its position along the axis: itself, or its number among the names."""
+    """Function from a value to its position on the axis: the value, or the index of a name."""
     if axis["numeric"]:
         return float
     names = list(dict.fromkeys(axis["values"] or [p["values"][axis["path"]] for p in points]))
@@ -180,7 +181,7 @@ def _position_along(axis: dict[str, Any], points: list[Point]) -> Any:
 
 
 def _series(points: list[Point], path: str, position: Any, name: str, scale: float) -> tuple[NDArray[np.float64], ...]:
-    """Position, value and interval of every point that has the statistic, by position; NaN for no interval."""
+    """Position, value and interval of every point with the statistic, by position; NaN without an interval."""
     low, high = f"{name}_rms_low_deg", f"{name}_rms_high_deg"
     if name not in AXES:
         low, high = f"{name}_low", f"{name}_high"
@@ -195,12 +196,12 @@ def _series(points: list[Point], path: str, position: Any, name: str, scale: flo
 
 
 def _bars(y: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of the bars below and above; none where there is no interval."""
+    """Lengths of the bars below and above; zero without an interval."""
     return np.nan_to_num(np.maximum(np.stack([y - low, high - y]), 0.0))
 
 
 def _refused_everywhere(points: list[Point], path: str, position: Any) -> list[float]:
-    """Positions at which no point can be."""
+    """Positions at which all points are unphysical."""
     possible = {position(p["values"][path]) for p in points if p["status"] != "refused"}
     return sorted({position(p["values"][path]) for p in points} - possible)
 
@@ -230,7 +231,7 @@ def _dress_x(ax: Axes, axis: dict[str, Any]) -> None:
 
 
 def _dress_y(ax: Axes, name: str, title: str, values: NDArray[np.float64], limit: float | None) -> None:
-    """Scale and label of a statistic; for an error 3σ on the right, and the specification where it is within reach.
+    """Scale and label of a statistic; for an error 3σ on the right, and the specification if it is within range.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ def _dress_y(ax: Axes, name: str, title: str, values: NDArray[np.float64], limit
     name, title : str
         Name and heading of the statistic.
     values : array
-        What the panel shows.
+        Values of the panel.
     limit : float, optional
         Specified 3σ, arcseconds.
     """
@@ -257,7 +258,7 @@ def _dress_y(ax: Axes, name: str, title: str, values: NDArray[np.float64], limit
             _decades(ax.yaxis)
         else:
             ax.set_ylim(bottom=0)
-        # made once the scale stands: a secondary axis forgets its ticks when its parent's scale changes
+        # created after the scale is set: a secondary axis loses its ticks if its parent's scale changes
         right = ax.secondary_yaxis("right", functions=(_three_sigma, _rms))
         right.set_ylabel("3σ [arcsec]", fontsize=8)
         if wide:
