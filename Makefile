@@ -5,13 +5,14 @@
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
 # make docs    the documentation site, docs/_build/html/index.html
 # make docs-outputs    run the code blocks of the tutorials and guides and write what they print into the pages
+# make notebooks    executes the notebooks and stores their outputs
 # make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all test-lowest lint docs docs-outputs clean cluster-demo bench bench-identification bench-frames
+.PHONY: run test test-all test-lowest lint docs docs-outputs notebooks clean cluster-demo bench bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -37,6 +38,9 @@ $(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+notebooks: $(VENV)/.installed-test
+	$(BIN)/python tests/helpers/run_notebooks.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
