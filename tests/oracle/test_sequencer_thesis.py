@@ -34,7 +34,7 @@ def test_printed_equation_of_q2_is_wrong_in_one_row():
     faults = equation_faults(as_printed=True)
     assert [(row.state, row.c2z, row.b, name) for row, name in faults] == [(5, 1, 1, "Q2")]
     assert next_state(5, 0, 0, 1, 0, 1, as_printed=True)[0] == 0b010
-    with pytest.raises(InputError, match="not at rest"):
+    with pytest.raises(InputError, match="does not stop"):
         for _ in run(Sequencer(0, lines=3, columns=4, counts_per_line=20, as_printed=True), most_clocks=5000):
             pass
 
