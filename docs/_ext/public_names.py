@@ -22,6 +22,7 @@ GROUPS = {
         "startracker.solve_unknown_fov",
         "startracker.read_image",
         "startracker.LoadedImage",
+        "startracker.sample_photo",
         "startracker.wcs_header",
     ],
     "Camera, attitude, sky": [

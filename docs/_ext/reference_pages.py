@@ -12,11 +12,13 @@ import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from public_names import GROUPS
-from sphinx.application import Sphinx
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 DOCS = Path(__file__).parents[1]
 GENERATED = DOCS / "reference" / "generated"
@@ -24,6 +26,18 @@ NOTEBOOKS = DOCS / "notebooks"
 
 Pages = dict[str, str]
 """Path below docs/reference/generated, without suffix, to the page's text."""
+
+KEYS_INTRODUCTION = """\
+Every key that a scenario may have, with its unit, range and default. `boresight show SCENARIO` prints the same keys
+with the values of a scenario, `boresight validate` checks a file, and `boresight schema` prints the JSON schema, with
+which an editor completes and checks keys while you type."""
+COMMANDS_INTRODUCTION = """\
+`boresight COMMAND --help` prints the same text. A command ends with exit status 0 if it did what was asked, 1 if the
+answer is negative (a field not solved, a specification not met), 2 after one line on standard error that says what to
+correct, and 130 after Ctrl-C."""
+API_INTRODUCTION = """\
+The names of `simulator` and `startracker`. Angles are in degrees at the interface and in radians where the name or the
+text says so; every name with a unit ends with it."""
 
 
 def _toctree(names: list[str]) -> str:
@@ -43,9 +57,7 @@ def scenario_pages() -> Pages:
     index = [
         "# Scenario keys",
         "",
-        "Every key that a scenario may have, with its unit, range and default. `boresight show SCENARIO` prints the same "
-        "keys with the values of a scenario, `boresight validate` checks a file, and `boresight schema` prints the "
-        "JSON schema, with which an editor completes and checks keys while you type.",
+        KEYS_INTRODUCTION,
         "",
         "| section | content |",
         "|---|---|",
@@ -123,13 +135,11 @@ def command_pages() -> Pages:
     index = [
         "# Commands",
         "",
-        "`boresight COMMAND --help` prints the same text. A command ends with exit status 0 if it did what was asked, "
-        "1 if the answer is negative (a field not solved, a specification not met), 2 after one line on standard error "
-        "that says what to correct, and 130 after Ctrl-C.",
+        COMMANDS_INTRODUCTION,
         "",
         "| command | purpose |",
         "|---|---|",
-        *(f"| [`{name}`](commands/{_file(name)}.md) | {_first_sentence(command.help)} |" for name, command in found.items()),
+        *(f"| [`{name}`](commands/{_file(name)}.md) | {_first_sentence(one.help)} |" for name, one in found.items()),
         "",
         _toctree([f"commands/{_file(name)}" for name in found]),
     ]
@@ -194,8 +204,7 @@ def api_pages() -> Pages:
     index = [
         "# Python interface",
         "",
-        "The names of `simulator` and `startracker`. Angles are in degrees at the interface and in radians where the name "
-        "or the text says so; every name with a unit ends with it.",
+        API_INTRODUCTION,
     ]
     pages: Pages = {}
     for title, names in GROUPS.items():
@@ -235,6 +244,7 @@ BESIDE = {
     "../benchmarks/RESULTS.md": "reference/generated/RESULTS.md",
     "../benchmarks/RESULTS-identification.md": "reference/generated/RESULTS-identification.md",
     "../benchmarks/RESULTS-frames.md": "reference/generated/RESULTS-frames.md",
+    "../examples/plugin/README.md": "reference/generated/plugin.md",
     "../CHANGELOG.md": "reference/generated/CHANGELOG.md",
 }
 """Pages that the site shows in copies, by their paths from docs/ and below it."""
@@ -242,9 +252,7 @@ BESIDE = {
 
 def copied_pages() -> Pages:
     """The changes and the results of the benchmarks."""
-    return {
-        Path(name).stem: (DOCS / name).read_text(encoding="utf-8") for name in BESIDE if (DOCS / name).exists()
-    }
+    return {Path(copy).stem: (DOCS / name).read_text(encoding="utf-8") for name, copy in BESIDE.items()}
 
 
 def link_to_copies(_app: Sphinx, docname: str, source: list[str]) -> None:

@@ -10,7 +10,8 @@ text     what is no code
 ======== ===========================================================================================================
 
 A comment before a block changes this: ``<!-- not run: reason -->``; ``<!-- file: NAME -->`` saves the block under this
-name first; ``<!-- output -->`` is a text block with what the Python block before it prints. ``<!-- picture: NAME as PATH -->`` anywhere says from which file a command wrote a picture of the page.
+name first; ``<!-- output -->`` is a text block with what the Python block before it prints. ``<!-- picture: NAME as
+PATH -->`` anywhere says which file of a command is a picture of the page.
 
 ``python tests/helpers/document_blocks.py PAGE.md ...`` runs pages and writes the outputs and pictures into them.
 """
@@ -133,7 +134,7 @@ def command_lines(text: str) -> list[list[str]]:
         command: list[str] = []
         for word in [*lexer, ";"]:
             if word != ";":
-                command += sorted(map(str, Path().glob(word))) if "*" in word and "=" not in word else [word]
+                command += sorted(map(str, Path().glob(word)))[:3] if "*" in word and "=" not in word else [word]
             elif command:
                 commands.append(command)
                 command = []
@@ -192,7 +193,7 @@ def run_page(path: Path, *, write: bool = False) -> None:
     new: list[tuple[tuple[int, int], str]] = []
     shown = ""
     for block in blocks(document):
-        where = f"{path.relative_to(ROOT)}:{block.line}"
+        where = f"{path.name}:{block.line}"
         assert block.language in LANGUAGES, f"{where}: the language of a block is one of {', '.join(LANGUAGES)}"
         if block.file:
             Path(block.file).write_text(block.text, encoding="utf-8")
@@ -205,9 +206,10 @@ def run_page(path: Path, *, write: bool = False) -> None:
         if block.language == "console" or block.is_output:
             new.append((block.span, shown))
             if not write:
-                assert without_numbers(shown) == without_numbers(block.text), (
-                    f"{where}: prints something else than is shown; `make docs-outputs` writes it into the page:\n{shown}"
+                told = (
+                    f"{where}: prints something else than is shown; `make docs-outputs` writes into the page:\n{shown}"
                 )
+                assert without_numbers(shown) == without_numbers(block.text), told
     for match in _PICTURE.finditer(document):
         assert Path(match["file"]).is_file(), f"{path.name}: no command wrote {match['file']}"
         if write:
@@ -239,7 +241,7 @@ def _run_block(block: Block, where: str, names: dict[str, object]) -> str:
         tomllib.loads(block.text)
     elif block.language == "sh":
         for words in command_lines(block.text):
-            run_command(reduced(words) if words[0] == "boresight" else words)
+            run_command(["boresight", *reduced(words[1:])] if words[0] == "boresight" else words)
     elif block.language == "console":
         shown = ""
         for command, _ in sessions(block.text):
@@ -265,14 +267,15 @@ def check_scenario(text: str) -> None:
 
 
 @contextlib.contextmanager
-def workspace(folder: Path):
+def workspace(folder: Path, *, photographs: bool = True):
     """Work in a folder where the documents find what they name: the scenarios, a photograph, photographs for a fit."""
     (folder / "scenarios").symlink_to(ROOT / "scenarios")
     shutil.copy(ROOT / "docs/tutorials/photograph/orion_belt.jpg", folder)
     before = Path.cwd()
     os.chdir(folder)
     try:
-        make_photographs()
+        if photographs:
+            make_photographs()
         yield
     finally:
         os.chdir(before)
