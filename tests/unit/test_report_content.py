@@ -168,7 +168,7 @@ def test_limits_are_told_from_the_bound_and_the_budget(scenario):
     assert "shot noise 64 %" in said  # 0.8² of the mean square; what may be nothing is not named
     assert "cosmic rays" not in said
     assert content.budget.rows[0][0] == "cosmic rays"
-    assert content.budget.rows[-1][0] == "the error"
+    assert content.budget.rows[-1][0] == "total error"
 
 
 def test_chosen_frames():
