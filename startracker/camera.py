@@ -236,6 +236,11 @@ class Camera:
         return self._seen_deg([[self.cx, -0.5], [self.cx, self.height - 0.5]], undistorted)
 
     @property
+    def fov_text(self) -> str:
+        """Field of view as every command, explanation, picture and report states it: width × height, 0.001°."""
+        return f"{self.fov_deg:.3f}° × {self.fov_y_deg:.3f}°"
+
+    @property
     def undistorted_fov_deg(self) -> float:
         """Field of view across the width from the focal length alone, as in `from_fov`.
 

@@ -144,7 +144,7 @@ def identification_steps(
     """
     area = math.radians(camera.fov_deg) * math.radians(camera.fov_y_deg)
     expected = stars * min(area / (4.0 * math.pi), 1.0)
-    first = f"{stars} guide stars to V = {magnitude:.1f}, about {expected:.0f} in a field of {camera.fov_deg:.2f}°"
+    first = f"{stars} guide stars to V = {magnitude:.1f}, about {expected:.0f} in a field of {camera.fov_text}"
     return tuple(Step("identification", text) for text in (first, *texts, reason))
 
 

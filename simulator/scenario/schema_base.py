@@ -27,6 +27,8 @@ class Section(BaseModel):
         ]
         return described(type(self).__name__, *changed)
 
+    __str__ = __repr__
+
     def __dir__(self) -> list[str]:
         """Keys, and what boresight adds to them; the names that pydantic brings along are left out."""
         own = {name for kind in type(self).__mro__ if issubclass(kind, Section) for name in vars(kind)}

@@ -25,7 +25,7 @@ def rounded(value: float, sigma: float) -> str:
 def summary(calibration: Calibration) -> list[str]:
     """Lines of a report: parameters with their standard errors, residuals, images, notes."""
     camera = calibration.camera
-    lines = [f"{camera.projection}, {camera.width}×{camera.height} pixels, {camera.fov_deg:.4f}° across the width"]
+    lines = [f"{camera.projection}, {camera.width}×{camera.height} pixels, field {camera.fov_text}"]
     for name, (value, sigma, unit) in calibration.values().items():
         lines.append(f"  {name:<3} {rounded(value, sigma)}{' ' + unit if unit else ''}")
     scale = camera.pixel_rad / ARCSEC_RAD

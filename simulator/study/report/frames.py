@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.plots import draw_solution, shades_of
+from simulator.study.pictures import draw_solution, shades_of
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import Panel
 from simulator.study.trials.trial import TrialRunner, solve_frame
