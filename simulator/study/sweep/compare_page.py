@@ -45,8 +45,8 @@ def comparison_page(comparison: Comparison) -> str:
             ("run", *names),
             tuple((str(n + 1), *_ratios(found)) for n, found in enumerate(comparison.ratios) if n),
             note="Ratio of the rms error to that of run 1 over the trials solved by both, with 95 % interval by "
-            "bootstrap of pairs; an interval without 1 is a significant difference. – for runs without common trials "
-            "(another seed or sampling, or none solved by both).",
+            "bootstrap of pairs; an interval without 1 is a significant difference. Trials are common to runs "
+            "of the same seed and sampling.",
         ),
         rates=Table(
             ("run", "solved", "wrong", "identified (95 %)", "stars matched", "render [ms]", "solve [ms]", "trials/s"),
@@ -78,7 +78,7 @@ def _origin(run: ComparedRun) -> tuple[str, str, str]:
 
 def _ratios(found: dict[str, tuple[float, float | None, float | None]] | None) -> list[str]:
     if found is None:
-        return ["–"] * len(AXES)
+        return ["no common trials", *["–"] * (len(AXES) - 1)]
     texts = []
     for axis in AXES:
         ratio, low, high = found[axis]
