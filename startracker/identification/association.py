@@ -98,7 +98,8 @@ def named(
     """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), which fit, and the centroids
     (N, 2) with duplicates merged.
 
-    A centroid that fits is within 3.7 standard errors; the others go to what guide stars are left within `near_px`.
+    A centroid that fits is within 3.7 standard errors, those along the trail of a smeared star being far larger than
+    those across; the others go to what guide stars are left within `near_px`.
     Where several fit one star, that star stands at their mean: the nearest to where it is expected would confirm any
     expectation.
     """
@@ -108,6 +109,9 @@ def named(
         widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
         gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
     near, _ = nearest_unique(xy, places, gate)
+    for n in range(len(xy)):
+        if near[n] >= 0 and not _is_within(xy[n], places[near[n]], stated[n], factor, systematic_px2):
+            near[n] = -1
     owner, merged, several = np.empty(len(places), np.int64), np.empty_like(xy), np.empty(len(xy))
     for k in range(len(places)):
         owner[k] = -1
@@ -119,7 +123,9 @@ def named(
         best, at = gate[n], -1
         for k in range(len(places) if near[n] < 0 else 0):
             away = math.hypot(xy[n, 0] - places[k, 0], xy[n, 1] - places[k, 1])
-            if away <= best and owner[k] >= 0:
+            if away > best or owner[k] < 0:
+                continue
+            if _is_within(xy[n], places[k], stated[n], factor, systematic_px2):
                 best, at = away, owner[k]
         if at >= 0:
             several[at] += 1.0
@@ -133,6 +139,14 @@ def named(
             pairs[count, 0], pairs[count, 1], fits[count] = n, index[place], near[n] >= 0
             count += 1
     return pairs[:count], fits[:count], merged
+
+
+@kernel
+def _is_within(xy: FloatArray, place: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
+    """Whether a centroid (2,) is within 3.7 standard errors of a position (2,) by its covariance (2, 2)."""
+    a, c, b = factor * stated[0, 0] + systematic_px2, factor * stated[1, 1] + systematic_px2, factor * stated[0, 1]
+    x, y = xy[0] - place[0], xy[1] - place[1]
+    return bool(c * x * x - 2.0 * b * x * y + a * y * y <= REJECT_SIGMAS**2 * (a * c - b * b))
 
 
 @kernel
