@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.defects import mask_extremes
 from startracker.detection.values import Image, as_pixels
+from startracker.display import fields_repr
 
 __all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
 
@@ -40,6 +41,8 @@ class Survey:
     saturation_dn: float
     masked: int = 0
     gaps: bool = False
+
+    __repr__ = fields_repr
 
 
 def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:

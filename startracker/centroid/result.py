@@ -9,6 +9,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import fields_repr
+
 __all__ = ["Centroids", "misfit_of_brightest"]
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +46,8 @@ class Centroids:
     saturated: NDArray[np.bool_]
     common_px2: FloatArray | None = None
     misfit: float | None = None
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.flux)

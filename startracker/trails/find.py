@@ -15,6 +15,7 @@ from startracker.detection.matched import DEFAULT_SIGMA_PX
 from startracker.detection.motion import agrees, common_motion, motion_at
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, as_pixels
+from startracker.display import fields_repr
 from startracker.settings import DetectionSettings
 from startracker.trails.fit import (
     ANGLE,
@@ -81,6 +82,8 @@ class Trails:
     motion: FloatArray
     lengths: FloatArray
     fitted_alone: NDArray[np.bool_]
+
+    __repr__ = fields_repr
 
 
 @dataclass(frozen=True, eq=False)
