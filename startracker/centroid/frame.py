@@ -90,7 +90,7 @@ def measure_psf_sigma(image: Image, background: Background, spots: Spots, window
     """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
 
     The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has
-    them; saturated stars and those on the border are left out. (1, 1) when no star tells.
+    them; saturated stars and those on the border are left out. (1, 1) when no star can be measured.
     """
     return _widths(prepare(image, background, CentroidSettings(window_px=window_px), 1.0), spots)
 
