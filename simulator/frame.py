@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.display import described, html_card, photograph, quantity_range
+from startracker.display import described, html_card, quantity_range
 from startracker.observer import Observer
+from startracker.picture import photograph
 
 FloatArray = NDArray[np.float64]
 

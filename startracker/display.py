@@ -6,10 +6,8 @@ needs no script and no file from elsewhere.
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import html
-import io
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -20,22 +18,20 @@ from numpy.typing import NDArray
 from startracker.constants import ARCSEC_RAD
 
 __all__ = [
+    "PICTURE_PX",
     "angle_text",
     "changed_fields",
     "described",
     "fields_repr",
     "html_card",
-    "photograph",
     "quantity_range",
     "star_chart",
 ]
 
 _LONGEST = 240
 """Characters of a description; what is beyond is cut."""
-_PICTURE_PX = 420
+PICTURE_PX = 420
 """Longer side of a picture in a notebook."""
-_WIDEST_STRETCH = 100.0
-"""Level shown as white, in units of the noise's standard deviation."""
 
 
 def described(kind: str, *parts: str) -> str:
@@ -92,7 +88,7 @@ def html_card(title: str, rows: Mapping[str, str] | Iterable[tuple[str, str]], p
         for name, value in pairs
         if value
     )
-    figure = f'<div style="flex:0 1 {_PICTURE_PX}px;min-width:0">{picture}</div>' if picture else ""
+    figure = f'<div style="flex:0 1 {PICTURE_PX}px;min-width:0">{picture}</div>' if picture else ""
     return (
         '<div style="display:flex;flex-wrap:wrap;gap:16px;align-items:flex-start;color:inherit;background:transparent">'
         f'{figure}<div style="flex:1 1 300px;min-width:0;overflow-wrap:anywhere">'
@@ -100,29 +96,6 @@ def html_card(title: str, rows: Mapping[str, str] | Iterable[tuple[str, str]], p
         f'<table style="border-collapse:collapse;background:transparent;margin:0"><tbody>{lines}</tbody></table>'
         "</div></div>"
     )
-
-
-def photograph(image: NDArray[Any], alt: str) -> str:
-    """An image (H, W) as HTML: a JPEG, positive, with an asinh stretch from the sky's median (Lupton et al. 2004, PASP
-    116, 133), averaged to the size shown."""
-    from PIL import Image
-
-    height, width = image.shape
-    step = max(1, math.ceil(max(height, width) / (1.5 * _PICTURE_PX)))
-    whole = np.asarray(image[: max(height - height % step, 1), : max(width - width % step, 1)], dtype=np.float32)
-    sky = float(np.nanmedian(whole)) if np.isfinite(whole).any() else 0.0
-    whole = np.where(np.isfinite(whole), whole, np.float32(sky))
-    if min(whole.shape) >= step:
-        whole = whole.reshape(whole.shape[0] // step, step, whole.shape[1] // step, step).mean(axis=(1, 3))
-    noise = 1.4826 * float(np.median(np.abs(whole - sky)))
-    noise = max(noise, 1e-3 * float(np.ptp(whole)), 1e-12)
-    stretched = np.arcsinh(np.clip((whole - sky) / noise - 0.5, 0.0, None)) / math.asinh(_WIDEST_STRETCH)
-    levels = np.clip(20.0 + 235.0 * stretched, 0.0, 255.0).astype(np.uint8)
-    stream = io.BytesIO()
-    Image.fromarray(levels).save(stream, "JPEG", quality=65)
-    code = base64.b64encode(stream.getvalue()).decode()
-    style = f"display:block;width:100%;max-width:{_PICTURE_PX}px;height:auto"
-    return f'<img alt="{html.escape(alt)}" style="{style}" src="data:image/jpeg;base64,{code}"/>'
 
 
 def star_chart(
@@ -148,7 +121,7 @@ def star_chart(
         Names of the identified stars; empty ones are not written.
     """
     width, height = size
-    scale = _PICTURE_PX / max(width, height, 1)
+    scale = PICTURE_PX / max(width, height, 1)
     across, down = width * scale, height * scale
     key = f'<circle cx="6" cy="{down + 12:.0f}" r="3.5"/><text x="14" y="{down + 16:.0f}">identified star</text>'
     key += f'<circle cx="116" cy="{down + 12:.0f}" r="1.2"/><text x="122" y="{down + 16:.0f}">other centroid</text>'

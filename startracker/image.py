@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
-from startracker.display import described, html_card, photograph
+from startracker.display import described, html_card
 from startracker.errors import InputError
+from startracker.picture import photograph
 
 __all__ = ["LoadedImage", "read_image", "sample_photo"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
 from startracker.errors import InputError
-from startracker.interop import julian_year, plain
+from startracker.interop import is_time, julian_year, plain
 
 FloatArray = NDArray[np.float64]
 
@@ -60,6 +60,34 @@ class Observer:
         object.__setattr__(self, "epoch_jyear", epoch)
         self._check("velocity_km_s", _FASTEST_KM_S, "km/s", "m/s")
         self._check("position_au", _FARTHEST_AU, "au", "km")
+
+    @classmethod
+    def on_earth(cls, time: Any, location: Any) -> Observer:
+        """Observer on the ground, by ERFA's ``apco13``.
+
+        UT1 is taken as UTC, and the pole as fixed: errors of 5 cm/s and 0.5 km. No file is downloaded.
+
+        Parameters
+        ----------
+        time : astropy Time
+            Middle of the exposure.
+        location : astropy EarthLocation
+            For example ``EarthLocation.from_geodetic(lon=18.9 * u.deg, lat=-33.9 * u.deg, height=120 * u.m)``.
+
+        Raises
+        ------
+        InputError
+            For anything but one time and one location.
+        """
+        if not (is_time(time) and hasattr(location, "geodetic") and time.isscalar and location.isscalar):
+            raise InputError("an observer on the Earth needs one astropy Time and one astropy EarthLocation")
+        import erfa
+
+        geodetic = location.geodetic
+        site = geodetic.lon.to_value("rad"), geodetic.lat.to_value("rad"), geodetic.height.to_value("m")
+        # the ufunc, because its wrapper warns of dates after the table of leap seconds; air, polar motion: none
+        astrom, *_ = erfa.ufunc.apco13(time.utc.jd1, time.utc.jd2, 0.0, *site, *[0.0] * 5, 0.55)
+        return cls(time, astrom["v"] * SPEED_OF_LIGHT_KM_S, astrom["eb"])
 
     @property
     def time(self) -> Any:

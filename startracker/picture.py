@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import html
 import io
 import math
 from typing import TYPE_CHECKING, Any
@@ -9,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import PICTURE_PX
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "figure_bytes", "pixel_bytes", "rgb_pixels", "stretch"]
+__all__ = ["FORMATS", "figure_bytes", "photograph", "pixel_bytes", "rgb_pixels", "stretch"]
 
 FORMATS = ("png", "jpg", "jpeg", "svg", "pdf")
 """Output formats of pictures, by file suffix."""
@@ -63,6 +67,24 @@ def _page_of_pixels(rgb: NDArray[np.uint8], form: str) -> bytes:
     ax.imshow(rgb, interpolation="nearest", aspect="auto")
     ax.set_axis_off()
     return figure_bytes(figure, form)
+
+
+def photograph(image: NDArray[Any], alt: str) -> str:
+    """Image (H, W) as HTML for notebooks: a JPEG picture as a camera shows the sky (`stretch`), averaged to twice the
+    size at which it is shown."""
+    from PIL import Image
+
+    height, width = image.shape
+    step = max(1, max(height, width) // (2 * PICTURE_PX) + 1)
+    whole = np.asarray(image, dtype=np.float32)
+    if min(height, width) >= step:
+        whole = whole[: height - height % step, : width - width % step]
+        whole = whole.reshape(whole.shape[0] // step, step, whole.shape[1] // step, step).mean(axis=(1, 3))
+    stream = io.BytesIO()
+    Image.fromarray(rgb_pixels(stretch(whole))[..., 0]).save(stream, "jpeg", quality=65)
+    code = base64.b64encode(stream.getvalue()).decode()
+    style = f"display:block;width:100%;max-width:{PICTURE_PX}px;height:auto"
+    return f'<img alt="{html.escape(alt)}" style="{style}" src="data:image/jpeg;base64,{code}"/>'
 
 
 def stretch(image: NDArray[Any]) -> NDArray[np.float32]:

@@ -6,9 +6,7 @@ import os
 from datetime import datetime
 from pathlib import Path
 
-from simulator.scenario.fields import parse_utc
 from startracker.errors import InputError
-from startracker.picture import FORMATS
 
 
 def at_least(least: int, **options: int | None) -> None:
@@ -44,6 +42,8 @@ def utc_time(option: str, text: str) -> datetime:
     InputError
         For text that is no ISO 8601 time, or a time that does not exist.
     """
+    from simulator.scenario.fields import parse_utc
+
     try:
         return parse_utc(text)
     except ValueError as error:
@@ -59,6 +59,8 @@ def picture_format(path: Path | None) -> str:
     InputError
         Where it cannot be written, or its suffix is no format.
     """
+    from startracker.picture import FORMATS
+
     writable(path)
     form = "png" if path is None else path.suffix.lower().removeprefix(".")
     if form not in FORMATS:

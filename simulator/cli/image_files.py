@@ -8,6 +8,7 @@ from pathlib import Path
 
 from simulator.paths import make_folder
 from startracker.errors import InputError
+from startracker.image import sample_photo
 
 __all__ = ["FITS_SUFFIXES", "OutputFiles", "image_files", "is_our_frame", "spooled"]
 
@@ -27,15 +28,18 @@ def image_files(paths: Sequence[Path]) -> Iterator[Path]:
 def spooled(paths: Sequence[Path], folder: Path) -> list[Path]:
     """The paths, with ``-`` replaced by a file in `folder` that holds what standard input gave.
 
+    ``sample``, where there is no such file, is the photograph that ships.
+
     Raises
     ------
     InputError
         If ``-`` is named twice, or standard input is a terminal.
     """
+    paths = [sample_photo() if path == Path("sample") and not path.exists() else path for path in paths]
     if paths.count(Path("-")) > 1:
         raise InputError("-: standard input can be read only once")
     if Path("-") not in paths:
-        return list(paths)
+        return paths
     if sys.stdin.isatty():
         raise InputError("-: standard input is a terminal; send an image to it, for example: boresight solve - < a.jpg")
     data = sys.stdin.buffer.read()

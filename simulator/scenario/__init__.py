@@ -6,3 +6,7 @@ from simulator.scenario.load import Scenario
 from simulator.scenario.schema import ScenarioModel
 
 __all__ = ["Location", "Problem", "Scenario", "ScenarioError", "ScenarioModel", "find_scenario"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

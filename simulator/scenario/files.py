@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
+import functools
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +18,40 @@ FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffl
 
 
 def find_scenario(path: str | Path) -> Path:
-    """The file, or for a bare name such as ``sunsat`` that is not a file, the included scenario of that name."""
+    """The file, or for a name such as ``sunsat`` or ``moon`` that is not a file, the included scenario of that name."""
     return _file_or_shipped(Path(path), str(path))
 
 
+@functools.cache
+def included_scenarios() -> dict[str, Path]:
+    """Files of the included scenarios by name; those of the gallery go by ``moon`` and by ``gallery/moon``."""
+    here = Path(__file__).resolve().parent
+    folder = next(path for path in (here / "shipped", here.parents[1] / "scenarios") if path.is_dir())
+    found = {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+    for file in sorted((folder / "gallery").glob("*.yaml")):
+        found |= {file.stem: file, f"gallery/{file.stem}": file}
+    return found
+
+
 def _file_or_shipped(file: Path, written: str) -> Path:
-    """`file`, or, if it does not exist and the user wrote a bare name, the included scenario of that name."""
-    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
-    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
-        here = Path(__file__).resolve().parent
-        for folder in (here / "shipped", here.parents[1] / "scenarios"):
-            shipped = folder / f"{written}.yaml"
-            if shipped.is_file():
-                return shipped
-    return file
+    """`file`, or, if it does not exist and the user wrote the name of an included scenario, that."""
+    shipped = included_scenarios().get(written)
+    return shipped if shipped is not None and (file.is_dir() or not os.path.lexists(file)) else file
+
+
+def _hint(file: Path) -> str:
+    """What to write instead of a file that does not exist."""
+    if "\0" in str(file):
+        return ""
+    known = {name: name for name in included_scenarios()} | {
+        path.name: str(path) for path in file.parent.glob("*.yaml")
+    }
+    for wanted in (file.name, file.stem):
+        if close := difflib.get_close_matches(wanted, known, n=1, cutoff=0.7):
+            return f"; did you mean '{known[close[0]]}'?"
+    if file.suffix or file.parent != Path():
+        return ""
+    return f"; included are {', '.join(name for name in included_scenarios() if '/' not in name)}"
 
 
 def read_chain(
@@ -41,7 +64,8 @@ def read_chain(
     """Tree of a file merged over its base; None if one of them cannot be read, with the reason in `problems`."""
     text = read_text(file, name, named_at, "base" if named_at else "")
     if isinstance(text, Problem):
-        problems.append(text)
+        missing = text.message.startswith("no such file")
+        problems.append(replace(text, message=text.message + _hint(file)) if missing else text)
         return None
     tree = parse_document(text, name, problems)
     return with_base(tree, name, problems, (*chain, (os.path.realpath(file), name))) if tree else None

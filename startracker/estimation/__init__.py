@@ -53,3 +53,7 @@ METHODS: dict[str, Estimator] = {
 OPTIMAL: frozenset[Estimator] = frozenset({wahba_svd, davenport, quest, esoq2})
 """Estimators that minimise the weighted squares: they give the same attitude as the fit of
 `startracker.estimation.pose`."""
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

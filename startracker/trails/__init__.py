@@ -8,3 +8,7 @@ from startracker.trails.find import Trails, find_trails
 from startracker.trails.turn import mid_exposure
 
 __all__ = ["Trails", "find_trails", "mid_exposure"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -21,7 +21,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
         cell.metadata.pop("execution", None)
     notebook.metadata.pop("widgets", None)
     run_in = {"metadata": {"path": path.parent}}
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources=run_in, record_timing=False).execute()
+    options = {"timeout": 300, "kernel_name": "python3", "record_timing": False, "store_widget_state": False}
+    NotebookClient(notebook, resources=run_in, **options).execute()
     notebook.metadata["language_info"] = {"name": "python"}
     return notebook
 

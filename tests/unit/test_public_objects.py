@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import importlib
 import io
 import re
 import tomllib
@@ -14,7 +15,6 @@ import pytest
 from astropy import units as u
 from PIL import Image
 
-import simulator
 import startracker
 from simulator import Renderer, Scenario, render, run
 from startracker import Camera, InputError, Observer, Solution, StarField, StarTracker, Status, TrackingSession
@@ -193,10 +193,15 @@ def test_a_card_without_a_single_finite_pixel():
     assert "data:image/jpeg" in image._repr_html_()
 
 
-@pytest.mark.parametrize("package", [simulator, startracker], ids=["simulator", "startracker"])
-def test_completion_lists_the_public_names_only(package):
+STAGES = ("calibration", "catalog", "centroid", "detection", "estimation", "identification", "tracking", "trails")
+PACKAGES = ["simulator", "startracker", "simulator.scenario", *(f"startracker.{stage}" for stage in STAGES)]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_completion_lists_the_public_names_only(name):
+    package = importlib.import_module(name)
     assert dir(package) == sorted(package.__all__)
-    assert all(getattr(package, name) is not None for name in package.__all__)
+    assert all(getattr(package, public) is not None for public in package.__all__)
 
 
 def test_completion_of_a_scenario_lists_keys_and_its_own_methods(scenario):

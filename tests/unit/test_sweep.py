@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.checks import load_scenario
-from simulator.cli.sweep_command import time_left_s
+from simulator.cli.terminal import time_left_s
 from simulator.scenario import ScenarioError
 from simulator.study.sweep.files import point_files
 from simulator.study.sweep.run import plan_sweep, run_sweep
