@@ -58,7 +58,7 @@ $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-oracles: $(VENV)/.installed-test
-	$(BIN)/python -m pip install --quiet --editable '.[test,oracles]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,oracles,docs]'
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed
