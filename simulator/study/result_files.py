@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simulator.paths import write_atomically
+
+
+def now_utc() -> str:
+    """Current date and time, UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def json_text(values: Any) -> str:

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from simulator.scenario import Scenario
 from simulator.study.data_frames import Rows
-from simulator.study.result_files import json_text, write_files
+from simulator.study.result_files import json_text, now_utc, write_files
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
@@ -188,6 +188,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "name": scenario.name,
         "seed": scenario.seed,
         "version": __version__,
+        "finished_utc": now_utc(),
         "identity": run_identity(scenario, done.finished).to_dict(),
         "requested": done.requested,
         "interrupted": done.interrupted,

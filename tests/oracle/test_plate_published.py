@@ -109,7 +109,7 @@ def test_first_centre_is_near():
         (XY * np.nan, CATALOG, "finite"),
         (np.column_stack([np.arange(5.0), 2 * np.arange(5.0)]), CATALOG, "not collinear"),
         (np.zeros((5, 2)), CATALOG, "not collinear"),
-        (XY, CATALOG * [[1], [-1], [1], [-1], [1]] + [[0], [180], [0], [180], [90]], "90°|settle|moves"),
+        (XY, CATALOG * [[1], [-1], [1], [-1], [1]] + [[0], [180], [0], [180], [90]], "90°|converge"),
     ],
 )
 def test_unusable_input(xy, sky, match):

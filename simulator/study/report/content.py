@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.html_page import Table, provenance
 from simulator.study.intervals import wilson_interval
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
 from simulator.study.verdict import FEWEST_TO_MEET, MET, NOT_MET, UNDECIDED, Verdict, advice, overall_verdict
@@ -25,16 +26,6 @@ RENDER_COMMAND = "boresight render scenario.resolved.yaml --index I --preview tr
 AT_THE_BOUND = 1.1
 """Maximum ratio of error to bound for the error to count as limited by the bound."""
 AXIS_NAMES = {axis: axis.replace("_", " ").replace("about boresight", "about the boresight") for axis in AXES}
-
-
-@dataclass(frozen=True)
-class Table:
-    """Headings and rows of text; columns in `words` are text, aligned to the left."""
-
-    headings: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-    words: tuple[int, ...] = ()
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,6 +50,7 @@ class Content:
     outliers: Table
     budget: Table
     how: str
+    provenance: str
     notes: tuple[str, ...] = field(default=())
 
 
@@ -87,6 +79,7 @@ def content_of(
         outliers=_outliers(summary, columns),
         budget=_budget(budget),
         how=_how(scenario, summary),
+        provenance=provenance({"name": scenario.name, **summary}, scenario.fingerprint()),
         notes=tuple(notes),
     )
 
@@ -164,13 +157,13 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         verdict=verdict,
         margin=margin,
         axes=Table(
-            ("axis", "99.7 % below", "95 % interval", "specified", "factor", "verdict"),
+            ("axis", "99.7th percentile", "95 % interval", "specified", "margin", "verdict"),
             tuple(rows),
             note="The specification is met if the whole interval of the 99.7th percentile is within it, and not met "
             "if all of it is outside; otherwise more trials are needed. A limit shown as – is beyond the largest "
             f"error: the upper limit needs {FEWEST_TO_MEET} trials.",
         ),
-        rates=Table(("rate", "frames", "share", "95 % interval"), tuple(rates)),
+        rates=Table(("rate", "frames", "fraction", "95 % interval"), tuple(rates)),
         limits=_limits(summary, columns, budget),
     )
 
@@ -245,7 +238,7 @@ def _accuracy(summary: Mapping[str, Any]) -> Table:
     if any(interval_of(summary, axis, "rms") for axis in AXES):
         note += " 95 % bootstrap intervals in brackets."
     return Table(
-        ("axis", "mean", "std", "rms", "50 % below", "95 % below", "99.7 % below", "largest"), tuple(rows), note=note
+        ("axis", "mean", "std", "rms", "median", "95th percentile", "99.7th percentile", "max"), tuple(rows), note=note
     )
 
 

@@ -204,9 +204,10 @@ def _finish_errors(ax: Axes) -> None:
     ax.set_yscale("log")
     ax.set_ylabel("rms error [arcsec]")
     low, high = ax.get_ylim()
-    ax.set_ylim(low, high * (high / low) ** 0.22)  # room for the legend
+    small = ax.bbox.width / ax.figure.dpi < 2.5  # inches: three per row of the PDF
+    ax.set_ylim(low, high * (high / low) ** (0.4 if small else 0.22))  # room for the legend
     _plain(ax, "y")
-    ax.legend(loc="upper left", ncols=4, columnspacing=1.0, handlelength=1.6)
+    ax.legend(loc="upper left", ncols=2 if small else 4, columnspacing=1.0, handlelength=1.6)
 
 
 def _plain(ax: Axes, which: str) -> None:

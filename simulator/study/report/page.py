@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.html_page import render_page
+from simulator.study.html_page import drawn, render_page
 from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
 from simulator.study.statistics import BODY_AXES
-from simulator.study.style import Panel, inline_svg, style_variables
+from simulator.study.style import Panel
 from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
@@ -74,12 +74,6 @@ def build_report(
 
 def html_of(report: Report) -> str:
     """The report as one page without scripts or external links, in light and dark, for desktop, phone and print."""
-    from markupsafe import Markup
-
-    def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:
-        phone = Markup(inline_svg(panel, f"{key}n", narrow=True)) if panel.wide else ""
-        return {"panel": panel, "svg": Markup(inline_svg(panel, key)), "phone": phone, "anchor": anchor}
-
     return render_page(
         "report/report.html.j2",
         scenario=report.scenario,
@@ -90,7 +84,6 @@ def html_of(report: Report) -> str:
         trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
         wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],
         frames=[drawn(panel, f"f{i}", f"trial-{index}") for i, (panel, index) in enumerate(report.frames)],
-        colours=style_variables(),
         resolved=report.scenario.to_yaml(),
     )
 

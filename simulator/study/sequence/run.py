@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.data_frames import Rows
-from simulator.study.result_files import json_text, parquet_bytes, write_files
+from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
@@ -166,6 +166,7 @@ def _run(
         name=scenario.name,
         seed=scenario.seed,
         version=__version__,
+        finished_utc=now_utc(),
         identity=_identity(scenario, single, done).to_dict(),
         requested=requested,
         interrupted=done < requested,

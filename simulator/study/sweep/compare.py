@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,8 @@ class ComparedRun:
     """From `simulator.study.point_statistics.point_statistics`."""
     trials_per_second: float | None = None
     """Speed, if recorded."""
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """Scenario, seed and version of the results, as in their JSON file."""
 
     __repr__ = fields_repr
 
@@ -118,7 +120,7 @@ def _load_run(folder: Path, name: str) -> ComparedRun:
     values = _resolved(folder / "scenario.resolved.yaml")
     columns = Columns(_trials(folder / "trials.parquet"))
     statistics = point_statistics(columns, int(summary["seed"]))
-    return ComparedRun(name, values, columns, statistics, summary.get("trials_per_second"))
+    return ComparedRun(name, values, columns, statistics, summary.get("trials_per_second"), summary.get("identity", {}))
 
 
 def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
@@ -138,6 +140,7 @@ def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
                 base | done[index]["values"],
                 Columns(mine),
                 done[index]["statistics"],
+                identity=table.get("identity", {}),
             )
         )
     return runs

@@ -66,7 +66,7 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
     pictures = make_folder(folder / "plots")
     figures = sweep_figures(table)
     for figure in figures:
-        write_atomically(pictures / f"{figure.name}.png", figure.png)
+        write_atomically(pictures / f"{figure.name}.png", figure.png())
     write_atomically(folder / "sweep.html", sweep_page(table, figures))
 
 

@@ -28,7 +28,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
 from simulator.study.data_frames import Rows
-from simulator.study.result_files import parquet_bytes
+from simulator.study.result_files import now_utc, parquet_bytes
 from simulator.study.results_folder import (
     FILES,
     IDENTITY_FILE,
@@ -270,6 +270,7 @@ def _run_sweep(
         "name": plan.scenario.name,
         "scenario_file": plan.scenario.source_name,
         "version": __version__,
+        "finished_utc": now_utc(),
         "seed": plan.scenario.seed,
         "trials_per_point": plan.scenario.study.trials,
         "kind": plan.kind,
