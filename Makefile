@@ -107,7 +107,7 @@ dist: $(VENV)/.installed-dist
 	cd $$away; export PATH=$$away/venv/bin:$$PATH PYTHONPATH= PYTHONSAFEPATH=1; \
 	python -c 'import simulator, startracker; assert "site-packages" in simulator.__file__, simulator.__file__'; \
 	boresight validate cubesat moon; boresight run cubesat --trials 8 --workers 1 --out out; test -s out/report.html; \
-	boresight solve sample --annotate solved.jpg; boresight export-c tracker >export.txt; test -s tracker/tracker.c; \
+	boresight solve sample --annotate solved.jpg; boresight export-c tracker >export.txt; test -s tracker/tracker.h; \
 	echo "dist: $$(cd $(CURDIR)/dist && echo *) work outside of the clone"
 
 DASK_PORT ?= 8786
