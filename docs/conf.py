@@ -31,7 +31,7 @@ nb_ipywidgets_js = {}  # the default is a content delivery network
 nb_merge_streams = True
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
+autodoc_typehints = "none"  # the sections of a docstring have the types
 autodoc_preserve_defaults = True
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False

@@ -10,6 +10,7 @@ import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Self
 
 from startracker.display import changed_fields
@@ -105,16 +106,10 @@ class IdentificationSettings:
         InputError
             For settings of another method.
         """
-        if settings is None:
-            return cls()
         if isinstance(settings, cls):
             return settings
-        if type(settings) not in (IdentificationSettings, AnyIdentificationSettings):
-            raise InputError(f"{type(settings).__name__} are the settings of another identifier; give {cls.__name__}")
-        shared = {f.name: getattr(settings, f.name) for f in dataclasses.fields(cls) if hasattr(settings, f.name)}
-        if shared.get("max_stars", 0) is None:
-            del shared["max_stars"]
-        return cls(**shared)
+        made: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
+        return made
 
     __pydantic_config__ = FORBID
 
@@ -255,6 +250,19 @@ SETTINGS: dict[str, type[IdentificationSettings]] = {
 _OWN = {f.name for f in dataclasses.fields(AnyIdentificationSettings)} - {
     f.name for f in dataclasses.fields(IdentificationSettings)
 }
+
+
+@lru_cache(maxsize=32)
+def _converted(kind: Any, settings: IdentificationSettings | None) -> Any:
+    """Settings of one class from those of another, see `IdentificationSettings.of`."""
+    if settings is None:
+        return kind()
+    if type(settings) not in (IdentificationSettings, AnyIdentificationSettings):
+        raise InputError(f"{type(settings).__name__} are the settings of another identifier; give {kind.__name__}")
+    shared = {f.name: getattr(settings, f.name) for f in dataclasses.fields(kind) if hasattr(settings, f.name)}
+    if shared.get("max_stars", 0) is None:
+        del shared["max_stars"]
+    return kind(**shared)
 
 
 def settings_of(identifier: str, settings: IdentificationSettings | None) -> IdentificationSettings:

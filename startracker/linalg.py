@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from startracker.kernels import kernel, kernel_with
 
 __all__ = [
+    "chord",
     "cross",
     "factorise",
     "inverse",
     "log_determinant",
+    "rotate_back",
     "solve",
     "substitute",
     "transform",
@@ -111,6 +113,13 @@ def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
 
 
 @kernel
+def chord(u: FloatArray, v: FloatArray) -> float:
+    """Distance of two unit vectors."""
+    x, y, z = u[0] - v[0], u[1] - v[1], u[2] - v[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
 def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     """Cross product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -131,6 +140,17 @@ def transform(matrix: FloatArray, vectors: FloatArray, out: FloatArray) -> None:
         x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
         for i in range(3):
             out[n, i] = matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
+
+
+@kernel
+def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
+    """matrixᵀ · v of one vector (3,)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return (
+        matrix[0, 0] * x + matrix[1, 0] * y + matrix[2, 0] * z,
+        matrix[0, 1] * x + matrix[1, 1] * y + matrix[2, 1] * z,
+        matrix[0, 2] * x + matrix[1, 2] * y + matrix[2, 2] * z,
+    )
 
 
 @kernel

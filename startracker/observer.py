@@ -84,9 +84,9 @@ class Observer:
         import erfa
 
         geodetic = location.geodetic
-        position = geodetic.lon.to_value("rad"), geodetic.lat.to_value("rad"), geodetic.height.to_value("m")
+        site = geodetic.lon.to_value("rad"), geodetic.lat.to_value("rad"), geodetic.height.to_value("m")
         # the ufunc, because its wrapper warns of dates after the table of leap seconds; air, polar motion: none
-        astrom, *_ = erfa.ufunc.apco13(time.utc.jd1, time.utc.jd2, 0.0, *position, *[0.0] * 5, 0.55)
+        astrom, *_ = erfa.ufunc.apco13(time.utc.jd1, time.utc.jd2, 0.0, *site, *[0.0] * 5, 0.55)
         return cls(time, astrom["v"] * SPEED_OF_LIGHT_KM_S, astrom["eb"])
 
     @property

@@ -29,8 +29,7 @@ from startracker.given_image import given_image
 from startracker.identification.acceptance import is_beyond_doubt
 from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
-from startracker.identification.given import as_prior, usable_directions
-from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.refine import Measured, Refined, refine

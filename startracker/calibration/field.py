@@ -12,7 +12,7 @@ from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
 from startracker.display import described
-from startracker.identification.hypothesis import nearest_unique
+from startracker.identification.verification import nearest_unique
 from startracker.observer import Observer, aberrate
 
 __all__ = ["SkyPart", "StarField", "pair_up", "sky_part"]

@@ -62,7 +62,7 @@ class FixedSky:
 
 @dataclass(frozen=True)
 class FixedArithmetic:
-    """Two's complement integers; `startracker.identification.arithmetic.Arithmetic` documents each method."""
+    """Two's complement integers; `startracker.identification.arithmetic.FloatArithmetic` documents each method."""
 
     @property
     def separation_format(self) -> Format:

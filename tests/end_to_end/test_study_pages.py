@@ -1,6 +1,6 @@
 """Pages of sequences, sweeps and comparisons as readers see them: desktop, tablet and phone, light, dark, on paper.
 
-The sequence is a real one of few frames; sweep and comparison are pages of made-up trials: only the layout is tested.
+The sequence is a real one of few frames; sweep and comparison have made-up trials, as only the layout is tested.
 """
 
 import json

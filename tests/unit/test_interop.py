@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from simulator.mission.clock import Clock
 from startracker import Attitude, InputError, Observer
 from startracker.errors import FrameMismatchError
-from startracker.identification.given import as_prior
+from startracker.identification.observed import as_prior
 from startracker.observer import observer_of
 
 ROTATIONS = Rotation.random(20, rng=3)

@@ -29,8 +29,7 @@ from startracker.centroid import Centroids
 from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.identification import match_groups
-from startracker.identification.given import as_prior
-from startracker.identification.observed import Identification, Observed
+from startracker.identification.observed import Identification, Observed, as_prior
 from startracker.settings import CentroidSettings
 from startracker.solution import Status
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -70,7 +71,7 @@ def _plate(xy_px: FloatArray) -> tuple[Integers, IntegerAttitude] | None:
     """Result of the thesis' method, the largest group with three stars, unverified: image and catalogue stars (M, 2),
     attitude."""
     tables = _tracker().tables
-    image = tables.arithmetic.image(xy_px, vega().scale_deg)
+    image: Any = tables.arithmetic.image(xy_px, vega().scale_deg)
     best = match_triads(tables, image.xy, image.scale_deg, _LIMITS).best()
     if best is None:
         return None
