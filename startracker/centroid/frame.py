@@ -68,7 +68,7 @@ def prepare(
         raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
     values = as_pixels(image)
     if values.shape != background.shape:
-        raise InputError(f"the image is {values.shape} but its background {background.shape}; make it anew")
+        raise InputError(f"the image is {values.shape} but its background {background.shape}; compute it again")
     gain = gain_e_per_dn or (_gain_from_background(background) if values.size else 1.0)
     level, noise = background.level_plane, background.noise_plane
     return Prepared(Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, window // 2)

@@ -134,9 +134,9 @@ def weigh_pixels(
     noise : (float, float)
         DN an electron, and relative error of the flat field.
     weigh : bool
-        Whether the variances are made anew.
+        Whether the variances are computed again.
     rows : (3, N)
-        Gets weights and residuals; variances, which are kept where they are not made anew.
+        Gets weights and residuals; variances, which are kept where they are not computed again.
     """
     weights, residuals, variances = rows[0], rows[1], rows[2]
     for star in range(len(flux)):

@@ -14,7 +14,7 @@ one.
 
 A jittered star's true position is the mean of its image. With coma it is what the camera was calibrated with, centroids
 of stars of good signal (`REFERENCE_CONTRAST`), whose shift A₀ κ is part of its distortion. One frame cannot say which
-it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is taken off; A₀ κ is in the covariance
+it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is subtracted; A₀ κ is in the covariance
 of an error that all positions share.
 """
 

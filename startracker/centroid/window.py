@@ -213,7 +213,7 @@ def _centre(
 
 @kernel
 def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma_y: float, correct: bool) -> FloatArray:
-    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where there is no star image.
+    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where no star image is found.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
         _measure_star(
             pixels, peaks.x[index], peaks.y[index], half, (sigma_x, sigma_y), correct, (centres_x, centres_y), row
         )
-        # known no better than a star image, or a pixel, is wide: what is there is no star image
+        # known no better than a star image, or a pixel, is wide: it is not a star image
         if max(row[3], row[4]) > limit:
             row[:] = np.nan
     return out

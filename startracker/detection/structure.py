@@ -21,7 +21,7 @@ FloatImage = NDArray[np.float32]
 _LAG_PX = 5
 """Distance of the pixels whose difference measures the noise: beyond a star image and correlation in photographs."""
 _ROWS, _COLUMNS = 16, 64
-"""Where differences are taken: along few rows, as every row of an image must be fetched anew."""
+"""Where differences are taken: along few rows, as every row of an image must be fetched again."""
 _MEDIAN_ABSOLUTE = 0.67449
 """Median of a unit normal deviate's absolute value."""
 _NOISE_TIMES = 1.5

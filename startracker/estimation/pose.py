@@ -132,7 +132,7 @@ def few_stars_factor(freedom: int) -> float:
     """Factor of a covariance χ²/ν · P, so that it contains 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
 
     With errors known only from the residuals, eᵀP⁻¹e/(3 χ²/ν) is distributed as F(3, ν), not as χ²/3: for three stars
-    (ν = 3) its 99 % quantile is 7.8 times as large.
+    (ν = 3) its 99 % quantile is larger by a factor of 7.8.
     """
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
 
