@@ -3,13 +3,18 @@
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
+# make notebooks    executes the notebooks and stores their outputs
+# make dist   wheel and source archive in dist/, checked, installed in an environment of its own and tried outside of this folder
+# make docs    the documentation site, docs/_build/html/index.html
+# make docs-outputs    run the code blocks of the tutorials and guides and write what they print into the pages
 # make cluster-demo    a scheduler and two workers of dask.distributed on this machine, and 40 trials on them
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all test-lowest lint clean cluster-demo bench bench-identification bench-frames
+.PHONY: run test test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench bench-identification \
+        bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -35,6 +40,9 @@ $(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+notebooks: $(VENV)/.installed-test
+	$(BIN)/python tests/helpers/run_notebooks.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -70,9 +78,37 @@ bench-identification: $(VENV)/.installed-peers
 bench-frames: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.frames --failures --out benchmarks/RESULTS-frames.md
 
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@
+
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -b html -W --keep-going --quiet docs docs/_build/html
+	@echo docs/_build/html/index.html
+
+docs-outputs: $(VENV)/.installed
+	$(BIN)/python tests/helpers/document_blocks.py docs/index.md docs/tutorials/*.md docs/how-to/*.md
+
 $(VENV)/.installed-dask: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[dask]'
 	@touch $@
+
+$(VENV)/.installed-dist: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet 'build>=1.2' 'twine>=6.1'
+	@touch $@
+
+# What ships works without this folder: its scenarios, catalogues, C sources and sample photograph are in the wheel.
+dist: $(VENV)/.installed-dist
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m twine check --strict dist/*
+	@set -e; away=$$(mktemp -d); trap 'rm -rf $$away' EXIT; wheel=$$(ls $(CURDIR)/dist/*.whl); \
+	$(PYTHON) -m venv $$away/venv && $$away/venv/bin/python -m pip install --quiet $$wheel; \
+	cd $$away; export PATH=$$away/venv/bin:$$PATH PYTHONPATH= PYTHONSAFEPATH=1; \
+	python -c 'import simulator, startracker; assert "site-packages" in simulator.__file__, simulator.__file__'; \
+	boresight validate cubesat moon && boresight run cubesat --trials 8 --workers 1 --out out && test -s out/report.html; \
+	boresight solve sample --annotate solved.jpg && boresight export-c tracker >export.txt && test -s tracker/tracker.c; \
+	echo "dist: $$(cd $(CURDIR)/dist && echo *) work outside of the clone"
 
 DASK_PORT ?= 8786
 cluster-demo: $(VENV)/.installed-dask
@@ -85,4 +121,4 @@ cluster-demo: $(VENV)/.installed-dask
 	  { tail -n 5 $$log/*; exit 1; }
 
 clean:
-	rm -rf $(VENV) $(LOWEST) out
+	rm -rf $(VENV) $(LOWEST) out docs/_build docs/reference/generated docs/notebooks

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from simulator.exposure import Exposure, Motion, Paths
 from simulator.frame import TrueSources
 from simulator.light import Light, body_light, body_rates_e_s, near_image, path_middles, star_light, star_rates_e_s
-from simulator.optics.bodies import LAW_OF_BODY, draw_body
+from simulator.optics.bodies import LAW_OF_BODY, LAWS, LitDisk, draw_body
 from simulator.optics.disk import add_disk
 from simulator.optics.ghosts import Ghost, ghost_sources
 from simulator.optics.illumination import Vignetting, illumination_map, star_illumination
@@ -182,19 +182,16 @@ class FocalPlane:
             add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
         for i in np.flatnonzero(disk):
             position = (float(positions[i, 0]), float(positions[i, 1]))
-            size = (float(light.radius_rad[i] * camera.fx), float(light.radius_rad[i] * camera.fy))
-            draw_body(
-                mean_e,
-                xy[i],
-                weights,
-                size,
-                float(electrons[i]),
-                float(light.lit[i]),
-                float(light.sun_angle_rad[i]),
-                self.psfs.psf(float(light.b_v[i]), position),
-                LAW_OF_BODY.get(str(light.name[i]), "lambert"),
-                (float(light.limb[i, 0]), float(light.limb[i, 1]), float(light.limb[i, 2])),
+            body = LitDisk(
+                radius_x=float(light.radius_rad[i] * camera.fx),
+                radius_y=float(light.radius_rad[i] * camera.fy),
+                illuminated_fraction=float(light.lit[i]),
+                sun_angle_rad=float(light.sun_angle_rad[i]),
+                law=LAWS[LAW_OF_BODY.get(str(light.name[i]), "lambert")],
+                limb=(float(light.limb[i, 0]), float(light.limb[i, 1]), float(light.limb[i, 2])),
             )
+            psf = self.psfs.psf(float(light.b_v[i]), position)
+            draw_body(mean_e, xy[i], weights, float(electrons[i]), body, psf)
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         if self.ghosts:

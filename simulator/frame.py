@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.display import described, html_card, quantity_range
 from startracker.observer import Observer
+from startracker.picture import photograph
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +51,27 @@ class Frame:
     parameters: dict[str, float | int | str | bool] = field(default_factory=dict)
     """Every key of the scenario's camera, for the file header."""
 
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        origin = f"{self.scenario} #{self.index}" if self.scenario else ""
+        size = f"{width}×{height} px, {self.camera.fov_deg:.2f}° × {self.camera.fov_y_deg:.2f}°"
+        return described("Frame", origin, size, f"{self.utc} UTC", f"exposure {self.exposure_s:g} s")
+
+    def _repr_html_(self) -> str:
+        """The image with what is known on board, for notebooks."""
+        height, width = self.image.shape
+        camera = self.camera
+        rows = {
+            "scenario": f"{self.scenario}, index {self.index}, seed {self.seed}",
+            "time": f"{self.utc} UTC",
+            "exposure": f"{self.exposure_s:g} s",
+            "field of view": f"{camera.fov_deg:.2f}° × {camera.fov_y_deg:.2f}°, {width}×{height} px",
+            "gain": f"{self.gain_e_per_dn:.3g} e⁻/DN, read noise {self.read_noise_e:.3g} e⁻",
+            "saturation": f"{self.saturation_dn:g} DN",
+            "prior": f"{self.prior!r} to {self.prior_deg:g}°" if self.prior else "none",
+        }
+        return html_card("Frame", rows, photograph(self.image, f"frame of {self.scenario}"))
+
 
 @dataclass(frozen=True, eq=False)
 class TrueSources:
@@ -78,6 +101,11 @@ class TrueSources:
     def __len__(self) -> int:
         return len(self.id)
 
+    def __repr__(self) -> str:
+        kinds = zip(*np.unique(self.kind, return_counts=True), strict=True)
+        content = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds)
+        return described("TrueSources", content or "none", quantity_range("V", self.v_mag))
+
     @functools.cached_property
     def is_star(self) -> NDArray[np.bool_]:
         """Mask (N,) of stars."""
@@ -106,3 +134,8 @@ class FrameTruth:
     """(height, width): Mean photo-electrons of sources and background, without noise and defects of the detector."""
     excluded: tuple[str, ...] = ()
     """Bodies within the baffle's exclusion angle."""
+
+    def __repr__(self) -> str:
+        rate = f"{np.degrees(np.linalg.norm(self.rate_camera_rad_s)):.3g}°/s"
+        excluded = f"excluded: {' '.join(self.excluded)}" if self.excluded else ""
+        return described("FrameTruth", repr(self.attitude), rate, repr(self.sources), excluded)

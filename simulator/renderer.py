@@ -21,7 +21,7 @@ from simulator.frame import Frame, FrameTruth
 from simulator.optics.jitter import JitterPath
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
-from simulator.scene import Scene
+from simulator.scene import GivenState, Scene
 from startracker.attitude import Attitude
 from startracker.interop import is_rotation
 
@@ -74,6 +74,9 @@ class Renderer:
         device = self.detector.parameters
         self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
 
+    def __repr__(self) -> str:
+        return f"Renderer({self.scenario!r})"
+
     def scene(
         self,
         index: int = 0,
@@ -88,7 +91,8 @@ class Renderer:
         duration_s = exposure_s or self.exposure_s
         half_field_rad = self.focal_plane.half_field_rad(duration_s)
         streams = self._streams(index)
-        return self.scenes.scene(index, streams, half_field_rad, duration_s, at_s, attitude, rate_camera_rad_s, jitter)
+        given = GivenState(at_s, attitude, rate_camera_rad_s, jitter)
+        return self.scenes.scene(index, streams, half_field_rad, duration_s, given)
 
     def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
         """Mean photo-electrons of a scene, before the detector."""

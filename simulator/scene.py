@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +37,7 @@ from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.display import fields_repr
 from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
@@ -76,10 +78,25 @@ class Scene:
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
 
+    __repr__ = fields_repr
+
     @property
     def stars(self) -> StarCatalog:
         """The stars in and around the field as a catalogue."""
         return self.catalog.select(self.rows)
+
+
+class GivenState(NamedTuple):
+    """What a caller says about a scene instead of its trial; None where the trial decides."""
+
+    at_s: float | None = None
+    """Seconds after the scenario's epoch."""
+    attitude: Attitude | None = None
+    """True attitude of the camera."""
+    rate_camera_rad_s: ArrayLike | None = None
+    """(3,): Inertial angular velocity in camera axes, for a given attitude."""
+    jitter: JitterPath | None = None
+    """Jitter of a sequence relative to this mid-exposure."""
 
 
 @dataclass(frozen=True)
@@ -158,10 +175,7 @@ class SceneBuilder:
         streams: Streams,
         half_field_rad: float,
         exposure_s: float,
-        at_s: float | None = None,
-        attitude: Attitude | None = None,
-        rate_camera_rad_s: ArrayLike | None = None,
-        jitter: JitterPath | None = None,
+        given: GivenState = GivenState(),
     ) -> Scene:
         """Scene of trial `index`.
 
@@ -175,50 +189,49 @@ class SceneBuilder:
             Stars up to this angle from the boresight, at any moment of the exposure, are included.
         exposure_s : float
             Exposure time.
-        at_s, attitude : optional
-            Time and true camera attitude instead of those of the trial.
-        rate_camera_rad_s : array_like, shape (3,), optional
-            Inertial angular velocity in camera axes for `attitude`; by default that of the trial.
-        jitter : JitterPath, optional
-            Jitter of a sequence relative to this mid-exposure; by default that of the trial.
+        given : GivenState, optional
+            Time, attitude, rate and jitter instead of those of the trial.
         """
-        given, sky = self.parameters, self.parameters.sky
-        now = self.instant(index) if at_s is None else self._instant_at(float(at_s))
-        t_s, observer, sun_au, bodies = now.t_s, now.observer, now.sun_au, now.bodies
-        rng = streams("pointing")
-        if given.pointing.target is not None:
-            pointing = hold(given.pointing, self._towards_target(observer, sun_au, bodies), rng)
-        elif given.pointing.spin.rate_deg_s:
-            pointing = point_spinning(given.pointing, t_s, rng)
-        elif given.sampling == "sky" and at_s is None:
-            pointing = point_at_random(given.pointing, rng, math.tau / self.orbit.period_s)
-        else:
-            pointing = point(given.pointing, now.r_km, now.v_km_s, rng)
-        if attitude is not None:
-            pointing = turned_to(pointing, attitude, rate_camera_rad_s)
-        pointing, jitter = self._shaken(pointing, streams, jitter, exposure_s)
+        sky = self.parameters.sky
+        now = self.instant(index) if given.at_s is None else self._instant_at(float(given.at_s))
+        observer, sun_au = now.observer, now.sun_au
+        pointing = self._pointing(now, streams("pointing"), given)
+        pointing, jitter = self._shaken(pointing, streams, given.jitter, exposure_s)
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
-        directions = self.sky.apparent(rows, observer, sun_au, sky)
         assert observer.position_au is not None
         to_sun = sun_au - observer.position_au
-        sun_direction = to_sun / math.hypot(*to_sun.tolist())
         return Scene(
-            t_s=t_s,
+            t_s=now.t_s,
             r_km=now.r_km,
             observer=observer,
-            sun_direction=sun_direction,
+            sun_direction=to_sun / math.hypot(*to_sun.tolist()),
             pointing=pointing,
             jitter=jitter,
             streak_rad=streak_rad,
             catalog=self.sky.catalog,
             rows=rows,
-            star_directions=directions,
+            star_directions=self.sky.apparent(rows, observer, sun_au, sky),
             star_b_v=self._b_v[rows],
             star_giant=self._giant[rows],
-            bodies=bodies,
+            bodies=now.bodies,
         )
+
+    def _pointing(self, now: Instant, rng: np.random.Generator, given: GivenState) -> Pointing:
+        """True attitude and rate, without jitter."""
+        law = self.parameters.pointing
+        if law.target is not None:
+            pointing = hold(law, self._towards_target(now.observer, now.sun_au, now.bodies), rng)
+        elif law.spin.rate_deg_s:
+            pointing = point_spinning(law, now.t_s, rng)
+        elif self.parameters.sampling == "sky" and given.at_s is None:
+            pointing = point_at_random(law, rng, math.tau / self.orbit.period_s)
+        else:
+            pointing = point(law, now.r_km, now.v_km_s, rng)
+        if given.attitude is not None:
+            pointing = turned_to(pointing, given.attitude, given.rate_camera_rad_s)
+        return pointing
 
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
         """One realisation of the jitter, None if there is none."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from startracker.catalog.stars import StarCatalog
     from startracker.distortion import Distortion
     from startracker.errors import BoresightError, InputError
-    from startracker.image import LoadedImage, read_image
+    from startracker.image import LoadedImage, read_image, sample_photo
     from startracker.observer import Observer
     from startracker.settings import (
         AdaptiveSettings,
@@ -72,6 +72,7 @@ __all__ = [
     "calibrate",
     "load_catalog",
     "read_image",
+    "sample_photo",
     "solve_unknown_fov",
     "wcs_header",
 ]
@@ -109,6 +110,7 @@ _HOME = {
     "calibrate": "calibration",
     "load_catalog": "catalog",
     "read_image": "image",
+    "sample_photo": "image",
     "solve_unknown_fov": "blind",
     "wcs_header": "wcs",
 }
@@ -123,4 +125,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

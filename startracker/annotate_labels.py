@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Labels"]
+__all__ = ["Label", "Labels"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,24 @@ _DIRECTIONS = (
 )
 """Positions of a label relative to its star in order of preference; y up."""
 _GAP = 2.0
+_LARGEST_MARK = 50.0
+"""A label of a larger mark, a nebula's, stands within it."""
+_CLEAR = 1.5
+"""Between two labels on one line."""
 _BORDER = 20.0
+
+
+class Label(NamedTuple):
+    """Text that belongs to a mark."""
+
+    xy: FloatArray
+    """Pixel of the mark."""
+    diameter: float
+    """Of the mark, in points."""
+    text: str
+    colour: str
+    size: float
+    """Of the text, in points."""
 
 
 class Labels:
@@ -41,14 +58,21 @@ class Labels:
     """
 
     def __init__(self, ax: Axes) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
         self.ax = ax
         figure: Any = ax.figure
+        if not hasattr(figure.canvas, "get_renderer"):
+            FigureCanvasAgg(figure)
         self.points = 72.0 / figure.dpi
         box = ax.get_window_extent()
         self.origin = np.array([box.x0, box.y0])
         self.size = np.array([box.width, box.height]) * self.points
         self.taken: list[tuple[float, float, float, float]] = []
         self.renderer = figure.canvas.get_renderer()
+        x_px, _ = ax.transData.transform((1.0, 0.0)) - ax.transData.transform((0.0, 0.0))
+        self.points_per_pixel = abs(float(x_px)) * self.points
+        """Size of a pixel of the image."""
 
     def to_points(self, xy: FloatArray) -> FloatArray:
         """Position of a pixel in points."""
@@ -60,17 +84,11 @@ class Labels:
         half = diameter / 2
         self.taken.append((x - half, y - half, x + half, y + half))
 
-    def occupy_box(self, xy: FloatArray, half_x_px: float, half_y_px: float | None = None) -> None:
-        """Reserve a rectangle around a pixel, half sides in pixels."""
-        half = np.array([half_x_px, half_x_px if half_y_px is None else half_y_px])
-        (x0, y1), (x1, y0) = self.to_points(xy - half), self.to_points(xy + half)
-        self.taken.append((float(x0), float(y0), float(x1), float(y1)))
-
-    def beside(self, xy: FloatArray, diameter: float, text: str, colour: str, size: float) -> bool:
+    def beside(self, label: Label) -> bool:
         """Write next to a mark without covering anything; returns False, and writes nothing, if there is no room."""
-        artist, wide, high = self._measure(text, colour, size)
-        x, y = self.to_points(xy)
-        reach = diameter / 2 + _GAP
+        artist, wide, high = self._measure(label.text, label.colour, label.size)
+        x, y = self.to_points(label.xy)
+        reach = min(label.diameter, _LARGEST_MARK) / 2 + _GAP
         for side, up in _DIRECTIONS:
             left = x + (reach * side if side > 0 else reach * side - wide if side < 0 else -wide / 2)
             low = y - high / 2 + up * (reach + high / 2)
@@ -93,25 +111,19 @@ class Labels:
         artist.remove()
         return False
 
-    def free(self, xy: FloatArray, text: str, colour: str, size: float) -> None:
-        """Write centred on a pixel, whether or not it is free."""
-        artist, wide, high = self._measure(text, colour, size)
-        x, y = self.to_points(xy)
-        self._move(artist, x - wide / 2, y - high / 2)
-
     def _measure(self, text: str, colour: str, size: float) -> tuple[Any, float, float]:
         from matplotlib.patheffects import withStroke
 
         artist = self.ax.annotate(
-            text.replace("$", r"\$"), (0.0, 0.0), xycoords="axes points", color=colour, fontsize=size, zorder=5,
+            text.replace("$", r"\$"), (0.0, 0.0), xycoords="axes fraction", color=colour, fontsize=size, zorder=5,
             ha="left", va="bottom", path_effects=[withStroke(linewidth=1.6, foreground="black")],
         )  # fmt: skip
         box = artist.get_window_extent(self.renderer)
         return artist, box.width * self.points, box.height * self.points
 
     def _put(self, artist: Any, left: float, low: float, wide: float, high: float) -> bool:
-        box = (left, low, left + wide, low + high)
-        if box[0] < 0 or box[1] < 0 or box[2] > self.size[0] or box[3] > self.size[1]:
+        box = (left - _CLEAR, low, left + wide + _CLEAR, low + high)
+        if left < 0 or low < 0 or left + wide > self.size[0] or low + high > self.size[1]:
             return False
         if any(box[0] < x1 and x0 < box[2] and box[1] < y1 and y0 < box[3] for x0, y0, x1, y1 in self.taken):
             return False
@@ -119,7 +131,8 @@ class Labels:
         self._move(artist, left, low)
         return True
 
-    @staticmethod
-    def _move(artist: Any, left: float, low: float) -> None:
-        artist.xy = (left, low)
-        artist.set_position((left, low))
+    def _move(self, artist: Any, left: float, low: float) -> None:
+        """Set the lower left corner, as a share of the axes: a layout that changes their size moves mark and label."""
+        at = (left / self.size[0], low / self.size[1])
+        artist.xy = at
+        artist.set_position(at)

@@ -123,15 +123,15 @@ def field_text(solution: Solution) -> tuple[str, str]:
     camera = solution.camera
     if not solution.solved or camera is None or solution.attitude is None:
         return f"not solved: {solution.status}", solution.reason
-    ra, dec = solution.attitude.ra_deg, solution.attitude.dec_deg
-    first = f"RA {ra_text(ra)} ({ra:.4f}°)   Dec {dec_text(dec)} ({dec:+.4f}°)   roll {solution.roll_deg:.2f}°".replace(
-        "-", "−"
-    )
+    attitude = solution.attitude
+    ra, dec = attitude.ra_deg, attitude.dec_deg
+    roll = round(attitude.roll_deg, 2) % 360.0
+    first = f"RA {ra_text(ra)} ({ra:.4f}°)   Dec {dec_text(dec)} ({dec:+.4f}°)   roll {roll:.2f}°".replace("-", "−")
     scale = math.degrees(camera.pixel_rad) * 3600.0
     rms = f", rms {solution.rmse_arcsec:.1f}″" if solution.rmse_arcsec is not None else ""
     mirrored = ", mirrored" if camera.parity < 0 else ""
     second = (
-        f"field {camera.fov_deg:.2f}° × {camera.fov_y_deg:.2f}°, {scale:.4g}″ per pixel{mirrored}; "
+        f"field {camera.fov_text}, {scale:.4g}″ per pixel{mirrored}; "
         f"{solution.matched} of {len(solution.centroids)} detections identified{rms}"
     )
     return first, second

@@ -2,47 +2,35 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker import centroid as centroiding
 from startracker import detection as detecting
-from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
-from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
-from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.free_search import FreeSearch
+from startracker.front_end import Clock, find_stars
 from startracker.given_centroids import clean_centroids
-from startracker.identification import free_scale
-from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
-from startracker.identification.clustering_null import log_excess_density
-from startracker.identification.free_scale import FOV_BANDS_DEG, FreeFit
-from startracker.identification.last_fit import last_fit
-from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
-from startracker.observer import Observer, unknown_aberration
+from startracker.given_image import given_image
+from startracker.identification.free_scale import FOV_BANDS_DEG
+from startracker.interop import plain
+from startracker.observer import Observer
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
-from startracker.solution import MatchedStars, Solution, Status
+from startracker.solution import Solution
 from startracker.trace import Step
 
 __all__ = ["solve_unknown_fov"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-_POOR = 20
-_BEYOND_DOUBT = 7.0
-"""Margin (in ln of the false-alarm probability) beyond the limit at which the search ends at once."""
-_PATTERN_WORK, _GROW_WORK, _MOST_ROUNDS = 50_000, 500_000, 10
-"""Operations counted for a pattern tried, and for growing a fit in addition to those of the match in each round."""
-_BARREL = -0.06
-"""k1 r² at the corner that represents strong barrel distortion, -0.03 to -0.1; beyond -0.148 the image folds."""
 
 
 def solve_unknown_fov(
@@ -71,12 +59,13 @@ def solve_unknown_fov(
     Parameters
     ----------
     source : array_like
-        An image (H, W); or, if `width` and `height` are given, centroids (N, 2) in pixels.
+        An image (H, W), or an object that has one, as in `StarTracker.solve`; or, if `width` and `height` are given,
+        centroids (N, 2) in pixels.
     width, height : int, optional
         Size of the image from which the centroids were measured.
     flux : array_like, shape (N,), optional
         Signal of the centroids; if omitted they are taken as sorted by brightness.
-    fov_deg : float, optional
+    fov_deg : float or astropy Quantity, optional
         Approximate field of view across the width; None: 3° to 72° is searched.
     fov_error : float
         Maximum relative error of `fov_deg`.
@@ -104,6 +93,81 @@ def solve_unknown_fov(
     InputError
         For an unknown name or an invalid field of view, parity or size.
     """
+    fov_deg = plain(fov_deg, "deg", "fov_deg")
+    _refuse(fov_deg, fov_error, parity, camera)
+    clock = Clock()
+    given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
+    if width is None and height is None:
+        settings = detection or DetectionSettings()
+        found = find_stars(
+            given.image,
+            lookup("detectors", detecting.DETECTORS, detector),
+            lookup("centroiders", centroiding.METHODS, centroider),
+            settings,
+            centroid or CentroidSettings(),
+            clock,
+            saturation_dn=given.saturation_dn,
+            gain_e_per_dn=given.gain_e_per_dn,
+        )
+        if found.status is not None:
+            explained = (*found.steps, *hints(found.status, 0, known_camera=False))
+            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
+        rows, columns = np.shape(given.image)
+        points = _Points(
+            columns, rows, found.xy, found.flux, found.variance_px2, found.steps, found.saturated, settings
+        )
+    else:
+        points = _points_of_list(given.image, flux, variance_px2, width, height)
+    if camera is not None and (camera.width, camera.height) != points[:2]:
+        size = f"the image {points.width}×{points.height}"
+        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, {size}")
+    search = FreeSearch(
+        points.xy,
+        points.flux,
+        points.width,
+        points.height,
+        catalog,
+        identification or IdentificationSettings(),
+        given.observer,
+        variance_px2=points.variance_px2,
+        rough=camera,
+    )
+    if camera is not None:
+        parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
+    bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
+    solution = search.run(bands, sides)
+    clock.lap("identification")
+    advice = hints(
+        solution.status,
+        len(points.xy),
+        known_camera=False,
+        fov_known=fov_deg is not None,
+        saturated=points.saturated,
+        settings=points.detection,
+    )
+    searched = search_step(search.trials, bands, sides), Step("identification", solution.reason)
+    steps = (*points.steps, *searched, *attitude_steps(solution), *advice)
+    return replace(solution, times_ms=clock.times_ms(), steps=steps)
+
+
+class _Points(NamedTuple):
+    """Centroids of one image, brightest first."""
+
+    width: int
+    height: int
+    """Size of the image, pixels."""
+    xy: FloatArray
+    flux: FloatArray | None
+    variance_px2: FloatArray | None
+    steps: Sequence[Step]
+    saturated: int = 0
+    """Number of saturated stars."""
+    detection: DetectionSettings | None = None
+    """Settings with which they were detected; None for a list of centroids."""
+
+
+def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:
+    """Raise an InputError for an invalid field of view or parity."""
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")
     if not 0.0 < fov_error < 1.0:
@@ -112,68 +176,19 @@ def solve_unknown_fov(
         raise InputError(f"parity must be 1, -1 or None; got {parity}")
     if camera is not None and fov_deg is not None:
         raise InputError("give a rough camera or a field of view, not both: the camera has its own")
-    if (width is None) != (height is None):
-        raise InputError("centroids need both the width and the height of their image")
-    clock = Clock()
-    signal: FloatArray | None
-    found: FoundStars | None = None
+
+
+def _points_of_list(
+    source: ArrayLike, flux: ArrayLike | None, variance_px2: ArrayLike | None, width: int | None, height: int | None
+) -> _Points:
+    """Given centroids, cleaned."""
     if width is None or height is None:
-        found = find_stars(
-            source,
-            lookup("detectors", detecting.DETECTORS, detector),
-            lookup("centroiders", centroiding.METHODS, centroider),
-            detection or DetectionSettings(),
-            centroid or CentroidSettings(),
-            clock,
-            saturation_dn=saturation_dn,
-            gain_e_per_dn=gain_e_per_dn,
-        )
-        if found.status is not None:
-            explained = (*found.steps, *hints(found.status, 0, known_camera=False))
-            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
-        height, width = np.shape(source)
-        xy, signal, steps, saturated = found.xy, found.flux, found.steps, found.saturated
-        variance: FloatArray | None = found.variance_px2
-    else:
-        if not (width > 0 and height > 0):
-            raise InputError(f"an image needs a size in pixels; got {width}×{height}")
-        xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, int(width), int(height)))
-        variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
-        steps, saturated = (listed_step(np.size(source) // 2, xy, signal),), 0
-    if camera is not None and (camera.width, camera.height) != (width, height):
-        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the image {width}×{height}")
-    search = FreeSearch(
-        xy,
-        signal,
-        int(width),
-        int(height),
-        catalog,
-        identification or IdentificationSettings(),
-        observer,
-        variance_px2=variance,
-        rough=camera,
-    )
-    if camera is not None:
-        parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
-    bands, sides = _bands(fov_deg, fov_error), (1, -1) if parity is None else (parity,)
-    solution = search.run(bands, sides)
-    clock.lap("identification")
-    detection_used = (detection or DetectionSettings()) if found is not None else None
-    steps = (
-        *steps,
-        search_step(search.trials, bands, sides),
-        Step("identification", solution.reason),
-        *attitude_steps(solution),
-        *hints(
-            solution.status,
-            len(xy),
-            known_camera=False,
-            fov_known=fov_deg is not None,
-            saturated=saturated,
-            settings=detection_used,
-        ),
-    )
-    return replace(solution, times_ms=clock.times_ms(), steps=steps)
+        raise InputError("centroids need both the width and the height of their image")
+    if not (width > 0 and height > 0):
+        raise InputError(f"an image needs a size in pixels; got {width}×{height}")
+    xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, int(width), int(height)))
+    variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
+    return _Points(int(width), int(height), xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))
 
 
 def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
@@ -193,197 +208,3 @@ def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float,
     if fov_deg is None:
         return FOV_BANDS_DEG
     return ((fov_deg * (1.0 - fov_error), fov_deg, fov_deg * (1.0 + fov_error)),)
-
-
-@dataclass(eq=False)
-class FreeSearch:
-    """Search for the stars of one image with the focal length free.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids, brightest first.
-    flux : (N,), optional
-        All positive.
-    width, height : int
-        Size of the image.
-    catalog : str or StarCatalog
-    settings : IdentificationSettings
-        For the false-alarm rate.
-    observer : Observer, optional
-    variance_px2 : (N,), optional
-        Variance of the centroids on one axis, for the final fit.
-    rough : Camera, optional
-        Initial projection and distortion; the focal length is that of the band.
-    trials : int
-        Number of patterns tried so far.
-    operations : int
-        Operations counted so far (`IdentificationSettings.max_operations_free_scale`).
-    """
-
-    xy: FloatArray
-    flux: FloatArray | None
-    width: int
-    height: int
-    catalog: str | StarCatalog
-    settings: IdentificationSettings
-    observer: Observer | None
-    trials: int = 0
-    variance_px2: FloatArray | None = None
-    rough: Camera | None = None
-    operations: int = 0
-
-    def __post_init__(self) -> None:
-        most = self.settings.max_centroids
-        if len(self.xy) > most:
-            self.xy, self.flux = self.xy[:most], None if self.flux is None else self.flux[:most]
-            self.variance_px2 = None if self.variance_px2 is None else self.variance_px2[:most]
-        area = float(self.width) * self.height
-        self._excess = log_excess_density(np.ascontiguousarray(self.xy), area)
-
-    def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
-        """Search each band and parity until a fit is accepted beyond doubt or the limit of operations is reached."""
-        return replace(self._run(bands, sides), operations=self.operations)
-
-    def _run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
-        xy, needed = self.xy, free_scale.FEWEST_MATCHED
-        if len(xy) < needed:
-            status = Status.TOO_FEW_STARS if len(xy) else Status.NO_STARS
-            reason = f"{len(xy)} stars detected; {needed} are needed if the focal length is unknown"
-            return Solution(status, reason, centroids=xy)
-        sky = all_stars(self.catalog).seen_by(self.observer)
-        limit = log_limit(self.settings)
-        best: FreeFit | None = None
-        for corner_k1, widen in self._passes():
-            for low, middle, high in bands:
-                guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, low))
-                for side in sides:
-                    assumed = self._assumed(middle, side, corner_k1)
-                    index = quad_index(self.catalog)
-                    found = free_scale.candidates(xy, assumed, index, low / middle, high / middle, widen)
-                    for camera, pattern, centre, extent in found:
-                        if self.operations >= self.settings.max_operations_free_scale:
-                            return self._cut_short(best, sky)
-                        self.trials += 1
-                        self.operations += _PATTERN_WORK
-                        fit = self._try(camera, pattern, centre, extent, sky.directions, guide)
-                        if fit is None or (best is not None and fit.log_evidence <= best.log_evidence):
-                            continue
-                        best = fit
-                        if self._log_chance(best) < limit - _BEYOND_DOUBT:
-                            return self._answer(best, sky)
-            if best is not None and accepts(self._log_chance(best), self.settings):
-                break
-        return self._verdict(best, sky)
-
-    def _verdict(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
-        """Result of the completed search, accepted or not."""
-        xy, needed = self.xy, free_scale.FEWEST_MATCHED
-        if best is None:
-            reason = f"{len(xy)} stars detected; none of {self.trials} similar patterns matches {needed} of them"
-            return Solution(Status.NO_MATCH, reason, centroids=xy)
-        chance = self._log_chance(best)
-        if accepts(chance, self.settings):
-            return self._answer(best, sky)
-        best_text = f"the best of {self.trials} patterns matches {len(best.pairs)} of {len(xy)} stars"
-        if chance < 0.0:
-            reason = f"{best_text}: false-alarm probability {math.exp(chance):.0e}, above the limit"
-            return Solution(Status.AMBIGUOUS, reason, centroids=xy, log_false_alarm=chance)
-        return Solution(Status.NO_MATCH, f"{best_text}: no better than chance", centroids=xy)
-
-    def _cut_short(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
-        """Result if the limit of operations is reached."""
-        found = self._verdict(best, sky)
-        if found.solved:
-            return found
-        limit = self.settings.max_operations_free_scale
-        reason = f"limit of operations reached (max_operations_free_scale {limit:.3g}); until then: {found.reason}"
-        return replace(found, status=Status.SEARCH_LIMIT, reason=reason)
-
-    def _passes(self) -> tuple[tuple[float, float], ...]:
-        """Radial distortion at the corner (k1 r²) and tolerance factor of each successive pass.
-
-        Distortion changes the shape of a pattern by 2 k1 r² between the radial and tangential directions, so strong
-        distortion has to be assumed. A field with few stars has few patterns and gets a wider tolerance.
-        """
-        if self.rough is not None:
-            return ((0.0, 1.0), (0.0, 2.0))
-        wide = ((-0.04, 2.0),) if len(self.xy) <= _POOR else ()
-        return ((0.0, 1.0), (_BARREL, 1.0), *wide)
-
-    def _assumed(self, fov_deg: float, side: int, corner_k1: float) -> Camera:
-        if self.rough is not None:
-            rough = self.rough
-            return replace(free_scale.without_rational(rough), parity=side)
-        camera = replace(Camera.from_fov(fov_deg, self.width, self.height), parity=side)
-        if corner_k1 == 0.0:
-            return camera
-        corner2 = (camera.cx / camera.fx) ** 2 + (camera.cy / camera.fy) ** 2
-        return replace(camera, distortion=Distortion(k1=corner_k1 / corner2))
-
-    def _guide(self, sky: GuideDatabase, depth: int) -> GuideDatabase:
-        """The brightest stars; cached if the sky is the same for all frames."""
-        if self.observer is not None:
-            return sky.brightest(depth)
-        return brightest_stars(self.catalog, 1 << math.ceil(math.log2(depth)) if depth > 1 else 1)
-
-    def _log_chance(self, fit: FreeFit) -> float:
-        return log_chance(fit.log_evidence, log_gain=-math.log(max(self.trials, 1)))
-
-    def _magnitudes(self) -> FloatArray | None:
-        return None if self.flux is None else -2.5 * np.log10(self.flux)
-
-    def _try(
-        self,
-        camera: Camera,
-        pattern: IntArray,
-        centre: FloatArray,
-        extent: float,
-        directions: FloatArray,
-        guide: GuideDatabase,
-    ) -> FreeFit | None:
-        xy, (stars, chosen) = self.xy, pattern
-        if not np.isfinite(camera.unproject(xy[stars])).all():  # beyond the fold of the assumed lens
-            return None
-        matrix = free_scale.attitude_of(camera, xy[stars], directions[chosen])
-        off = camera.project(directions[chosen] @ matrix.T) - xy[stars]
-        if not np.hypot(off[:, 0], off[:, 1]).max() < 2.0 + 0.03 * extent:  # NaN too
-            return None
-        away = np.hypot(*(xy - centre).T)
-        self.operations += _GROW_WORK + _MOST_ROUNDS * len(xy) * (2 * len(xy) + 10)
-        grown = free_scale.grow(camera, matrix, xy, guide, centre, 2.0 + 0.012 * np.maximum(away, extent))
-        if grown is None:
-            return None
-        camera, matrix, covariance, rms, _ = grown
-        value, pairs = free_scale.weigh(camera, matrix, xy, self._magnitudes(), guide, 4, self._excess)
-        return FreeFit(camera, matrix, pairs, covariance, rms, value) if len(pairs) else None
-
-    def _answer(self, fit: FreeFit, sky: GuideDatabase) -> Solution:
-        """Solution of an accepted fit, fitted again with all catalogue stars that bright."""
-        xy, chance = self.xy, self._log_chance(fit)
-        guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, free_scale.field_deg(fit.camera)))
-        fit = last_fit(fit, xy, self.variance_px2, guide)
-        used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
-        residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
-        stars = MatchedStars(
-            xy[used],
-            sky.catalog.id[chosen],
-            sky.catalog.star_name[chosen],
-            sky.v_mag[chosen],
-            np.full(len(used), np.nan) if self.flux is None else self.flux[used],
-            residual,
-        )
-        reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
-        covariance = fit.covariance if self.observer else fit.covariance + unknown_aberration(fit.matrix)
-        return Solution(
-            Status.SOLVED,
-            reason,
-            Attitude.from_matrix(fit.matrix),
-            covariance,
-            stars,
-            xy,
-            free_scale.field_deg(fit.camera),
-            fit.camera.parity,
-            camera=fit.camera,
-            log_false_alarm=chance,
-        )

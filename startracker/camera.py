@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import described
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
 from startracker.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
+from startracker.interop import plain
 
 FloatArray = NDArray[np.float64]
 
@@ -84,6 +86,21 @@ class Camera:
         if self.width < 1 or self.height < 1:
             raise InputError(f"an image needs at least one pixel; got {self.width}×{self.height}")
 
+    def __repr__(self) -> str:
+        lens = [f"{name}={value:g}" for name, value in asdict(self.distortion).items() if value]
+        centred = (self.cx, self.cy) == ((self.width - 1) / 2, (self.height - 1) / 2)
+        return described(
+            "Camera",
+            f"{self.fov_deg:.2f}° × {self.fov_y_deg:.2f}°",
+            f"{self.width}×{self.height} px",
+            f"f {self.fx:.2f} px" if self.fx == self.fy else f"fx {self.fx:.2f} px, fy {self.fy:.2f} px",
+            "" if centred else f"centre ({self.cx:.1f}, {self.cy:.1f})",
+            *lens,
+            "" if self.projection == "pinhole" else self.projection,
+            "mirrored" if self.parity < 0 else "",
+            f"rolling shutter {1e6 * self.row_time_s:g} µs per row" if self.row_time_s else "",
+        )
+
     def _check_projection(self) -> None:
         if self.projection not in PROJECTIONS:
             raise InputError(
@@ -108,8 +125,9 @@ class Camera:
         distortion: Distortion | None = None,
         projection: str = "pinhole",
     ) -> Camera:
-        """Camera with square pixels and a centred principal point; `fov_deg` is the undistorted field of view across
-        the full width, edge to edge."""
+        """Camera with square pixels and a centred principal point; `fov_deg` (degrees, or an astropy quantity) is the
+        undistorted field of view across the full width, edge to edge."""
+        fov_deg = plain(fov_deg, "deg", "fov_deg")
         most = 180 if projection == "pinhole" else 360
         if not 0 < fov_deg < most:
             raise InputError(f"a field of view must be between 0° and {most}°; got {fov_deg}°")
@@ -216,6 +234,11 @@ class Camera:
         """Field of view over the full height, as `fov_deg`."""
         undistorted = self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
         return self._seen_deg([[self.cx, -0.5], [self.cx, self.height - 0.5]], undistorted)
+
+    @property
+    def fov_text(self) -> str:
+        """Field of view as every command, explanation, picture and report states it: width × height, 0.001°."""
+        return f"{self.fov_deg:.3f}° × {self.fov_y_deg:.3f}°"
 
     @property
     def undistorted_fov_deg(self) -> float:

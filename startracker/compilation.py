@@ -1,6 +1,6 @@
-"""What is said while kernels are compiled: which, of how many, and how long yet.
+"""Progress messages while kernels are compiled: number, total, and remaining time.
 
-Nothing here loads the compiler, so that a command can say what it is going to need before it does.
+This module does not load the compiler, so that a command can announce the compilation before it starts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Progress:
     Attributes
     ----------
     seconds, processor_s : float
-        Spent compiling so far, by the clock and of the processor.
+        Compile time so far, wall-clock and CPU.
     """
 
     def __init__(self) -> None:
@@ -40,11 +40,12 @@ class Progress:
         self._told_file = False
 
     def announce(self, task: str) -> None:
-        """Have a command say at once that it compiles; `task` is one of those in the list of `expected_kernels`."""
+        """Announce at once that a command compiles; `task` is one of the list of `expected_kernels`."""
         self._task, self._at_once = task, True
 
     def begin(self, is_on_disk: Callable[[str], bool]) -> None:
-        """Start of a kernel; nested kernels start within it. `is_on_disk`: whether an earlier process compiled it."""
+        """Start of a kernel; kernels that it calls start within it. `is_on_disk`: whether an earlier process compiled
+        it."""
         if not self._depth:
             self._began, self._processor_began = time.perf_counter(), time.process_time()
         if self._left is None:
@@ -53,7 +54,7 @@ class Progress:
         self._tell()
 
     def end(self, name: str | None) -> None:
-        """A kernel is compiled; no `name`: a function of NumPy within ours, which is not counted."""
+        """End of a kernel; without `name` it is a function of NumPy used by a kernel, which is not counted."""
         self._depth -= 1
         if name is not None and self._left is not None:
             self._done += 1
@@ -67,7 +68,7 @@ class Progress:
 
     @property
     def line(self) -> str:
-        """What is being compiled, out of how many, and for how long yet."""
+        """Progress line: number of kernels, total, remaining time."""
         left = self._left or {}
         text = f"Compiling kernels, once for this installation: {self._done} of {self._done + max(len(left), 1)}"
         if self._done_weight and left:
@@ -78,7 +79,7 @@ class Progress:
         return self.seconds + (time.perf_counter() - self._began if self._depth else 0.0)
 
     def _shows(self) -> bool:
-        """Whether a line on the terminal is to be rewritten."""
+        """Whether the progress line on the terminal is updated."""
         try:
             terminal = sys.stderr.isatty()
         except (AttributeError, ValueError):  # no standard error, or a closed one
@@ -95,12 +96,12 @@ class Progress:
 
 
 progress = Progress()
-"""Of this process."""
+"""Progress of this process."""
 
 
 @cache
 def expected_kernels(task: str) -> dict[str, float]:
-    """Kernels that a task compiles, and processor seconds that each took where they were measured.
+    """Kernels compiled by a task, with the measured CPU seconds of each.
 
     ``python -m benchmarks.cold_start --write`` measures and writes the list.
     """

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import changed_fields
 from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +48,9 @@ class Distortion:
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
+
+    def __repr__(self) -> str:
+        return changed_fields(self)
 
     @property
     def is_zero(self) -> bool:

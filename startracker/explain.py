@@ -144,7 +144,7 @@ def identification_steps(
     """
     area = math.radians(camera.fov_deg) * math.radians(camera.fov_y_deg)
     expected = stars * min(area / (4.0 * math.pi), 1.0)
-    first = f"{stars} guide stars to V = {magnitude:.1f}, about {expected:.0f} in a field of {camera.fov_deg:.2f}°"
+    first = f"{stars} guide stars to V = {magnitude:.1f}, about {expected:.0f} in a field of {camera.fov_text}"
     return tuple(Step("identification", text) for text in (first, *texts, reason))
 
 
@@ -173,12 +173,15 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
         )
     ]
     if named:
-        steps.append(Step("attitude", f"{named} identified stars not used: residual larger than their error explains"))
+        steps.append(Step("attitude", f"{named} identified stars not used: residual not explained by their error"))
     if left:
-        steps.append(Step("attitude", f"{left} detections not used: no guide star close enough"))
+        steps.append(Step("attitude", f"{left} detections not used: no guide star nearby"))
     if solution.covariance is not None:
         x, y, z = np.sqrt(np.diag(solution.covariance)) / ARCSEC_RAD
         steps.append(Step("attitude", f"standard errors {x:.2g}″ and {y:.2g}″ across the boresight, {z:.2g}″ about it"))
+    if not solution.aberration_corrected:
+        unknown = "aberration (up to 26″) is not corrected, as the observer's velocity was not given"
+        steps.append(Step("attitude", f"{unknown}; the standard errors include it"))
     return tuple(steps)
 
 
@@ -211,30 +214,34 @@ def hints(
         return ()
     texts: list[str] = []
     if status is Status.BAD_IMAGE:
-        texts.append("give a two-dimensional image of the size that the camera has")
+        texts.append("give a two-dimensional image with the size of the camera")
     elif status is Status.SATURATED:
         texts.append("shorten the exposure, or keep Sun, Moon and artificial lights out of the field")
     elif stars < _FEW_STARS:
         if settings is not None:
             texts.append(
-                f"few stars: lower detection.threshold_sigma (now {settings.threshold_sigma:g}), or expose longer"
+                f"few stars: decrease detection.threshold_sigma (now {settings.threshold_sigma:g}), or expose longer"
             )
         else:
             texts.append("few stars: give more centroids")
         if not known_camera:
-            texts.append("with a calibrated camera (--camera) three or four stars can be enough")
+            texts.append("with a calibrated camera (--camera) three or four stars are sufficient")
     else:
         if known_camera:
-            texts.append("check the camera: its focal length (--fov is fitted, --camera taken as exact) and parity")
-            texts.append("stars fainter than the guide stars count as false: raise --magnitude-limit if exposed long")
+            texts.append("check the camera's focal length (--fov is fitted, --camera is taken as exact) and parity")
+            texts.append(
+                "stars fainter than the guide stars count as false: increase --magnitude-limit for long exposures"
+            )
         elif fov_known:
-            texts.append("check --fov: it must be correct to 5 %; without it fields from 3° to 72° are searched")
+            texts.append("check --fov: it must be accurate to 5 %; without it fields from 3° to 72° are searched")
         else:
-            texts.append("unknown field of view: give --fov, which narrows the search")
+            texts.append("unknown field of view: give --fov to narrow the search")
         if settings is not None and stars >= settings.max_stars:
-            texts.append("many detections: raise detection.threshold_sigma, if trees, clouds or noise are among them")
+            texts.append("many detections: increase detection.threshold_sigma if they include trees, clouds or noise")
         if status is Status.SEARCH_LIMIT:
-            texts.append("search limit reached: raise identification.max_operations, or give fewer, better centroids")
+            texts.append(
+                "search limit reached: increase identification.max_operations, or give fewer, more accurate centroids"
+            )
         if saturated > stars // 2:
             texts.append("most stars are saturated, which biases their centroids: shorten the exposure")
     return tuple(Step("hint", text) for text in texts)

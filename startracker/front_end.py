@@ -60,51 +60,35 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class FoundStars:
-    """Stars of an image, brightest first, or the reason why there are none.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Pixels.
-    flux : (N,)
-        DN.
-    variance_px2 : (N,)
-        Variance of each centroid on one axis.
-    status, reason : Status or None, str
-        Set if the image cannot be used.
-    saturated_share, saturation_dn : float
-        Fraction of saturated pixels, and the saturation level.
-    steps : sequence of Step
-        Explanation of what was found.
-    saturated : int
-        Number of saturated star images.
-    covariance_px2 : (N, 2, 2), optional
-        Covariance of each centroid; None: `variance_px2` on both axes.
-    common_px2 : (2, 2), optional
-        Covariance of an error common to all centroids (`Centroids.common_px2`).
-    misfit : float, optional
-        How far the star images are from those that were fitted (`Centroids.misfit`).
-    trailed : bool
-        Whether the centroids are midpoints of trails.
-    other : callable, optional
-        Returns the stars under the other hypothesis (trails instead of points, or points instead of trails), or None if
-        there are none.
-    """
+    """Stars of an image, brightest first, or the reason why there are none."""
 
     xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Pixels, (N, 2)."""
     flux: FloatArray = field(default_factory=lambda: np.empty(0))
+    """DN, (N,)."""
     variance_px2: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Variance of each centroid on one axis, (N,)."""
     status: Status | None = None
     reason: str = ""
+    """Set if the image cannot be used."""
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
+    """Fraction of saturated pixels, and the saturation level."""
     steps: Sequence[Step] = ()
+    """Explanation of what was found."""
     saturated: int = 0
+    """Number of saturated star images."""
     covariance_px2: FloatArray | None = None
+    """Covariance of each centroid, (N, 2, 2); None: `variance_px2` on both axes."""
     common_px2: FloatArray | None = None
+    """Covariance of an error common to all centroids (`Centroids.common_px2`), (2, 2)."""
     misfit: float | None = None
+    """How far the star images are from those that were fitted (`Centroids.misfit`)."""
     trailed: bool = False
+    """Whether the centroids are midpoints of trails."""
     other: Callable[[], FoundStars | None] | None = None
+    """Returns the stars under the other hypothesis (trails instead of points, or points instead of trails), or None if
+    there are none."""
 
 
 def find_stars(

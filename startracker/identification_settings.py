@@ -1,7 +1,7 @@
-"""Settings of the identification: a class for what all methods share, and one for each method.
+"""Settings of the identification: a class with the common settings, and one class per method.
 
-A tracker takes the class of its identifier, or the shared one, which leaves the method's own settings at their
-defaults. `AnyIdentificationSettings` holds the settings of all methods, as scenario files do.
+A tracker takes the class of its identifier, or the common class, with which the settings of the method have their
+defaults. `AnyIdentificationSettings` has the settings of all methods, as in scenario files.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Self
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
@@ -50,27 +52,28 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class IdentificationSettings:
-    """What all methods of identification share.
+    """Settings common to all methods of identification.
 
-    The keywords of single methods, which this class had before, are taken for one version more, with a warning: it
-    then is an `AnyIdentificationSettings`.
+    Keywords of single methods, which this class had before, are accepted for one more version with a warning; the
+    result is then an `AnyIdentificationSettings`.
 
     Parameters
     ----------
     min_stars : int
-        Fewest stars to accept.
+        Minimum number of matched stars.
     close_pair_deg, close_pair_magnitude : float
-        Guide stars with a neighbour closer than this and less than this much fainter are left out.
+        Guide stars with a neighbour closer than this, and fainter by less than this, are excluded.
     false_alarm_rate : float
-        Accept an identification only when the sky gives such agreement by chance less often than this, a frame.
+        Maximum probability per frame that an accepted identification is due to chance.
     max_centroids : int
-        Brightest centroids that identification takes; what a list holds beyond them is not looked at.
+        Number of centroids used for identification, the brightest; others are ignored.
     max_operations : int
-        Steps of one search with a known camera (pairs, candidates and stars compared), after which it ends with the
-        status ``search_limit``. They are counted, not timed: the same list ends at the same step on every machine. One
-        takes a nanosecond or so. `adaptive` shares them out among its assumptions, and ends sooner.
+        Maximum number of operations of a search with a known camera (pairs, candidates and stars compared), after which
+        it ends with the status ``search_limit``. They are counted, not timed, so that a search ends at the same
+        operation on every machine; one takes about a nanosecond. `adaptive` divides them among its assumptions and ends
+        earlier.
     max_operations_free_scale : int
-        The same where the focal length is not known.
+        The same for an unknown focal length.
     """
 
     min_stars: int = 3
@@ -82,7 +85,7 @@ class IdentificationSettings:
     max_operations_free_scale: int = 5_000_000_000
 
     def __new__(cls, *_values: Any, **keys: Any) -> Self:
-        """Of this class; with keywords of single methods, of the one that has them all."""
+        """An object of this class; with keywords of single methods, of `AnyIdentificationSettings`."""
         if cls is IdentificationSettings and keys.keys() & _OWN:
             names, kinds = sorted(keys.keys() & _OWN), sorted({kind.__name__ for kind in SETTINGS.values()})
             text = f"IdentificationSettings: {', '.join(names)} now belong to the identifier's own settings"
@@ -96,23 +99,17 @@ class IdentificationSettings:
 
     @classmethod
     def of(cls, settings: IdentificationSettings | None) -> Self:
-        """Settings of this class: those given, or the values of those given that it has, the others at their defaults.
+        """Settings of this class: the given ones, or their values that this class has, with defaults for the others.
 
         Raises
         ------
         InputError
-            For the settings of another method.
+            For settings of another method.
         """
-        if settings is None:
-            return cls()
         if isinstance(settings, cls):
             return settings
-        if type(settings) not in (IdentificationSettings, AnyIdentificationSettings):
-            raise InputError(f"{type(settings).__name__} are the settings of another identifier; give {cls.__name__}")
-        shared = {f.name: getattr(settings, f.name) for f in dataclasses.fields(cls) if hasattr(settings, f.name)}
-        if shared.get("max_stars", 0) is None:
-            del shared["max_stars"]
-        return cls(**shared)
+        made: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
+        return made
 
     __pydantic_config__ = FORBID
 
@@ -124,10 +121,10 @@ class AdaptiveSettings(IdentificationSettings):
     Parameters
     ----------
     separation_tolerance_deg : float or None
-        Largest difference between a measured and a catalogued separation; None: from the camera and the centroids'
-        errors, under several assumptions.
+        Maximum difference between measured and catalogue separation; None: from the camera and the centroid errors,
+        under several assumptions.
     magnitude_tolerance : float
-        Largest difference between measured and catalogued magnitude after the frame's zero point is taken off.
+        Maximum difference between measured and catalogue magnitude after subtraction of the frame's zero point.
     """
 
     separation_tolerance_deg: float | None = None
@@ -141,16 +138,16 @@ class MatchGroupSettings(IdentificationSettings):
     Parameters
     ----------
     separation_tolerance_deg : float or None
-        Largest difference between a measured and a catalogued separation; None: from the camera and the centroids'
-        errors. Greyling 1995: 0.2°.
+        Maximum difference between measured and catalogue separation; None: from the camera and the centroid errors.
+        Greyling 1995: 0.2°.
     magnitude_tolerance : float
-        Largest difference between measured and catalogued magnitude after the frame's zero point is taken off.
+        Maximum difference between measured and catalogue magnitude after subtraction of the frame's zero point.
     max_stars : int
-        Stars that make match groups at a time, the brightest first; 64 at most.
+        Number of stars in match groups, the brightest; at most 64.
     group_threshold : int
-        First limit on the match-group size; lowered from the largest group found.
+        Initial threshold of the group size, which is decreased from the largest group found.
     max_groups_per_star : int
-        Match groups kept for each observed star (Greyling 1995: group size limit).
+        Number of match groups kept for each observed star (Greyling 1995: group size limit).
     """
 
     separation_tolerance_deg: float | None = None
@@ -169,7 +166,7 @@ class PyramidSettings(IdentificationSettings):
     separation_tolerance_deg : float or None
         As in `MatchGroupSettings`.
     max_stars : int
-        Brightest stars that make triangles; 64 at most.
+        Number of stars in triangles, the brightest; at most 64.
     """
 
     separation_tolerance_deg: float | None = None
@@ -178,7 +175,7 @@ class PyramidSettings(IdentificationSettings):
 
 @dataclass(frozen=True)
 class PatternHashSettings(IdentificationSettings):
-    """Settings of `pattern_hash`: those that all methods share."""
+    """Settings of `pattern_hash`: the common ones."""
 
 
 @dataclass(frozen=True)
@@ -190,15 +187,15 @@ class TriadSettings(IdentificationSettings):
     separation_tolerance_deg : float or None
         As in `MatchGroupSettings`.
     max_stars : int
-        Brightest stars that make triads; 64 at most.
+        Number of stars in triads, the brightest; at most 64.
     rotation_tolerance_deg, grouping_tolerance_deg : float
-        Largest difference between the two rotations of a triad, and from the mean of its group.
+        Maximum difference between the two rotations of a triad, and from the mean of its group.
     enclosed_tolerance_deg : float or None
-        Largest difference of an inner angle; None leaves that test out.
+        Largest difference of an inner angle; None: no test.
     vote_number : int
-        Fewest triads of a group that must name a guide star.
+        Minimum number of votes for a guide star in a group of triads.
     three_stars : bool
-        Where only three stars are seen and all triads agree, one vote is enough.
+        Accept a single vote if only three stars are observed and all triads agree.
     """
 
     separation_tolerance_deg: float | None = None
@@ -212,42 +209,32 @@ class TriadSettings(IdentificationSettings):
 
 @dataclass(frozen=True)
 class AnyIdentificationSettings(IdentificationSettings):
-    """Settings of all methods, as in a scenario; a method reads those that are its own.
-
-    Parameters
-    ----------
-    separation_tolerance_deg : float or None
-        All but `pattern_hash`: largest difference between a measured and a catalogued separation; None: from the
-        camera and the centroids' errors. Greyling 1995: 0.2°.
-    magnitude_tolerance : float
-        `adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
-        zero point is taken off.
-    max_stars : int or None
-        `match_groups`, `pyramid` and triads: brightest stars used; None: the method's own number, 8, 30 and 12.
-    group_threshold : int
-        `match_groups`: first limit on the match-group size; lowered from the largest group found.
-    max_groups_per_star : int
-        `match_groups`: groups kept for each observed star (Greyling 1995: group size limit).
-    rotation_tolerance_deg, grouping_tolerance_deg : float
-        Triads (Yee 1999): largest difference between the two rotations of a triad, and from the mean of its group.
-    enclosed_tolerance_deg : float or None
-        Triads: largest difference of an inner angle; None leaves that test out.
-    vote_number : int
-        Triads: fewest of a group that must name a guide star.
-    three_stars : bool
-        Triads: where only three stars are seen and all triads agree, one vote is enough.
-    """
+    """Settings of all methods, as in a scenario; a method uses its own."""
 
     separation_tolerance_deg: float | None = None
+    """All except `pattern_hash`: maximum difference between measured and catalogue separation; None: from the camera
+    and the centroid errors. Greyling 1995: 0.2°."""
     magnitude_tolerance: float = 2.0
+    """`adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
+    zero point is taken off."""
     max_stars: int | None = None
+    """`match_groups`, `pyramid` and triads: number of stars used, the brightest; None: 8, 30 and 12, respectively."""
     group_threshold: int = 5
+    """`match_groups`: first limit on the match-group size; lowered from the largest group found."""
     max_groups_per_star: int = 11
+    """`match_groups`: number of groups kept for each observed star (Greyling 1995: group size limit)."""
     rotation_tolerance_deg: float = 5.0
+    """Triads (Yee 1999): maximum difference between the two rotations of a triad."""
     grouping_tolerance_deg: float = 5.0
+    """Triads: maximum difference of a triad's rotation from the mean of its group."""
     enclosed_tolerance_deg: float | None = 1.0
+    """Triads: largest difference of an inner angle; None: no test."""
     vote_number: int = 2
+    """Triads: minimum number of votes for a guide star in a group."""
     three_stars: bool = True
+    """Triads: where only three stars are seen and all triads agree, one vote is enough."""
+
+    __repr__ = changed_fields
 
 
 SETTINGS: dict[str, type[IdentificationSettings]] = {
@@ -265,19 +252,32 @@ _OWN = {f.name for f in dataclasses.fields(AnyIdentificationSettings)} - {
 }
 
 
+@lru_cache(maxsize=32)
+def _converted(kind: Any, settings: IdentificationSettings | None) -> Any:
+    """Settings of one class from those of another, see `IdentificationSettings.of`."""
+    if settings is None:
+        return kind()
+    if type(settings) not in (IdentificationSettings, AnyIdentificationSettings):
+        raise InputError(f"{type(settings).__name__} are the settings of another identifier; give {kind.__name__}")
+    shared = {f.name: getattr(settings, f.name) for f in dataclasses.fields(kind) if hasattr(settings, f.name)}
+    if shared.get("max_stars", 0) is None:
+        del shared["max_stars"]
+    return kind(**shared)
+
+
 def settings_of(identifier: str, settings: IdentificationSettings | None) -> IdentificationSettings:
-    """Settings of an identifier by name; those of an identifier of another package are handed on as they are.
+    """Settings of an identifier by name; those of an identifier of another package are returned unchanged.
 
     Raises
     ------
     InputError
-        For the settings of another method.
+        For settings of another method.
     """
     kind = SETTINGS.get(identifier)
     return kind.of(settings) if kind else settings or AnyIdentificationSettings()
 
 
 def unread_keys(identifier: str) -> list[str]:
-    """Names of `AnyIdentificationSettings` that an identifier does not read; none for one of another package."""
+    """Names of `AnyIdentificationSettings` that an identifier does not use; empty for one of another package."""
     kind = SETTINGS.get(identifier, AnyIdentificationSettings)
     return sorted(_OWN - {f.name for f in dataclasses.fields(kind)})

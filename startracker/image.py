@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import math
+import re
+import shlex
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.bayer import bayer_to_grey
+from startracker.display import described, html_card
 from startracker.errors import InputError
+from startracker.picture import photograph
 
-__all__ = ["LoadedImage", "read_image"]
+__all__ = ["LoadedImage", "read_image", "sample_photo"]
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
@@ -32,6 +37,11 @@ _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
 """Operation that makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is upright already."""
 _UNDOES = {6: 8, 8: 6}
 """Orientation whose operation is the inverse of another's; the others are their own inverse."""
+_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
+"""Major brands of HEIF files with HEVC images (ISO/IEC 23008-12, annex B)."""
+_RAW_SUFFIXES = re.compile(r"\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|raw|rw2|sr2|srf|srw)", re.IGNORECASE)
+_RAW_STARTS = (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb")
+"""First bytes of raw files of Fujifilm, Olympus, Panasonic, Phase One and Sigma; others are known by their name."""
 _HINT = "give a PNG, TIFF, JPEG or FITS image"
 
 
@@ -49,15 +59,32 @@ class LoadedImage:
         Metadata of the file (FITS keywords; Pillow's format and mode).
     notes : tuple of str
         Notes for the user: channels averaged, EXIF orientation applied or not.
+    colours : float32 array, shape (H, W, 3), optional
+        Red, green and blue of a colour picture, for pictures; only where they were asked for.
     """
 
     image: NDArray[np.float32]
     saturation_dn: float | None = None
     header: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    colours: NDArray[np.float32] | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"saturation {self.saturation_dn:g} DN"
+        return described("LoadedImage", f"{width}×{height} px", full, *self.notes)
+
+    def _repr_html_(self) -> str:
+        """The image with its size, for notebooks."""
+        height, width = self.image.shape
+        full = "" if self.saturation_dn is None else f"{self.saturation_dn:g} DN"
+        rows = {"size": f"{width}×{height} px", "saturation": full, "notes": "; ".join(self.notes)}
+        return html_card("Image", rows, photograph(self.image, "image"))
 
 
-def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = True) -> LoadedImage:
+def read_image(
+    path: str | Path, *, bayer: str | None = None, upright: bool = True, colours: bool = False
+) -> LoadedImage:
     """Read an image file.
 
     Colour channels are averaged (without transparency), palettes are resolved; 16 bits per channel stay 16 bits.
@@ -73,6 +100,8 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
         Apply the EXIF orientation, as viewers do; pixel coordinates are those of the upright picture. False keeps the
         rows and columns of the sensor, to which a calibrated camera or a bad-pixel map refers; a raw mosaic always
         keeps them, as its pattern depends on them.
+    colours : bool
+        Keep the colour channels as well, in `LoadedImage.colours`.
 
     Raises
     ------
@@ -80,22 +109,17 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
         If the file is missing, unreadable, damaged, truncated, empty, or not an image.
     """
     file = Path(path)
-    if file.is_dir():
-        raise InputError(f"{file}: is a folder; give the image files in it")
-    try:
-        with file.open("rb") as stream:
-            start = stream.read(32)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
-    except ValueError as error:  # a NUL in the name
-        raise InputError(f"{str(file)!r}: is not a file name; {_HINT}") from error
-    if not start:
+    data = _bytes_of(file)
+    if not data:
         raise InputError(f"{file}: is empty (0 bytes); {_HINT}")
-    is_fits = start.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
-    loaded = _read_fits(file) if is_fits else _read_picture(file, upright and bayer is None)
+    _refuse_unreadable(file, data)
+    is_fits = data.startswith(b"SIMPLE  =") or file.name.lower().endswith(_FITS_SUFFIXES)
+    loaded = _read_fits(file) if is_fits else _read_picture(file, data, upright and bayer is None)
+    if not colours:
+        loaded = replace(loaded, colours=None)
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
-            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; leave bayer out")
+            raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; omit bayer")
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
         # the gains differ by colour: take the lowest level at which any pixel saturates
@@ -111,7 +135,41 @@ def read_image(path: str | Path, *, bayer: str | None = None, upright: bool = Tr
     return loaded
 
 
-def _read_picture(file: Path, upright: bool) -> LoadedImage:
+def _bytes_of(file: Path) -> bytes:
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder; give the image files inside it")
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
+    except ValueError as error:  # a NUL in the name
+        raise InputError(f"{str(file)!r}: is not a file name; {_HINT}") from error
+
+
+def _refuse_unreadable(file: Path, data: bytes) -> None:
+    """Raise `InputError` for photographs of formats that need a converter, saying how to convert them."""
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
+        raise InputError(
+            f"{file}: HEIC images are not read; convert it first, for example: "
+            f"heif-convert {shlex.quote(file.name)} {shlex.quote(file.stem)}.png"
+        )
+    if _RAW_SUFFIXES.fullmatch(file.suffix) or data.startswith(_RAW_STARTS) or data[4:12] == b"ftypcrx ":
+        raise InputError(
+            f"{file}: raw images of a camera are not read; convert it first, for example: "
+            f"dcraw -T -4 -h {shlex.quote(file.name)}, which writes a 16-bit TIFF"
+        )
+
+
+def sample_photo() -> Path:
+    """File of a photograph that ships with the package: Orion, 42.5° across, JPEG in colour.
+
+    It was rendered with `simulator` (``tests/oracle/build_sample_photograph.py``) and may be used freely. Its boresight
+    is RA 83°, Dec +1°, roll 12°.
+    """
+    return Path(str(files("startracker"))) / "sample_photo.jpg"
+
+
+def _read_picture(file: Path, data: bytes, upright: bool) -> LoadedImage:
     import warnings
 
     from PIL import Image, UnidentifiedImageError
@@ -120,7 +178,6 @@ def _read_picture(file: Path, upright: bool) -> LoadedImage:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
             # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of the upright picture
-            data = file.read_bytes()
             with Image.open(io.BytesIO(data)) as picture:
                 width, height = picture.size
                 if width * height > _MOST_PIXELS:
@@ -195,11 +252,12 @@ def _finish(array: NDArray[Any], header: dict[str, Any], notes: tuple[str, ...],
         saturation = float(np.iinfo(array.dtype).max)
     elif array.dtype == np.int32 and header.get("mode", "").startswith("I"):  # Pillow's name for 16 bits and more
         saturation = 65535.0 if float(array.max()) <= 65535.0 else None
+    colours = array.astype(np.float32) if array.ndim == 3 and array.shape[2] == 3 else None
     if array.ndim == 3:
         array = array.mean(axis=2, dtype=np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         pixels = np.ascontiguousarray(array, dtype=np.float32)
-    return LoadedImage(np.where(np.isfinite(pixels), pixels, np.float32(np.nan)), saturation, header, notes)
+    return LoadedImage(np.where(np.isfinite(pixels), pixels, np.float32(np.nan)), saturation, header, notes, colours)
 
 
 def _read_fits(file: Path) -> LoadedImage:
@@ -226,7 +284,7 @@ def _read_fits(file: Path) -> LoadedImage:
                     }
                     break
                 else:
-                    raise InputError(f"{file}: holds no two-dimensional image; {_HINT}")
+                    raise InputError(f"{file}: contains no two-dimensional image; {_HINT}")
     except InputError:
         raise
     except Exception as error:

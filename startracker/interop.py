@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["is_rotation", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
+__all__ = ["is_rotation", "is_skycoord", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
 
 
 def plain(given: Any, unit: str, name: str) -> Any:
@@ -39,6 +39,11 @@ def is_time(given: Any) -> bool:
 def julian_year(given: Any) -> Any:
     """Julian epoch, TT, of an astropy ``Time``; anything else is returned unchanged."""
     return float(given.tt.jyear) if is_time(given) and np.ndim(given.tt.jyear) == 0 else given
+
+
+def is_skycoord(given: Any) -> bool:
+    """Whether this is an astropy ``SkyCoord``."""
+    return hasattr(given, "icrs")
 
 
 def skycoord_deg(given: Any, name: str) -> tuple[float, float]:
@@ -71,7 +76,5 @@ def rotation_quat(given: Any) -> NDArray[np.float64]:
     """
     quat = np.asarray(given.as_quat(), dtype=float) if is_rotation(given) else np.empty(0)
     if quat.shape != (4,):
-        raise InputError(
-            f"a single scipy Rotation is needed; got {type(given).__name__} of the shape {quat.shape[:-1]}"
-        )
+        raise InputError(f"a single scipy Rotation is needed; got {type(given).__name__} with shape {quat.shape[:-1]}")
     return quat * [-1.0, -1.0, -1.0, 1.0]

@@ -1,4 +1,4 @@
-"""How functions become compiled kernels, and clocks that leave the wait for it out.
+"""Compilation of kernels, and clocks that exclude the compile time.
 
 Kernels are compiled by numba on first use and cached on disk; `startracker.compilation` shows the progress.
 """
@@ -31,17 +31,17 @@ _OURS = ("startracker.", "simulator.")
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Decorator: the function is compiled when it is first called, once for each combination of types.
+    """Decorator: the function is compiled on its first call, once per combination of types.
 
-    Division is that of NumPy, which lets loops be vectorised. Wrappers for callers in C are left out, for nobody calls
-    them, and a constant in a call from another kernel counts as any other number: numba would compile the function for
-    each constant.
+    Division is that of NumPy, which allows loops to be vectorised. Unused wrappers for callers in C are omitted, and
+    constants in calls from other kernels are treated as any other number: numba would compile the function for each
+    constant.
     """
     return _compiled(function)
 
 
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator as `kernel`, with more options of `numba.njit`."""
+    """Decorator like `kernel`, with additional options of `numba.njit`."""
     return lambda function: _compiled(function, **options)
 
 
@@ -66,10 +66,10 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
 
 @contextmanager
 def _held(folder: Path, name: str) -> Iterator[None]:
-    """Hold a kernel against other processes, so that one compiles it and the others load what it leaves on disk.
+    """Lock a kernel, so that one process compiles it and the others load it from disk.
 
-    A byte of one file in the folder of the cache stands for the kernel; the system frees it where a process ends.
-    Where there are no such locks (Windows, some network drives), several processes may compile the same kernel.
+    A byte of a file in the cache folder represents the kernel; the lock is released when the process ends. Without file
+    locks (Windows, some network drives) several processes may compile the same kernel.
     """
     byte = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "little")
     file = None
@@ -87,25 +87,25 @@ def _held(folder: Path, name: str) -> Iterator[None]:
 
 @cache
 def _lock_file(folder: Path) -> IO[bytes]:
-    """File of the locks, open as long as the process lives: closing it would free them."""
+    """Lock file, open for the lifetime of the process, as closing it would release the locks."""
     folder.mkdir(parents=True, exist_ok=True)
     return (folder / ".compiling").open("ab")
 
 
 def clock() -> float:
-    """Seconds as of `time.perf_counter`, which stand still while kernels are compiled."""
+    """Seconds as from `time.perf_counter`, without the time spent compiling kernels."""
     return time.perf_counter() - progress.seconds
 
 
 def processor_clock() -> float:
-    """Seconds as of `time.process_time`, which stand still while kernels are compiled."""
+    """Seconds as from `time.process_time`, without the time spent compiling kernels."""
     return time.process_time() - progress.processor_s
 
 
 class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Passes on what the compiler says, and spares it the search for garbage.
+    """Forwards events of the compiler, and suspends garbage collection.
 
-    Its millions of small objects live until a kernel is done; looking for garbage among them takes a tenth of its time.
+    Its millions of small objects live until a kernel is finished; collecting among them takes a tenth of the time.
     """
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 def is_compiled(task: str) -> bool:
-    """Whether most of what a task needs is on disk, by the list of `startracker.compilation.expected_kernels`."""
+    """Whether most kernels of a task are on disk, according to `startracker.compilation.expected_kernels`."""
     expected = expected_kernels(task)
     return 2.0 * sum(s for name, s in expected.items() if _is_on_disk(name)) > sum(expected.values())
 
@@ -137,7 +137,7 @@ def _is_on_disk(name: str) -> bool:
     """Whether a kernel of a loaded module has been compiled by an earlier process."""
     module, _, function = name.partition(":")
     dispatcher = getattr(sys.modules.get(module), function, None)
-    if dispatcher is None or not hasattr(dispatcher, "stats"):  # not loaded, or no kernel any more
+    if dispatcher is None or not hasattr(dispatcher, "stats"):  # not loaded, or no longer a kernel
         return False
     return any(Path(dispatcher.stats.cache_path).glob(f"*.{function}-*.nbi"))
 

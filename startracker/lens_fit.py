@@ -1,8 +1,8 @@
-"""One camera and an attitude for each of its images, by weighted least squares on the stars' pixels.
+"""Joint fit of a camera and the attitudes of its images, by weighted least squares on pixel positions.
 
-Unknowns: the camera's parameters (`startracker.lens.PARAMETERS`), a rotation vector an image and, where wanted, two
-numbers an image for the differential refraction of the air. Gauss–Newton with analytic derivatives and halved steps;
-weak priors (`startracker.lens.prior_of`) enter as one more observation each.
+Unknowns: the camera's parameters (`startracker.lens.PARAMETERS`), a rotation vector per image and, optionally, two
+parameters per image for differential atmospheric refraction. Gauss–Newton with analytic derivatives and step halving;
+weak priors (`startracker.lens.prior_of`) are additional observations.
 """
 
 from __future__ import annotations
@@ -34,59 +34,42 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _TOGETHER = (("cx", "cy"), ("aspect",), ("p1", "p2"))
-"""Parameters that are kept or left out as one; the radial ones are, from the highest power down."""
+"""Parameters that are included or excluded together; radial ones are excluded from the highest power down."""
 REFRACTION_SIGMA = 5e-4
-"""Prior of the stretch by refraction: 58.3″ tan²z / 2, at zenith distances up to some 60°."""
+"""Prior of the stretch by refraction: 58.3″ tan²z / 2, at zenith distances up to about 60°."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Stars of one image and where the catalogue has them.
-
-    Parameters
-    ----------
-    xy : (M, 2)
-        Measured, pixels.
-    directions : (M, 3)
-        Unit vectors as the observer sees them, ICRS axes.
-    sigma_px : (M,)
-        Standard error on one axis.
-    """
+    """Stars of one image with their catalogue directions."""
 
     xy: FloatArray
+    """Measured, pixels, (M, 2)."""
     directions: FloatArray
+    """Apparent unit vectors, ICRS axes, (M, 3)."""
     sigma_px: FloatArray
+    """Standard error on one axis, (M,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """What the stars of all images together say.
-
-    Parameters
-    ----------
-    camera : Camera
-    matrices : list of (3, 3)
-        ICRS to camera, one an image.
-    stretches : (I, 2)
-        Differential refraction of each image, see `stretch`; zero where not fitted.
-    names : tuple of str
-        Parameters of the camera that were fitted.
-    covariance : (P, P)
-        Of these, of the rotation vectors and of the stretches, in this order; errors as stated, priors in.
-    chi2, penalty : float
-        Weighted squares of the residuals, and of the parameters' distances from their priors.
-    residuals : list of (M, 2)
-        Measured minus predicted, pixels.
-    """
+    """Result of the joint fit to the stars of all images."""
 
     camera: Camera
     matrices: list[FloatArray]
+    """ICRS to camera, one per image, each (3, 3)."""
     stretches: FloatArray
+    """Differential refraction of each image, see `stretch`, (I, 2); zero where not fitted."""
     names: tuple[str, ...]
+    """Parameters of the camera that were fitted."""
     covariance: FloatArray
+    """Covariance of these, the rotation vectors and the stretches, in this order, (P, P); with stated errors, including
+    priors."""
     chi2: float
     penalty: float
+    """χ² of the residuals, and of the deviations of the parameters from their priors."""
     residuals: list[FloatArray]
+    """Measured minus predicted, pixels, each (M, 2)."""
 
     @property
     def stars(self) -> int:
@@ -100,11 +83,12 @@ class JointFit:
 
 
 def stretch(vectors: FloatArray, amounts: FloatArray) -> FloatArray:
-    """Vectors (M, 3) with what air does to a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
+    """Vectors (M, 3) with atmospheric refraction over a field to first order: x → x (1 + a) + b y, y → y (1 − a) + b x.
 
-    Refraction R = κ tan z (κ = 58.3″) shortens the sky by κ sec²z along the vertical and by κ across it. The mean of
-    both cannot be distinguished from the focal length; half their difference, κ tan²z / 2 = |(a, b)|, can. The rest is
-    R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of 40°.
+    Refraction R = κ tan z (κ = 58.3″) compresses the sky by κ sec²z along the vertical and by κ across it. The mean of
+    both is equivalent to a change of the focal length; half their difference, κ tan²z / 2 = |(a, b)|, is fitted. The
+    remainder is R''/2 = κ sec²z tan z times the square of the distance from the centre: 0.9″ for 4° at an altitude of
+    40°.
     """
     a, b = amounts
     turned = vectors.copy()
@@ -123,20 +107,20 @@ def fit_jointly(
     with_refraction: bool = False,
     enough: float = 1e-9,
 ) -> JointFit | None:
-    """Least squares from a start that is right to a few pixels; None where no lens that is one to one fits.
+    """Least squares from a start accurate to a few pixels; None if no invertible lens model fits.
 
     Parameters
     ----------
     camera, matrices, stretches
-        Where to start.
+        Starting values.
     matches : list of Matches
-        One an image.
+        One per image.
     names : tuple of str
-        Of `startracker.lens.PARAMETERS`: what is free; all else stays as it is in `camera`.
+        Free parameters, of `startracker.lens.PARAMETERS`; the others are those of `camera`.
     with_refraction : bool
-        Whether each image has a stretch of its own.
+        Whether each image has its own stretch.
     enough : float
-        Gain in χ² below which it ends: what is left of the way to the minimum is √enough standard errors at most.
+        Gain in χ² below which the iteration ends: the distance to the minimum is then at most √enough standard errors.
     """
     state = _State(camera, list(matrices), np.zeros((len(matches), 2)) if stretches is None else stretches)
     chi2, penalty = _cost(state, matches, names, with_refraction)
@@ -164,7 +148,7 @@ def fit_jointly(
             break
     if not np.isfinite(chi2):
         return None
-    try:  # as before the last step, which was too small to change it
+    try:  # unchanged by the last step, which was too small
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
@@ -173,7 +157,7 @@ def fit_jointly(
 
 
 def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) -> FloatArray:
-    """Covariance with the stars' errors enlarged by √(χ²/ν), and the priors as they are."""
+    """Covariance with the stars' errors multiplied by √(χ²/ν), and unchanged priors."""
     inflation = np.sqrt(fit.chi2 / fit.freedom)
     wider = [replace(m, sigma_px=m.sigma_px * inflation) for m in matches]
     state = _State(fit.camera, fit.matrices, fit.stretches)
@@ -182,16 +166,16 @@ def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) ->
 
 
 def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0) -> float:
-    """Noise on one axis, px, beside the centroids' own that makes the median normalised residual what it should be.
+    """Additional noise on one axis, px, for which the median normalised residual has its expected value.
 
     Parameters
     ----------
     residuals : (M, 2)
         Pixels.
     variance_px2 : (M,)
-        Of the centroids on one axis.
+        Variance of the centroids on one axis.
     fitted : int
-        Parameters that were fitted to these residuals, which makes them smaller.
+        Number of parameters fitted to these residuals.
     """
     squares = np.sum(residuals**2, axis=1)
     wanted = 2.0 * math.log(2.0) * (1.0 - min(fitted / (2.0 * len(squares)), 0.9))
@@ -208,11 +192,11 @@ def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0
 
 
 def significant(full: JointFit) -> tuple[str, ...]:
-    """Parameters worth their keep: the least χ²/s² + ln(observations) · number over all combinations.
+    """Significant parameters: the combination with the minimum of χ²/s² + ln(observations) · number of parameters.
 
-    Schwarz's criterion (1978, Ann. Stat. 6, 461) with s² = χ²/ν of the full fit. Leaving parameters out raises χ² by
-    dᵀ C⁻¹ d, with d their distances from the plain values and C their block of the covariance (Wald's test): exact
-    where the model is linear over these distances.
+    Schwarz's criterion (1978, Ann. Stat. 6, 461) with s² = χ²/ν of the full fit. Excluding parameters increases χ² by
+    dᵀ C⁻¹ d, with d their differences from the values of `plain` and C their block of the covariance (Wald's test),
+    which is exact if the model is linear over these differences.
     """
     scale2, price = max(full.chi2 / full.freedom, 1e-12), math.log(2.0 * full.stars)
     distance = np.array([value_of(n, full.camera) - prior_of(n, full.camera)[0] for n in full.names])
@@ -277,7 +261,7 @@ def image_equations(
     if amounts is not None:
         vectors = stretch(vectors, amounts)
     pixels, moves, by_vector = sensitivity(camera, vectors)
-    # the stretch's own share of a turn, 1e-3, does not matter for the step
+    # the effect of the stretch on the rotation, 1e-3, is negligible for the step
     columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
     if with_refraction:
         x, y = vectors[:, :2].T

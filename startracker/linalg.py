@@ -1,6 +1,6 @@
-"""Linear algebra of a few unknowns within kernels: Cholesky's factors, inverses, 3-vectors, rotations.
+"""Linear algebra of a few unknowns within kernels: Cholesky factors, inverses, 3-vectors, rotations.
 
-NumPy's own functions cost a second of compiling each, and half a microsecond a call.
+NumPy's functions take a second each to compile, and half a microsecond per call.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from startracker.kernels import kernel, kernel_with
 
 __all__ = [
+    "chord",
     "cross",
     "factorise",
     "inverse",
     "log_determinant",
+    "rotate_back",
     "solve",
     "substitute",
     "transform",
@@ -27,12 +29,12 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 _LEAST_PIVOT = 1e-14
-"""Share of a diagonal element below which what elimination leaves of it is rounding."""
+"""Relative limit of a diagonal element after elimination, below which it is rounding error."""
 
 
 @kernel
 def factorise(matrix: FloatArray, size: int) -> bool:
-    """Cholesky's factor L of the leading block, in place (lower half); False where that is not positive definite."""
+    """Cholesky's factor L of the leading block, in place (lower half); False if it is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -62,7 +64,7 @@ def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
 
 @kernel
 def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solution (n,) of a positive definite system; NaN where it is none."""
+    """Solution (n,) of a positive definite system; NaN if it is not."""
     size = len(right)
     factor, out = np.empty((size, size)), np.empty(size)
     for i in range(size):
@@ -105,9 +107,16 @@ def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
         out[k, k] = 1.0 if positive else math.nan
         log_determinant += 2.0 * math.log(factor[k, k]) if positive else math.nan
         substitute(factor, size, out[k])
-        for j in range(k):  # equal to the last digit
+        for j in range(k):  # symmetric to the last digit
             out[j, k] = out[k, j]
     return out, log_determinant
+
+
+@kernel
+def chord(u: FloatArray, v: FloatArray) -> float:
+    """Distance of two unit vectors."""
+    x, y, z = u[0] - v[0], u[1] - v[1], u[2] - v[2]
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @kernel
@@ -131,6 +140,17 @@ def transform(matrix: FloatArray, vectors: FloatArray, out: FloatArray) -> None:
         x, y, z = vectors[n, 0], vectors[n, 1], vectors[n, 2]
         for i in range(3):
             out[n, i] = matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
+
+
+@kernel
+def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
+    """matrixᵀ · v of one vector (3,)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return (
+        matrix[0, 0] * x + matrix[1, 0] * y + matrix[2, 0] * z,
+        matrix[0, 1] * x + matrix[1, 1] * y + matrix[2, 1] * z,
+        matrix[0, 2] * x + matrix[1, 2] * y + matrix[2, 2] * z,
+    )
 
 
 @kernel

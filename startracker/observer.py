@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.display import described
 from startracker.errors import InputError
-from startracker.interop import julian_year, plain
+from startracker.interop import is_time, julian_year, plain
 
 FloatArray = NDArray[np.float64]
 
@@ -20,19 +21,20 @@ EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 _OBLIQUITY_RAD = np.radians(23.4393)
 _ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
-"""Beyond any spacecraft: the fastest passed the Sun at 192 km/s, the farthest is at 170 au."""
+"""Upper limits: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """Epoch and barycentric state; the defaults are a barycentric observer at J2000.
+    """Epoch, and barycentric state as far as it is known.
 
     Parameters
     ----------
     epoch_jyear : float or astropy Time
         Julian epoch (TT) of mid-exposure, for space motion. Stored as a float.
-    velocity_km_s : array or astropy Quantity, shape (3,)
-        Barycentric velocity, ICRS, for the aberration of light. Stored in km/s.
+    velocity_km_s : array or astropy Quantity, shape (3,), optional
+        Barycentric velocity, ICRS, for the aberration of light. Stored in km/s. None: not known; aberration is then not
+        corrected, and covariances include it. An observer at rest at the barycentre has the velocity (0, 0, 0).
     position_au : array or astropy Quantity, shape (3,)
         Barycentric position, ICRS, for the annual parallax. Stored in au.
 
@@ -59,12 +61,46 @@ class Observer:
         self._check("velocity_km_s", _FASTEST_KM_S, "km/s", "m/s")
         self._check("position_au", _FARTHEST_AU, "au", "km")
 
+    @classmethod
+    def on_earth(cls, time: Any, location: Any) -> Observer:
+        """Observer on the ground, by ERFA's ``apco13``.
+
+        UT1 is taken as UTC, and the pole as fixed: errors of 5 cm/s and 0.5 km. No file is downloaded.
+
+        Parameters
+        ----------
+        time : astropy Time
+            Middle of the exposure.
+        location : astropy EarthLocation
+            For example ``EarthLocation.from_geodetic(lon=18.9 * u.deg, lat=-33.9 * u.deg, height=120 * u.m)``.
+
+        Raises
+        ------
+        InputError
+            For anything but one time and one location.
+        """
+        if not (is_time(time) and hasattr(location, "geodetic") and time.isscalar and location.isscalar):
+            raise InputError("an observer on the Earth needs one astropy Time and one astropy EarthLocation")
+        import erfa
+
+        geodetic = location.geodetic
+        site = geodetic.lon.to_value("rad"), geodetic.lat.to_value("rad"), geodetic.height.to_value("m")
+        # the ufunc, because its wrapper warns of dates after the table of leap seconds; air, polar motion: none
+        astrom, *_ = erfa.ufunc.apco13(time.utc.jd1, time.utc.jd2, 0.0, *site, *[0.0] * 5, 0.55)
+        return cls(time, astrom["v"] * SPEED_OF_LIGHT_KM_S, astrom["eb"])
+
     @property
     def time(self) -> Any:
         """The epoch as an astropy ``Time``, TT."""
         from astropy.time import Time
 
         return Time(self.epoch_jyear, format="jyear", scale="tt")
+
+    def __repr__(self) -> str:
+        velocity, position = self.velocity_km_s, self.position_au
+        speed = "velocity unknown" if velocity is None else f"{math.hypot(*velocity.tolist()):.2f} km/s"
+        distance = "" if position is None else f"{math.hypot(*position.tolist()):.4f} au"
+        return described("Observer", f"epoch {self.epoch_jyear:.5f}", speed, distance)
 
     def _check(self, name: str, most: float, unit: str, other: str) -> None:
         """Convert one of the vectors to an array and check its length.
@@ -119,6 +155,11 @@ def unknown_aberration(matrix: FloatArray) -> FloatArray:
     return np.asarray(across @ beta @ across.T)
 
 
+def corrects_aberration(observer: Observer | None) -> bool:
+    """Whether an observer's velocity is known, so that aberration can be corrected."""
+    return observer is not None and observer.velocity_km_s is not None
+
+
 def observer_of(observer: Observer | None, time: Any) -> Observer | None:
     """The observer of an image: as given, or with only its epoch known; None if neither is given.
 
@@ -130,5 +171,5 @@ def observer_of(observer: Observer | None, time: Any) -> Observer | None:
     if time is None:
         return observer
     if observer is not None:
-        raise InputError("observer and time both give the epoch; leave time out")
+        raise InputError("observer and time both give the epoch; omit time")
     return Observer(epoch_jyear=time)

@@ -1,4 +1,5 @@
-"""From identified stars to the attitude: match all stars of the field, drop what does not fit, weigh the rest."""
+"""From identified stars to the attitude: match all stars of the field, reject outliers, and fit the others with
+weights."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ from startracker.identification.association import MARGIN_PX, joined, matched_ag
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import solve, turned
-from startracker.observer import Observer, unknown_aberration
+from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
 
 FloatArray = NDArray[np.float64]
@@ -46,71 +47,52 @@ BoolArray = NDArray[np.bool_]
 _FEWEST_TO_REJECT = 4
 _ROUNDS = 4
 _MOST_FIT = 0.85
-"""Share of the named stars that fit; fewer than one in ten are blends."""
+"""Minimum fraction of identified stars that fit; fewer than one in ten are blends."""
 NAMED_PX, BY_CHANCE = 3.0, 0.02
-"""A centroid this near to a guide star is this star, where at most this share of the guide stars would have a centroid
-as near by chance."""
+"""Maximum distance at which a centroid is identified with a guide star, and maximum fraction of guide stars that would
+have a centroid at this distance by chance."""
 _MISFITTING = 0.01
-"""Probability of star images as assumed below which errors may depend on the position in the pixel."""
+"""Probability that star images are as assumed, below which errors may depend on the sub-pixel position."""
 RATE_SIGMA_RAD_S = math.radians(2.0)
-"""Rate of a body, about each axis, of which nothing is known but that the stars are seen."""
+"""Assumed standard deviation of an unknown body rate about each axis."""
 EPOCH_SIGMA_YR = 30.0
-"""Years between the catalogue's epoch and a frame whose time is not known."""
+"""Assumed interval between the catalogue's epoch and a frame of unknown time, years."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Attitude of one field.
-
-    Parameters
-    ----------
-    matrix : (3, 3)
-        ICRS to camera.
-    covariance : (3, 3)
-        Of the rotation-vector error in camera axes, rad² (`startracker.estimation.pose`).
-    pairs : int (M, 2)
-        Centroid and guide index of all stars that are named.
-    used : bool (M,)
-        Whether a star is part of the fit: blends and other outliers are named, and left out.
-    residual_px : (M, 2)
-        Measured minus predicted by the attitude and the camera.
-    camera : Camera
-        The one given, or with the focal length fitted.
-    """
+    """Attitude of one field."""
 
     matrix: FloatArray
+    """ICRS to camera, (3, 3)."""
     covariance: FloatArray
+    """Of the rotation-vector error in camera axes, rad² (`startracker.estimation.pose`), (3, 3)."""
     pairs: IntArray
+    """Centroid and guide index of all identified stars, (M, 2)."""
     used: BoolArray
+    """Whether a star is used in the fit, (M,); blends and other outliers are identified but not used."""
     residual_px: FloatArray
+    """Measured minus predicted by the attitude and the camera, (M, 2)."""
     camera: Camera
+    """The given camera, or the one with fitted focal length."""
 
 
 class Measured(NamedTuple):
-    """Centroids of an image and what is known of their errors.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Pixels.
-    flux : (N,), optional
-        Signal.
-    variance_px2 : (N,), optional
-        Variance on one axis; None: unknown, equal, and estimated from the residuals.
-    covariance_px2 : (N, 2, 2), optional
-        Where the two axes differ, as of streaks.
-    common_px2 : (2, 2), optional
-        Of an error that all centroids share, which turns the attitude and no residual shows.
-    misfit : float, optional
-        How far the star images are from those that were fitted to them (`Centroids.misfit`).
-    """
+    """Centroids of an image and their errors."""
 
     xy: FloatArray
+    """Pixels, (N, 2)."""
     flux: FloatArray | None = None
+    """Signal, (N,)."""
     variance_px2: FloatArray | None = None
+    """Variance on one axis, (N,); None: equal and estimated from the residuals."""
     covariance_px2: FloatArray | None = None
+    """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
     common_px2: FloatArray | None = None
+    """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
+    residuals."""
     misfit: float | None = None
+    """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
 
 
 def refine(
@@ -123,13 +105,13 @@ def refine(
     directions: FloatArray | None = None,
     observer: Observer | None = None,
 ) -> Refined:
-    """Attitude from all centroids that agree with guide stars of the field.
+    """Attitude from all centroids that match guide stars of the field.
 
-    Starts from the identified pairs; then, until nothing changes: attitude, prediction of every guide star on the
-    image, nearest centroids, rejection of residuals beyond 3.7 robust standard errors. From there the fit of
-    `startracker.estimation.pose` takes over, which finds how large the errors really are and whether the camera is as
-    calibrated; it takes in every centroid within 3.7 of these standard errors of a guide star. Centroids that are
-    farther away, but nearer than chance explains, are named and not used.
+    Starts from the identified pairs and iterates until convergence: attitude, prediction of every guide star on the
+    image, nearest centroids, rejection of residuals beyond 3.7 robust standard errors. The result is refined by the fit
+    of `startracker.estimation.pose`, which estimates the actual errors and deviations from the calibrated camera, and
+    includes every centroid within 3.7 of these standard errors of a guide star. Centroids at larger distances that are
+    not explained by chance are identified but not used.
 
     Parameters
     ----------
@@ -137,14 +119,14 @@ def refine(
         Identified (centroid, guide star).
     stars : Measured
     camera, guide, estimator
-        The camera, the guide stars as the observer sees them, and a method of `startracker.estimation`.
+        The camera, the guide stars in apparent directions, and a method of `startracker.estimation`.
     free_focal : bool
-        Whether the focal length is fitted along (both axes by one factor); the covariance has its part then.
+        Whether the focal length is fitted as well (one factor for both axes); the covariance then includes it.
     directions : (N, 3), optional
-        Of the centroids through the camera, where they are known.
+        Directions of the centroids in the camera frame, if known.
     observer : Observer, optional
-        What the guide stars are seen by. Without it the covariance has the motion of the stars since the catalogue's
-        epoch and the aberration of light in it.
+        Observer of the guide stars. Without it the covariance includes the motion of the stars since the catalogue's
+        epoch and the aberration of light.
     """
     xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
@@ -157,11 +139,12 @@ def refine(
     if known and stars.covariance_px2 is not None:
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
     as_assumed = probability_as_assumed(stars.misfit)
-    field = _Field(xy, stated, known, camera, guide, free_focal or observer is None, observer, as_assumed)
+    free_scale = free_focal or not corrects_aberration(observer)
+    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
-        # so many are no blends: errors may be larger than stated, and those that agree by chance confirm each other
+        # too many for blends: errors may be larger than stated, and chance agreements may confirm each other
         other = field.settled(fit.named, fit.matrix, fewest)
         fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
     used, named, fits = fit.used, fit.named, fit.fits
@@ -186,7 +169,8 @@ def _matched(
     known: bool,
     free_focal: bool,
 ) -> tuple[IntArray, FloatArray, Camera]:
-    """Pairs that agree with the attitude of those before, until these stay the same; their attitude, and the camera."""
+    """Pairs that agree with the attitude of the previous pairs, iterated until unchanged; their attitude, and the
+    camera."""
     sky, grid, fewest, same, matrix = guide.directions, guide.grid, len(used), False, np.zeros((3, 3))
     for _ in range(12):
         matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
@@ -198,12 +182,12 @@ def _matched(
             break
         cosine = field_cosine(camera, MARGIN_PX)
         fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
-        if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find the wrong one: keep what was identified
+        if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find a false match: keep the identified ones
             break
         used = fitting
-        if same and not free_focal:  # nor would the next fit be another
+        if same and not free_focal:  # the next fit would be the same
             break
-    if known and len(used) >= _FEWEST_TO_REJECT:  # a systematic error shows in bright stars: they are not yet left out
+    if known and len(used) >= _FEWEST_TO_REJECT:  # bright stars show systematic errors: do not reject them yet
         wide = np.maximum(sigma, median(sigma[used[:, 0]]))
         matrix, reference = _first_fit(used, directions, sky, wide, matrix)
         cosine = field_cosine(camera, MARGIN_PX)
@@ -213,8 +197,8 @@ def _matched(
 
 
 class _Fit(NamedTuple):
-    """A pose and the attitude (3, 3) that it comes to, errors that the field shares, the pairs it was fitted to,
-    the positions (N, 2) that these were measured at, all pairs that are named, and whether they fit."""
+    """A pose and its attitude (3, 3), errors common to the field, the fitted pairs, their measured positions (N, 2),
+    all identified pairs, and whether they fit."""
 
     pose: Pose
     matrix: FloatArray
@@ -227,7 +211,7 @@ class _Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Field:
-    """Centroids of one image and what is known of them, see `refine`."""
+    """Centroids of one image and their errors, see `refine`."""
 
     xy: FloatArray
     stated: FloatArray
@@ -239,7 +223,7 @@ class _Field:
     as_assumed: float
 
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
-        """Fits of the stars that agree with the fit before, until these stay the same."""
+        """Fits of the stars that agree with the previous fit, iterated until unchanged."""
         measured = self.xy
         pose, matrix, errors = self.fit(used, matrix, measured)
         named, fits, merged = self.named(pose, matrix, errors)
@@ -261,12 +245,12 @@ class _Field:
         return error_columns(xy, (xy - (camera.cx, camera.cy)) / half_diagonal)
 
     def _corrected(self, xy: FloatArray, errors: ImageErrors) -> FloatArray:
-        """Measured positions (N, 2) without the errors that the field shares."""
+        """Measured positions (N, 2) without the errors common to the field."""
         return xy - self._error_columns(xy) @ errors.amplitudes if len(errors.amplitudes) else xy
 
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
-        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), the attitude that it comes to, and the
-        errors that the field shares; from measured positions (N, 2), see `named`."""
+        """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
+        field; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
         reference = self.guide.directions[pairs[:, 1]]
         residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
@@ -298,8 +282,8 @@ class _Field:
     def _extra(
         self, guides: IntArray, matrix: FloatArray, slopes: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Displacements (M, 2, E) that are always fitted: by the turn between the rows' exposures, and by the motion
-        of the stars since the catalogue's epoch; standard deviations (E,) of their amplitudes beforehand."""
+        """Displacements (M, 2, E) that are always fitted: by the rotation between the rows' exposures, and by the
+        motion of the stars since the catalogue's epoch; prior standard deviations (E,) of their amplitudes."""
         columns, sigma = [], []
         camera = self.camera
         if camera.row_time_s:
@@ -317,8 +301,8 @@ class _Field:
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
 
     def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
-        """Pairs (K, 2) of all centroids that belong to guide stars, which of them fit within their errors, and the
-        positions (N, 2), those of duplicates merged."""
+        """Pairs (K, 2) of all centroids of guide stars, which of them fit within their errors, and the positions (N,
+        2), with duplicates merged."""
         index, pixels, moved = self._predicted(pose, matrix)
         count = max(len(self.xy), 1)
         area = float(self.camera.width * self.camera.height)
@@ -329,7 +313,8 @@ class _Field:
         return pairs, fits, np.where(merged == right, self.xy, merged + (self.xy - right))
 
     def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Guide stars (G,) on the image, their pixels (G, 2), and how far the camera's unknowns move them (G, 2)."""
+        """Guide stars (G,) on the image, their pixels (G, 2), and their displacement by the unknowns of the camera (G,
+        2)."""
         camera, guide = self.camera, self.guide
         index, vectors, pixels = stars_on_image(
             matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
@@ -342,7 +327,7 @@ class _Field:
         """Attitude by the estimator, and its covariance."""
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
         covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
-        if estimator not in OPTIMAL:  # it has its own attitude and covariance, of what the fit has found of the errors
+        if estimator not in OPTIMAL:  # with its own attitude and covariance, for the errors estimated by the fit
             reference = self.guide.directions[used[:, 1]]
             _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)
             offset -= (camera.cx, camera.cy)
@@ -351,7 +336,7 @@ class _Field:
             seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
-        if self.observer is None:
+        if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(matrix)
         return matrix, covariance
 
@@ -371,7 +356,7 @@ def _first_fit(
 def _refocused(
     camera: Camera, matrix: FloatArray, xy: FloatArray, reference: FloatArray, sigma: FloatArray
 ) -> tuple[Camera, FloatArray]:
-    """Camera and attitude with the focal length that fits best: two steps of Gauss–Newton suffice within 3 %."""
+    """Camera and attitude with the focal length that fits best: two Gauss–Newton steps are sufficient within 3 %."""
     for _ in range(2):
         vectors, every = camera.unproject(xy), np.arange(len(xy))
         predicted, slopes = reference @ matrix.T, focal_slopes(vectors)
@@ -386,7 +371,8 @@ def _refocused(
 def _linearised(
     xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measured minus predicted (M, 2) of guide stars (M, 3), their slopes (M, 2, 3), and where they are predicted."""
+    """Measured minus predicted (M, 2) of guide stars (M, 3), their derivatives (M, 2, 3), and the predicted
+    positions."""
     vectors = reference @ matrix.T
     pixels: FloatArray = to_pixels(vectors, image)
     return xy - pixels, pixel_slopes(vectors, image), pixels

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.identification_settings import (
     AdaptiveSettings,
@@ -176,58 +177,41 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class OperationSettings:
-    """Rules of autonomous operation from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
-
-    Parameters
-    ----------
-    use : bool
-        Apply the rules; false: every frame is solved as it is, at a fixed exposure.
-    saturated_pixels : int
-        A frame whose two brightest stars each have more saturated pixels than this is discarded (Greyling 1995: 4).
-    shorten : float
-        Factor applied to the exposure after such a frame.
-    shortest_exposure_s : float
-        Minimum exposure; a frame taken with it is not discarded.
-    lengthen_below : float
-        If the brightest star is below this fraction of saturation, the next exposure is longer by 1 / `shorten`, up to
-        that of the scenario. 0: never.
-    exposure_step_s : float
-        Exposures are integer multiples of this, as the prototype's are of its frame time; 0: any.
-    sun_share : float
-        Fraction of saturated pixels above which the Sun is in the frame. The Moon covers 0.003 of a field of 10°.
-    suspend_turn_deg : float
-        After such a frame none is taken until the camera has rotated by this, a little more than the Sun's diameter.
-    longest_suspension_s : float
-        Maximum time without a frame, also if the rate is not known.
-    clear_pixels : int or None
-        Larger objects, such as the Moon, are removed from the frame; None: `DetectionSettings.max_pixels`.
-    blemish_frames : int
-        Minimum number of frames for mapping a defective pixel; 0: defective pixels are not mapped.
-    blemish_share : float
-        Fraction of the frames in which a defective pixel must be seen.
-    blemish_sigma : float
-        Threshold of a defective pixel in units of the noise.
-    blemish_shift_px : float
-        Minimum motion of the stars since the last frame that was counted.
-    reference_b_v : float
-        Colour for which flux and magnitude were calibrated on the ground.
-    """
+    """Rules of autonomous operation from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2)."""
 
     use: bool = False
+    """Apply the rules; false: every frame is solved as it is, at a fixed exposure."""
     saturated_pixels: int = 4
+    """A frame whose two brightest stars each have more saturated pixels than this is discarded (Greyling 1995: 4)."""
     shorten: float = 0.5
+    """Factor applied to the exposure after such a frame."""
     shortest_exposure_s: float = 0.01
+    """Minimum exposure; a frame taken with it is not discarded."""
     lengthen_below: float = 0.2
+    """If the brightest star is below this fraction of saturation, the next exposure is longer by 1 / `shorten`, up to
+    that of the scenario. 0: never."""
     exposure_step_s: float = 0.0
+    """Exposures are integer multiples of this, as the prototype's are of its frame time; 0: any."""
     sun_share: float = 0.02
+    """Fraction of saturated pixels above which the Sun is in the frame. The Moon covers 0.003 of a field of 10°."""
     suspend_turn_deg: float = 0.6
+    """After such a frame none is taken until the camera has rotated by this, a little more than the Sun's diameter."""
     longest_suspension_s: float = 60.0
+    """Maximum time without a frame, also if the rate is not known."""
     clear_pixels: int | None = None
+    """Larger objects, such as the Moon, are removed from the frame; None: `DetectionSettings.max_pixels`."""
     blemish_frames: int = 5
+    """Minimum number of frames for mapping a defective pixel; 0: defective pixels are not mapped."""
     blemish_share: float = 0.75
+    """Fraction of the frames in which a defective pixel must be seen."""
     blemish_sigma: float = 5.0
+    """Threshold of a defective pixel in units of the noise."""
     blemish_shift_px: float = 8.0
+    """Minimum motion of the stars since the last frame that was counted."""
     reference_b_v: float = 0.65
+    """Colour for which flux and magnitude were calibrated on the ground."""
+
+    __repr__ = changed_fields
 
     def __post_init__(self) -> None:
         check_settings(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,11 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
+from startracker.display import angle_text, described, html_card, quantity_range, star_chart
 from startracker.errors import InputError
-from startracker.observer import Observer, aberrate
+from startracker.interop import is_skycoord, plain
+from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
 
 FloatArray = NDArray[np.float64]
+
+_NAMED_STARS = 8
+"""Stars named in the chart of a notebook, the brightest."""
+_LONGEST_REASON = 120
 
 
 class Status(StrEnum):
@@ -74,6 +81,13 @@ class MatchedStars:
     def __len__(self) -> int:
         return len(self.catalog_id)
 
+    def __repr__(self) -> str:
+        if not len(self):
+            return "MatchedStars(none)"
+        rms_px = float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
+        count = f"{len(self)} stars" if self.used.all() else f"{len(self)} stars, {int(self.used.sum())} used"
+        return described("MatchedStars", count, quantity_range("V", self.v_mag), f"residual {rms_px:.3f} px rms")
+
     @property
     def fitted(self) -> MatchedStars:
         """The stars used in the attitude fit."""
@@ -120,6 +134,9 @@ class Solution:
         Operations of the search (`IdentificationSettings.max_operations`), the same on every machine.
     prior_contradicted : bool
         Whether a prior was given and the attitude was found outside it.
+    observer : Observer, optional
+        The observer given. Without one, or without its velocity, aberration is not corrected: the attitude is off by up
+        to 26″, and the covariance includes this (`aberration_corrected`).
     """
 
     status: Status
@@ -136,6 +153,48 @@ class Solution:
     log_false_alarm: float = 0.0
     operations: int = 0
     prior_contradicted: bool = False
+    observer: Observer | None = None
+
+    def __repr__(self) -> str:
+        if self.attitude is None:
+            reason = self.reason if len(self.reason) <= _LONGEST_REASON else f"{self.reason[: _LONGEST_REASON - 1]}…"
+            return described("Solution", self.status, f"'{reason}'", f"{len(self.centroids)} centroids")
+        return described("Solution", self.status, *self._facts())
+
+    def _facts(self) -> tuple[str, ...]:
+        """Attitude, number of stars and standard errors as short texts."""
+        where = f"RA {self.ra_deg:.4f}°", f"Dec {self.dec_deg:+.4f}°", f"roll {self.roll_deg:.2f}°"
+        sigma = self.sigma_arcsec
+        accuracy = ""
+        if sigma is not None:
+            across, about = angle_text(float(sigma[:2].max()) * ARCSEC_RAD), angle_text(float(sigma[2]) * ARCSEC_RAD)
+            accuracy = f"σ {across}/{about}"
+        aberration = "" if self.aberration_corrected else "aberration not corrected"
+        return *where, f"{len(self.stars)} stars", accuracy, aberration
+
+    def _repr_html_(self) -> str:
+        """Status, attitude and accuracy with a chart of the centroids, for notebooks."""
+        rows = {"reason": self.reason, "centroids": str(len(self.centroids))}
+        if self.attitude is not None:
+            *where, stars, accuracy, aberration = self._facts()
+            rows = {"boresight": ", ".join(where), "stars": f"{stars} of {len(self.centroids)} centroids"}
+            rows |= {"1σ across / about": accuracy.removeprefix("σ ").replace("/", " / "), "reason": self.reason}
+            rows["aberration"] = f"{aberration}; the standard errors include it" if aberration else "corrected"
+        rows["field of view"] = f"{self.fov_deg:.2f}°" if self.fov_deg else ""
+        return html_card(f"Solution: {self.status}", rows, self._chart())
+
+    def _chart(self) -> str:
+        """SVG chart of the centroids with the brightest stars named; empty without a camera or centroids."""
+        from startracker.catalog.names import designation, proper_name
+
+        if self.camera is None or not len(self.centroids):
+            return ""
+        order = np.argsort(self.stars.v_mag)
+        names = [proper_name(name) or designation(name) for name in self.stars.name[order]]
+        named = [name if k < _NAMED_STARS else "" for k, name in enumerate(names)]
+        size = self.camera.width, self.camera.height
+        radius = np.clip(7.0 - self.stars.v_mag[order], 1.5, 7.0)
+        return star_chart(size, self.centroids, self.stars.xy[order], radius, named)
 
     @property
     def solved(self) -> bool:
@@ -158,6 +217,43 @@ class Solution:
         return self.attitude.roll_deg if self.attitude else None
 
     @property
+    def skycoord(self) -> Any:
+        """The boresight as an astropy ``SkyCoord`` (ICRS); None unless solved."""
+        return self.attitude.skycoord if self.attitude else None
+
+    @property
+    def rotation(self) -> Any:
+        """The attitude as a SciPy ``Rotation``, v_camera = rotation.apply(v_icrs); None unless solved."""
+        return self.attitude.rotation if self.attitude else None
+
+    @property
+    def wcs(self) -> Any:
+        """The world coordinate system as an astropy ``WCS``: pixels to catalogue positions, ICRS (`wcs_header`).
+
+        Raises
+        ------
+        InputError
+            If the field is not solved, or the lens cannot be described by a WCS.
+        """
+        from astropy.wcs import WCS
+
+        from startracker.wcs import wcs_header
+
+        attitude, camera = self._placed()
+        velocity = self.observer.velocity_km_s if self.observer else None
+        return WCS(wcs_header(camera, attitude, velocity))
+
+    @property
+    def sigma_arcsec(self) -> FloatArray | None:
+        """Standard errors (3,) about the camera's x, y and z (boresight) axes, arcseconds; None unless solved."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)) / ARCSEC_RAD
+
+    @property
+    def aberration_corrected(self) -> bool:
+        """Whether the observer's velocity was given, so that the attitude is free of aberration."""
+        return corrects_aberration(self.observer)
+
+    @property
     def rmse_arcsec(self) -> float | None:
         """Root-mean-square residual of the fitted stars, arcseconds."""
         if self.camera is None or not len(self.stars):
@@ -178,10 +274,9 @@ class Solution:
         xy : array_like, shape (N, 2) or (2,)
             Columns and rows, the first pixel's centre at (0, 0); may lie outside the image.
         observer : Observer, optional
-            The observer passed to `solve`. An attitude solved with an observer's velocity transforms ICRS to *apparent*
-            directions, up to 26″ from the catalogue's; given the observer, aberration is removed and the result is the
-            catalogue position. An attitude solved without an observer includes the aberration, and gives catalogue
-            positions to within its variation over the field (2.3″ for 10°).
+            By default the solution's own. With its velocity, aberration is removed, and the result is the catalogue
+            position. An attitude solved without one includes the aberration, and gives catalogue positions to within
+            its variation over the field (2.3″ for 10°).
 
         Raises
         ------
@@ -190,12 +285,15 @@ class Solution:
         """
         attitude, camera = self._placed()
         seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
-        if observer is not None and observer.velocity_km_s is not None:
-            seen = aberrate(seen, -np.asarray(observer.velocity_km_s))  # the Lorentz boost back
+        velocity = self._velocity_km_s(observer)
+        if velocity is not None:
+            seen = aberrate(seen, -velocity)  # the Lorentz boost back
         return np.degrees(np.stack(direction_to_radec(seen), axis=1))
 
-    def pixel_of(self, ra_deg: ArrayLike, dec_deg: ArrayLike, observer: Observer | None = None) -> FloatArray:
-        """Pixels (N, 2) of ICRS positions, degrees; NaN farther from the boresight than the image's corners.
+    def pixel_of(self, ra_deg: Any, dec_deg: Any = None, observer: Observer | None = None) -> FloatArray:
+        """Pixels (N, 2) of ICRS positions; NaN farther from the boresight than the image's corners.
+
+        Positions are right ascension and declination, degrees or astropy quantities, or one astropy ``SkyCoord``.
 
         Beyond the corners a lens polynomial can fold back into the image. Inverse of `radec_of`, with the same
         `observer`.
@@ -206,16 +304,26 @@ class Solution:
             If the field is not solved.
         """
         attitude, camera = self._placed()
+        if is_skycoord(ra_deg):
+            ra_deg, dec_deg = ra_deg.icrs.ra, ra_deg.icrs.dec
+        if dec_deg is None:
+            raise InputError("pixel_of needs right ascension and declination, degrees, or an astropy SkyCoord")
+        ra_deg, dec_deg = plain(ra_deg, "deg", "ra_deg"), plain(dec_deg, "deg", "dec_deg")
         ra, dec = np.broadcast_arrays(np.atleast_1d(np.radians(ra_deg)), np.atleast_1d(np.radians(dec_deg)))
         seen = radec_to_direction(ra.ravel(), dec.ravel())
-        if observer is not None and observer.velocity_km_s is not None:
-            seen = aberrate(seen, observer.velocity_km_s)
+        velocity = self._velocity_km_s(observer)
+        if velocity is not None:
+            seen = aberrate(seen, velocity)
         vectors = attitude.apply(seen)
         angle = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
         inside = angle <= camera.half_diagonal_rad + camera.pixel_rad
         pixels = np.full((len(vectors), 2), np.nan)
         pixels[inside] = camera.project(vectors[inside])
         return pixels
+
+    def _velocity_km_s(self, observer: Observer | None) -> FloatArray | None:
+        given = observer if observer is not None else self.observer
+        return given.velocity_km_s if given is not None else None
 
     def _placed(self) -> tuple[Attitude, Camera]:
         if self.attitude is None or self.camera is None:

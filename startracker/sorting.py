@@ -1,4 +1,4 @@
-"""Sorting within kernels: NumPy's own sort costs a second of compiling for each type of number."""
+"""Sorting within kernels: NumPy's sort takes a second to compile for each data type."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["median", "order_of", "sort"]
 
 @kernel
 def sort(values: NDArray[Any]) -> None:
-    """Numbers in place, ascending, none of them NaN: heapsort (Williams 1964, Comm. ACM 7, 347)."""
+    """Sort numbers without NaN in place, ascending: heapsort (Williams 1964, Comm. ACM 7, 347)."""
     count = len(values)
     for step in range(count + count // 2):
-        # the first steps make a heap of all, the others take its largest to the end
+        # first build a heap, then move its maximum to the end
         start, end = count // 2 - 1 - step, count
         if start < 0:
             end = count - (step - count // 2) - 1
@@ -36,7 +36,7 @@ def sort(values: NDArray[Any]) -> None:
 
 @kernel
 def median(values: NDArray[np.float64]) -> float:
-    """Median of numbers, which are sorted in place; NaN where one is."""
+    """Median of numbers, which are sorted in place; NaN if one is."""
     for value in values:
         if np.isnan(value):
             return np.nan
@@ -47,7 +47,7 @@ def median(values: NDArray[np.float64]) -> float:
 
 @kernel
 def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
-    """Indices of a few numbers, ascending, into `order`; of equal ones the first comes first."""
+    """Stable ascending order of a few numbers: indices into `order`."""
     for last in range(len(values)):
         at = last
         while at > 0 and values[last] < values[order[at - 1]]:

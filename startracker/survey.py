@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.defects import mask_extremes
 from startracker.detection.values import Image, as_pixels
+from startracker.display import fields_repr
 
 __all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
 
@@ -40,6 +41,8 @@ class Survey:
     saturation_dn: float
     masked: int = 0
     gaps: bool = False
+
+    __repr__ = fields_repr
 
 
 def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:
@@ -81,7 +84,10 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
     if level is None:
         level = highest if highest > 0 else math.inf
-    full = int(np.count_nonzero(pixels >= level)) if highest >= level else 0
+    full = 0
+    if highest >= level:  # compared as integers where they are: NumPy would convert the image for a fraction
+        whole = pixels.dtype.kind == "u"
+        full = int(np.count_nonzero(pixels >= (pixels.dtype.type(math.ceil(max(level, 0.0))) if whole else level)))
     return Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 

@@ -69,7 +69,8 @@ class Steps(Sequence[Finding]):
         return hash(self._all())
 
     def __repr__(self) -> str:
-        return repr(self._all())
+        stages = ", ".join(dict.fromkeys(getattr(step, "stage", "text") for step in self._all()))
+        return f"<{len(self)} steps: {stages}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Steps, self._all()

@@ -15,19 +15,21 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.attitude import Attitude
-from startracker.blind import FreeSearch
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.display import described
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids, stated_variance
-from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, is_beyond_doubt
+from startracker.given_image import given_image
+from startracker.identification.acceptance import is_beyond_doubt
+from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
-from startracker.identification.given import as_prior, usable_directions
-from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.refine import Measured, Refined, refine
@@ -47,8 +49,6 @@ STATED_PX = 0.15
 """Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
 """Added to the centroid errors for identification only: errors of the camera model and blends."""
-_DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
-"""Results after which the sky outside the prior is searched as well, unless they are beyond doubt."""
 
 
 class StarTracker:
@@ -100,6 +100,7 @@ class StarTracker:
         self.camera = camera
         self.focal_error = focal_error
         self.catalog = catalog
+        self.methods = detector, centroider, identifier, estimator
         self.detection = detection or DetectionSettings()
         self.centroid = centroid or CentroidSettings()
         self.identification = settings_of(identifier, identification)
@@ -110,10 +111,14 @@ class StarTracker:
         table = load_catalog(catalog) if isinstance(catalog, str) else catalog
         self.guide = GuideDatabase.build(table, camera, magnitude_limit, self.identification)
 
+    def __repr__(self) -> str:
+        stars = f"{len(self.guide):,} guide stars of {self.guide.catalog.name} to V {self.guide.v_mag[-1]:.1f}"
+        return described("StarTracker", repr(self.camera), stars, " → ".join(self.methods))
+
     # ------------------------------------------------------------------ public methods
     def solve(
         self,
-        image: ArrayLike,
+        image: Any,
         *,
         prior: Attitude | None = None,
         prior_deg: float = 1.0,
@@ -126,15 +131,16 @@ class StarTracker:
 
         Parameters
         ----------
-        image : array_like, shape (H, W)
-            Any unit (DN); H and W are the camera's. NaN marks bad pixels.
+        image : array_like, shape (H, W), or an object with the attribute `image`
+            Any unit (DN); H and W are the camera's. NaN marks bad pixels. Of an object (a frame of the simulator, a
+            `LoadedImage`) `observer`, `saturation_dn` and `gain_e_per_dn` are used as well, if they are not given here.
         prior : Attitude or scipy Rotation, optional
             ICRS to camera, from other sensors or the last frame.
         prior_deg : float or astropy Quantity
             Maximum error of the prior about each axis, degrees.
         observer : Observer, optional
             Epoch, velocity and position, for space motion, aberration and parallax. Without it catalogue positions at
-            the catalogue's epoch are used, and the attitude is biased by at least the aberration (20″).
+            the catalogue's epoch are used, and aberration (up to 26″) is not corrected: the covariance includes it.
         time : astropy Time or float, optional
             Time of the image (a number is a Julian year, TT), if nothing else is known of the observer. Only space
             motion is then applied.
@@ -146,23 +152,23 @@ class StarTracker:
         Solution
             An image that cannot be solved does not raise; see the status and the reason.
         """
-        clock, observer = Clock(), observer_of(observer, time)
+        clock, given = Clock(), given_image(image, observer, time, saturation_dn, gain_e_per_dn)
         found = find_stars(
-            image,
+            given.image,
             self._detect,
             self._measure,
             self.detection,
             self.centroid,
             clock,
             camera=self.camera,
-            saturation_dn=saturation_dn,
-            gain_e_per_dn=gain_e_per_dn,
+            saturation_dn=given.saturation_dn,
+            gain_e_per_dn=given.gain_e_per_dn,
         )
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
         hint = as_prior(prior, prior_deg)
-        solution, found, steps = self._solve_looks(found, hint, observer, clock)
+        solution, found, steps = self._solve_looks(found, hint, given.observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
@@ -267,7 +273,7 @@ class StarTracker:
         if len(usable) > len(observed.vectors):
             text = f"the {len(observed.vectors)} brightest of {len(usable)} centroids are used (max_centroids)"
             tried = (*tried, Step("identification", text))
-        found, contradicted = self._around_prior(observed, guide, prior)
+        found, contradicted = identify_around(self._identify, observed, guide, self.identification, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
         explained = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
@@ -290,12 +296,13 @@ class StarTracker:
             known = None if free else directions
             refined = refine(pairs, stars, camera, guide, self._estimate, free, known, observer)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
-            reason = f"{found.reason}; but the estimator says: {error}"
+            reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
-        return replace(self._solved(found, refined, stars, guide, clock), steps=tried, prior_contradicted=contradicted)
+        solution = self._solved(found, refined, stars, guide, observer, clock)
+        return replace(solution, steps=tried, prior_contradicted=contradicted)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
-        """Solution with the focal length fitted along, within its error, and what was tried."""
+        """Solution with fitted focal length, within its error, and the attempts."""
         camera, error = self.camera, self.focal_error
         search = FreeSearch(
             stars.xy,
@@ -326,7 +333,13 @@ class StarTracker:
         return Observed(vectors[:most], signal, sigma[:most]), usable, directions
 
     def _solved(
-        self, found: Identification, refined: Refined, measured: Measured, guide: GuideDatabase, clock: Clock
+        self,
+        found: Identification,
+        refined: Refined,
+        measured: Measured,
+        guide: GuideDatabase,
+        observer: Observer | None,
+        clock: Clock,
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         stars = MatchedStars(
@@ -352,26 +365,8 @@ class StarTracker:
             refined.camera,
             log_false_alarm=found.log_false_alarm,
             operations=found.operations,
+            observer=observer,
         )
-
-    def _around_prior(
-        self, observed: Observed, guide: GuideDatabase, prior: Prior | None
-    ) -> tuple[Identification, bool]:
-        """Identification within the prior and, unless that is beyond doubt, over the whole sky; the result with the
-        stronger evidence, and whether it contradicts the prior."""
-        found = self._identify(observed, guide, self.identification, prior)
-        accepted = is_beyond_doubt(found, self.identification, WITHIN_PRIOR_BEYOND)
-        if prior is None or accepted or found.status not in _DOUBTFUL:
-            return found, False
-        elsewhere = self._identify(observed, guide, self.identification, None)
-        operations = found.operations + elsewhere.operations
-        better = found.status is not Status.SOLVED or elsewhere.log_false_alarm < found.log_false_alarm
-        if elsewhere.status is Status.SOLVED and better:
-            matched = set(map(tuple, elsewhere.pairs.tolist()))
-            same = found.status is Status.SOLVED and not matched.isdisjoint(map(tuple, found.pairs.tolist()))
-            found = elsewhere if same else _beside_prior(elsewhere)
-            return replace(found, operations=operations), not same
-        return replace(found, operations=operations), False
 
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
@@ -388,8 +383,3 @@ class StarTracker:
 
 def _focal_correction(factor: float) -> str:
     return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"
-
-
-def _beside_prior(found: Identification) -> Identification:
-    reason = f"{found.reason}; found over the whole sky, not within the prior"
-    return replace(found, reason=reason)

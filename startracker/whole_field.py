@@ -1,4 +1,4 @@
-"""Whether a solution explains a whole field, or only pieces of streaks that lie near its stars."""
+"""Check whether a solution explains the whole field, or only fragments of trails near its stars."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MISFIT_PX = 3.0
-"""Centroids of an image that are off by more than this are not those of stars."""
+"""Maximum rms residual of star centroids."""
 _BRIGHTEST, _LEAST_SEEN, _BORDER_PX = 8, 0.6, 12.0
-"""Of so many of the brightest guide stars of a field, so far from its border, this share is seen, or it may be smeared:
-seven or eight of eight in frames that are not, three in fields found from pieces of streaks."""
+"""Number of brightest guide stars of a field, their minimum distance from the border, and the minimum fraction of them
+that must be matched: seven or eight of eight in untrailed frames, three in fields found from fragments of trails."""
 _LEAST_MATCHED = 0.4
-"""Share of the bright spots that the stars of a field make where nothing else is the matter with the frame: of those as
-bright as half of these stars are, as fainter ones may be stars that are no guide stars."""
+"""Minimum fraction of matched spots among those brighter than the median matched star; fainter spots may be stars that
+are not guide stars."""
 
 
 def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed: bool = False) -> bool:
-    """Whether spots of such a flux are where the solution puts its stars, many of the bright ones are stars, and most
-    of the brightest stars of the field are among them.
+    """Whether the residuals are those of stars, many of the bright spots are matched, and most of the brightest guide
+    stars of the field are matched.
 
-    Of trails only that many of the bright ones are stars: the ends of long ones are uncertain, the border cuts others.
+    For trails only the second condition is tested: the ends of long trails are uncertain, and others are cut by the
+    border.
     """
     assert solution.attitude is not None
     stars = solution.stars
@@ -47,11 +48,11 @@ def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed
 
 
 def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, streaked: bool) -> bool:
-    """Whether the points that were matched may be pieces of streaks, all off alike.
+    """Whether the matched points may be fragments of trails with a common offset.
 
-    They may where they fit worse than stars do; and where the frame has streaks of one motion (`streaked`), which are
-    no stars of the field themselves, and most bright points are not matched. Points that are most of a frame's bright
-    ones are stars, whatever else there is.
+    They may if their residuals are larger than those of stars, or if the frame has streaks with a common motion
+    (`streaked`) that do not match stars of the field, and most bright points are not matched. If most bright points of
+    a frame are matched, they are stars.
     """
     if misfit_px(solution) > MISFIT_PX:
         return True
@@ -59,19 +60,19 @@ def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, st
 
 
 def best_look(looks: Sequence[tuple[FoundStars, Solution]]) -> tuple[FoundStars, Solution]:
-    """Of several looks at one frame the solved one with the most evidence; the last where none is solved."""
+    """The solution with the strongest evidence of several hypotheses for a frame; the last one if none is solved."""
     solved = [look for look in looks if look[1].solved]
     return min(solved, key=lambda look: look[1].log_false_alarm) if solved else looks[-1]
 
 
 def misfit_px(solution: Solution) -> float:
-    """Root mean square distance of the fitted stars from where the solution puts them."""
+    """Rms distance of the fitted stars from their predicted positions."""
     residual = solution.stars.fitted.residual_px
     return math.sqrt(float(residual.ravel() @ residual.ravel()) / len(residual))
 
 
 def _many_bright(spots: FloatArray, stars: FloatArray) -> bool:
-    """Whether enough of the spots that are as bright as the brighter half of the stars are these."""
+    """Whether enough of the spots brighter than the median star are matched stars."""
     half = len(stars) // 2
     as_bright = np.count_nonzero(spots >= np.sort(stars)[half])
     return len(stars) - half >= _LEAST_MATCHED * float(as_bright)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,10 +16,11 @@ from typing import Annotated, Any
 import typer
 
 from simulator.cli.export_request import ExportRequest
-from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
+from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
 from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
 from simulator.cli.run_requests import RenderRequest, RunRequest, SweepRequest
 from simulator.cli.study_command import study_app
+from simulator.cli.suggesting import SuggestingGroup, usage_error_line
 from startracker._version import __version__
 from startracker.compilation import progress
 from startracker.errors import BoresightError, InputWarning
@@ -29,14 +30,12 @@ os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 app = typer.Typer(
     name="boresight",
-    help="A star camera in orbit, simulated; a star tracker that solves its frames, and real photographs of the sky.",
-    no_args_is_help=True,
-    add_completion=False,
+    cls=SuggestingGroup,
+    help="A simulator of a star camera in orbit, and a star tracker that solves its frames and photographs of the sky.",
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(study_app, name="study")
-app.command("export-c")(as_command(ExportRequest, "c_source"))
 
 
 def _show_version(wanted: bool) -> None:
@@ -47,21 +46,17 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand is None:
+        from simulator.cli.welcome import welcome_text
+
+        typer.echo(welcome_text())
 
 
-app.command("run")(as_command(RunRequest, "run_command"))
-app.command("render")(as_command(RenderRequest, "render_command"))
-app.command("solve")(as_command(SolveRequest, "solve_command"))
-app.command("calibrate")(as_command(CalibrateRequest, "calibrate_command"))
-app.command("sweep")(as_command(SweepRequest, "sweep_command"))
-
-
-@app.command("report")
 def report_command(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder that `boresight run` left.", show_default=False)
@@ -77,7 +72,6 @@ def report_command(
     raise typer.Exit(report_of_folder(folder, pdf, budget))
 
 
-@app.command("compare")
 def compare_command(
     runs: Annotated[
         list[str],
@@ -95,17 +89,13 @@ def compare_command(
     raise typer.Exit(compare_runs(runs, out))
 
 
-@app.command("validate")
-def validate_command(
-    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO...", show_default=False)],
-) -> None:
+def validate_command(scenarios: ScenarioFiles) -> None:
     """Check scenarios: every mistake at once, each with file, line and key."""
     from simulator.cli.scenario_commands import validate
 
     raise typer.Exit(validate(scenarios))
 
 
-@app.command("show")
 def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
     """Print a scenario with every default spelled out."""
     from simulator.cli.scenario_commands import show
@@ -113,12 +103,34 @@ def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
     raise typer.Exit(show(scenario, set_values or []))
 
 
-@app.command("schema")
 def schema_command() -> None:
     """Print the JSON schema of scenarios, for editors."""
     from simulator.cli.scenario_commands import schema
 
     raise typer.Exit(schema())
+
+
+_SIMULATE, _SOLVE, _RESULTS = "Simulate", "Solve frames and photographs", "Results"
+_SCENARIOS, _FLIGHT = "Scenarios", "Flight software"
+_COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
+    ("run", as_command(RunRequest, "run_command"), _SIMULATE, "boresight run cubesat --trials 200"),
+    ("render", as_command(RenderRequest, "render_command"), _SIMULATE, "boresight render moon --preview moon.png"),
+    ("sweep", as_command(SweepRequest, "sweep_command"), _SIMULATE,
+     "boresight sweep cubesat --over optics.aperture_mm=6:24:7"),
+    ("solve", as_command(SolveRequest, "solve_command"), _SOLVE, "boresight solve photo.jpg --annotate solved.png"),
+    ("calibrate", as_command(CalibrateRequest, "calibrate_command"), _SOLVE,
+     "boresight calibrate *.tiff --out camera.yaml --plot fit.png"),
+    ("report", report_command, _RESULTS, "boresight report out/cubesat --pdf"),
+    ("compare", compare_command, _RESULTS, "boresight compare out/a out/b"),
+    ("validate", validate_command, _SCENARIOS, "boresight validate my.yaml"),
+    ("show", show_command, _SCENARIOS, "boresight show cubesat > my.yaml"),
+    ("schema", schema_command, _SCENARIOS, "boresight schema > schema.json"),
+    ("export-c", as_command(ExportRequest, "c_source"), _FLIGHT, "boresight export-c tracker/"),
+)  # fmt: skip
+"""Name, function, group and example of each command."""
+for _name, _function, _group, _example in _COMMANDS:
+    app.command(_name, rich_help_panel=_group, epilog=f"Example: {_example}")(_function)
+app.add_typer(study_app, name="study", rich_help_panel=_SIMULATE)
 
 
 def main() -> None:
@@ -147,17 +159,16 @@ def _warnings_in_one_line() -> Iterator[None]:
 @_warnings_in_one_line()
 def _run(arguments: list[str]) -> int:
     try:
-        code: Any = app(args=arguments, standalone_mode=False)
+        code: Any = app(args=arguments, prog_name="boresight", standalone_mode=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except typer.TyperException as error:  # a wrong option or argument
-        message = error.format_message() if hasattr(error, "format_message") else str(error)
-        print(f"boresight: {' '.join(message.split())} (see boresight --help)", file=sys.stderr)
+        print(usage_error_line(error), file=sys.stderr)
         return 2
     except BoresightError as error:
         print(error, file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort):  # outside of a command
         print("boresight: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output has gone, as `head` does

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from simulator.cli.checks import picture_format, writable
+from simulator.cli.image_files import FITS_SUFFIXES, image_files, is_our_frame
 from simulator.cli.photograph_requests import CalibrateRequest
-from simulator.cli.solve_command import FITS_SUFFIXES, image_files, is_our_frame
 from simulator.fits import read_fits
 from simulator.paths import write_atomically
 from startracker import centroid as centroiding

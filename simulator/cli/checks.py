@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime
 from pathlib import Path
 
 from startracker.errors import InputError
-from startracker.picture import FORMATS
 
 
 def at_least(least: int, **options: int | None) -> None:
@@ -34,6 +34,23 @@ def processes(workers: int | None, dask: str | None, trials: int) -> int:
     return workers or max(1, min(cores, trials // 100))
 
 
+def utc_time(option: str, text: str) -> datetime:
+    """Date and time of an option, UTC.
+
+    Raises
+    ------
+    InputError
+        For text that is no ISO 8601 time, or a time that does not exist.
+    """
+    from simulator.scenario.fields import parse_utc
+
+    try:
+        return parse_utc(text)
+    except ValueError as error:
+        why = f": {error}" if str(error) else " is not an ISO 8601 time such as 2026-03-21T12:00:00Z"
+        raise InputError(f"{option}: '{text}'{why}") from None
+
+
 def picture_format(path: Path | None) -> str:
     """Format of a picture to be written, from its suffix, "png" for no picture.
 
@@ -42,6 +59,8 @@ def picture_format(path: Path | None) -> str:
     InputError
         Where it cannot be written, or its suffix is no format.
     """
+    from startracker.picture import FORMATS
+
     writable(path)
     form = "png" if path is None else path.suffix.lower().removeprefix(".")
     if form not in FORMATS:

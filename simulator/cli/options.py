@@ -14,23 +14,56 @@ from typing import Annotated, Any
 import typer
 
 
-def option(name: str, metavar: str, help_text: str) -> Any:
-    """An option that takes a value."""
-    return typer.Option(name, metavar=metavar, help=help_text)
+def option(name: str, metavar: str, help_text: str, panel: str | None = None) -> Any:
+    """An option that takes a value; `panel` is the heading under which help lists it."""
+    return typer.Option(name, metavar=metavar, help=help_text, rich_help_panel=panel)
 
 
-def switch(name: str, help_text: str) -> Any:
+def switch(name: str, help_text: str, panel: str | None = None) -> Any:
     """An option that takes none."""
-    return typer.Option(name, help=help_text)
+    return typer.Option(name, help=help_text, rich_help_panel=panel)
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Included scenarios whose names begin as typed, for the shell."""
+    from simulator.scenario.files import included_scenarios
+
+    return [name for name in included_scenarios() if name.startswith(incomplete)]
+
+
+def complete_key(incomplete: str) -> list[str]:
+    """Keys of scenarios that begin as typed, for the shell."""
+    from simulator.scenario.fields import all_keys
+
+    return [f"{key.path}=" for key in all_keys() if key.path.startswith(incomplete)]
 
 
 ScenarioFile = Annotated[
     Path,
-    typer.Argument(help="Scenario YAML, or one that ships (sunsat, cubesat, tc211, orbit, slew).", show_default=False),
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Scenario YAML, or an included scenario by name (cubesat, sunsat, moon ...).",
+        show_default=False,
+        autocompletion=complete_scenario,
+    ),
+]
+ScenarioFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SCENARIO...",
+        help="Scenario YAMLs, or included scenarios by name.",
+        show_default=False,
+        autocompletion=complete_scenario,
+    ),
 ]
 SetValues = Annotated[
     list[str] | None,
-    option("--set", "PATH=VALUE", "Override a key, e.g. optics.aperture_mm=25; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Override a key, e.g. optics.aperture_mm=25; may be repeated.",
+        autocompletion=complete_key,
+    ),
 ]
 Seed = Annotated[int | None, option("--seed", "S", "In place of the scenario's seed.")]
 Dask = Annotated[

@@ -13,6 +13,9 @@ from simulator.cli.options import Catalog, option, switch
 PARITIES = {"seen": 1, "mirrored": -1, "both": None}
 
 
+_CAMERA, _PICTURE, _LIST, _ANSWER = "Camera and sky", "Annotated picture", "Lists of centroids", "Answer"
+
+
 @dataclass(frozen=True)
 class SolveRequest:
     """Solve images of the sky, or lists of centroids: where did the camera look?"""
@@ -20,48 +23,71 @@ class SolveRequest:
     images: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[IMAGE]...", help="PNG, TIFF, JPEG or FITS files, or folders of them.", show_default=False
+            metavar="[IMAGE]...",
+            help="PNG, TIFF, JPEG or FITS files, or folders; - is standard input, sample a photograph to try.",
+            show_default=False,
         ),
     ] = None
     fov_deg: Annotated[
-        float | None, option("--fov", "DEG", "Field of view across the width, to a few per cent; default: found out.")
+        float | None,
+        option("--fov", "DEG", "Field of view across the width, to a few per cent; default: found out.", _CAMERA),
     ] = None
-    camera: Annotated[Path | None, option("--camera", "CAMERA.yaml", "Calibrated camera.")] = None
-    method: Annotated[str | None, option("--method", "NAME", "Identifier, for a known camera; default: adaptive.")] = (
-        None
-    )
+    camera: Annotated[Path | None, option("--camera", "CAMERA.yaml", "Calibrated camera.", _CAMERA)] = None
+    method: Annotated[
+        str | None, option("--method", "NAME", "Identifier, for a known camera; default: adaptive.", _CAMERA)
+    ] = None
     catalog: Catalog = "hipparcos"
-    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest guide star.")] = 6.5
-    centroids: Annotated[
-        Path | None,
-        option(
-            "--centroids",
-            "FILE.csv",
-            "Solve a list of centroids (columns x, y and optionally flux) instead of an image.",
-        ),
-    ] = None
-    size: Annotated[str | None, option("--size", "WxH", "Image size in pixels, for --centroids with --fov.")] = None
-    lost_in_space: Annotated[bool, switch("--lost-in-space", "Ignore the prior attitude in a frame's header.")] = False
-    as_json: Annotated[bool, switch("--json", "Print one JSON object an image.")] = False
-    wcs: Annotated[Path | None, option("--wcs", "OUT.fits", "Write the image with its world coordinates.")] = None
-    annotate: Annotated[
-        Path | None, option("--annotate", "OUT.png", "Write the picture with its identified stars.")
-    ] = None
-    grid: Annotated[bool, switch("--grid", "Lines of right ascension and declination on it.")] = False
-    constellations: Annotated[bool, switch("--constellations", "Lines of the constellations on it.")] = False
-    pixels: Annotated[list[str] | None, option("--pixel", "X,Y", "Print where this pixel looks; may be repeated.")] = (
-        None
-    )
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest guide star.", _CAMERA)] = 6.5
     parity: Annotated[
-        str | None, option("--parity", "SIDE", "seen, mirrored or both; default: the camera's, or both without one.")
+        str | None,
+        option("--parity", "SIDE", "seen, mirrored or both; default: the camera's, or both without one.", _CAMERA),
+    ] = None
+    lost_in_space: Annotated[
+        bool, switch("--lost-in-space", "Ignore the prior attitude in a frame's header.", _CAMERA)
+    ] = False
+    time: Annotated[
+        str | None, option("--time", "TIME", "When the image was taken (UTC): aberration, and planets.", _CAMERA)
     ] = None
     bayer: Annotated[
-        str | None, option("--bayer", "PATTERN", "The file is a raw mosaic: RGGB, BGGR, GRBG or GBRG.")
+        str | None, option("--bayer", "PATTERN", "The file is a raw mosaic: RGGB, BGGR, GRBG or GBRG.", _CAMERA)
     ] = None
     bad_pixels: Annotated[
-        Path | None, option("--bad-pixels", "MAP", "Image of the same size, not zero where a pixel is not to be used.")
+        Path | None,
+        option("--bad-pixels", "MAP", "Image of the same size, not zero where a pixel is not to be used.", _CAMERA),
     ] = None
-    explain: Annotated[bool, switch("--explain", "Print stage by stage what was found, tried and rejected.")] = False
+    annotate: Annotated[
+        Path | None,
+        option(
+            "--annotate",
+            "OUT.png",
+            "Write the picture with names (png, jpg, svg, pdf); several: a folder.",
+            _PICTURE,
+        ),
+    ] = None
+    grid: Annotated[bool, switch("--grid", "Lines of right ascension and declination.", _PICTURE)] = False
+    constellations: Annotated[bool, switch("--constellations", "Constellation lines.", _PICTURE)] = False
+    deep_sky: Annotated[
+        bool, switch("--deep-sky/--no-deep-sky", "Messier objects and bright NGC and IC objects.", _PICTURE)
+    ] = True
+    colour: Annotated[bool, switch("--colour", "Colours of the stars identified in a grey image.", _PICTURE)] = False
+    as_json: Annotated[bool, switch("--json", "Print one JSON object per image.", _ANSWER)] = False
+    explain: Annotated[
+        bool, switch("--explain", "Print stage by stage what was found, tried and rejected.", _ANSWER)
+    ] = False
+    pixels: Annotated[
+        list[str] | None, option("--pixel", "X,Y", "Print where this pixel looks; may be repeated.", _ANSWER)
+    ] = None
+    wcs: Annotated[
+        Path | None,
+        option("--wcs", "OUT.fits", "Write the image with its world coordinates; a folder for several.", _ANSWER),
+    ] = None
+    centroids: Annotated[
+        Path | None,
+        option("--centroids", "FILE.csv", "Solve a list (columns x, y and optionally flux), not an image.", _LIST),
+    ] = None
+    size: Annotated[str | None, option("--size", "WxH", "Image size in pixels, for --centroids with --fov.", _LIST)] = (
+        None
+    )
 
     @property
     def sides(self) -> int | None:

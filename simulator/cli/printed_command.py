@@ -57,10 +57,18 @@ class PictureRequest:
     max_separation_deg: Annotated[
         float | None, option("--max-separation-deg", "A", "Of the pair database; default: the field's diagonal.")
     ] = None
-    separation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 0.15
-    rotation_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
-    enclosed_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 1.0
-    grouping_tolerance_deg: Annotated[float, typer.Option(metavar="A")] = 5.0
+    separation_tolerance_deg: Annotated[
+        float, typer.Option(metavar="A", help="Largest difference of a separation, degrees.")
+    ] = 0.15
+    rotation_tolerance_deg: Annotated[
+        float, typer.Option(metavar="A", help="Largest difference between the rotations of a triad, degrees.")
+    ] = 5.0
+    enclosed_tolerance_deg: Annotated[
+        float, typer.Option(metavar="A", help="Largest difference of an inner angle, degrees.")
+    ] = 1.0
+    grouping_tolerance_deg: Annotated[
+        float, typer.Option(metavar="A", help="Largest difference from the mean rotation of a group, degrees.")
+    ] = 5.0
     vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2
     tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0
     three_stars: Annotated[

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from simulator.checks import load_scenario
-from simulator.cli.checks import at_least, picture_format, writable
+from simulator.cli.checks import at_least, picture_format, utc_time, writable
 from simulator.cli.run_requests import RenderRequest
 from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically
 from simulator.renderer import Renderer
-from simulator.scenario.fields import parse_utc
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 
@@ -27,7 +25,7 @@ def main(request: RenderRequest) -> int:
     at_least(0, index=request.index)
     index = request.index or 0
     attitude = _parse_pointing(request.pointing) if request.pointing else None
-    when = _parse_time(request.at) if request.at else None
+    when = utc_time("--at", request.at) if request.at else None
     scenarios = [load_scenario(path, request.set_values or (), seed=request.seed) for path in request.scenarios]
     for scenario in scenarios:
         name = f"{scenario.name}-{index:05d}" if len(scenarios) == 1 else scenario.name
@@ -36,11 +34,11 @@ def main(request: RenderRequest) -> int:
         if image is None and picture is None:
             image = Path(f"{name}.fits")
         writable(image)
-        form = picture_format(picture)
+        picture_format(picture)
         at_s = (when - scenario.epoch).total_seconds() if when else None
         renderer = Renderer(scenario.noiseless() if request.noiseless else scenario)
         frame, truth = renderer.frame(index, at_s=at_s, attitude=attitude)
-        _write(frame, truth, image, picture, request.noiseless_plane, form)
+        _write(frame, truth, image, picture, request)
         print(
             f"{frame.utc} UTC  RA {truth.attitude.ra_deg:.5f}°  Dec {truth.attitude.dec_deg:+.5f}°  "
             f"roll {truth.attitude.roll_deg:.4f}°  in the field: {_in_field(frame, truth)}"
@@ -55,17 +53,22 @@ def _target(given: Path | None, name: str, several: bool) -> Path | None:
     return make_folder(given) / name
 
 
-def _write(
-    frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, noiseless_plane: bool, form: str
-) -> None:
+def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, request: RenderRequest) -> None:
     if image is not None:
-        write_fits(image, frame, truth, noiseless_plane=noiseless_plane)
+        write_fits(image, frame, truth, noiseless_plane=request.noiseless_plane)
         print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
     if picture is not None:
-        from simulator.study.plots import frame_preview, save_bytes
-
-        write_atomically(picture, save_bytes(frame_preview(frame, truth), form))
+        write_atomically(picture, _preview(frame, truth, picture_format(picture), request))
         print(f"{picture}: preview")
+
+
+def _preview(frame: Frame, truth: FrameTruth, form: str, request: RenderRequest) -> bytes:
+    from simulator.study.pictures import frame_picture, frame_preview
+    from startracker.picture import figure_bytes, pixel_bytes
+
+    if request.axes:
+        return figure_bytes(frame_preview(frame, truth), form, dpi=130)
+    return pixel_bytes(frame_picture(frame, truth if request.colour else None), form)
 
 
 def _in_field(frame: Frame, truth: FrameTruth) -> str:
@@ -85,11 +88,3 @@ def _parse_pointing(text: str) -> Attitude:
             f"--pointing: must be RA,DEC,ROLL in degrees with DEC from -90 to 90, such as 83.6,-5.4,0, not '{text}'"
         ) from None
     return Attitude.from_radec_roll(ra, dec, roll)
-
-
-def _parse_time(text: str) -> datetime:
-    try:
-        return parse_utc(text)
-    except ValueError as error:
-        why = f": {error}" if str(error) else " is not an ISO 8601 time such as 2026-03-21T12:00:00Z"
-        raise InputError(f"--at: '{text}'{why}") from None

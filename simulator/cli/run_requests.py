@@ -8,12 +8,14 @@ from typing import Annotated
 
 import typer
 
-from simulator.cli.options import Dask, ScenarioFile, Seed, SetValues, option, switch
+from simulator.cli.options import Dask, ScenarioFile, ScenarioFiles, Seed, SetValues, option, switch
 
 Force = Annotated[
     bool,
     switch("--force", "Compute everything again, and replace results of another run that stand in DIR."),
 ]
+
+_SEQUENCES, _PICTURE = "Sequences", "Picture"
 
 
 @dataclass(frozen=True)
@@ -39,13 +41,18 @@ class RunRequest:
     ] = False
     force: Force = False
     sequence: Annotated[
-        bool, switch("--sequence", "Run the scenario's sequence instead: frames one after the other, in tracking mode.")
+        bool,
+        switch("--sequence", "Run the scenario's sequence instead: consecutive frames in tracking mode.", _SEQUENCES),
     ] = False
-    frames: Annotated[int | None, option("--frames", "N", "Of a sequence, in place of the scenario's number.")] = None
-    step_s: Annotated[float | None, option("--step-s", "S", "Of a sequence, in place of the scenario's step.")] = None
-    single: Annotated[bool, switch("--single", "Of a sequence: solve every frame alone too, to compare.")] = False
+    frames: Annotated[
+        int | None, option("--frames", "N", "Number of frames, in place of the scenario's.", _SEQUENCES)
+    ] = None
+    step_s: Annotated[
+        float | None, option("--step-s", "S", "Time between frames, in place of the scenario's.", _SEQUENCES)
+    ] = None
+    single: Annotated[bool, switch("--single", "Solve every frame alone too, to compare.", _SEQUENCES)] = False
     animate: Annotated[
-        bool, switch("--animate", "Of a sequence: a GIF of the frames, and an MP4 where ffmpeg is installed.")
+        bool, switch("--animate", "Write a GIF of the frames, and an MP4 where ffmpeg is installed.", _SEQUENCES)
     ] = False
 
 
@@ -53,10 +60,7 @@ class RunRequest:
 class RenderRequest:
     """Render a frame; of several scenarios one each, --out and --preview then name folders."""
 
-    scenarios: Annotated[
-        list[Path],
-        typer.Argument(metavar="SCENARIO...", help="Scenario YAMLs, or names of those that ship.", show_default=False),
-    ]
+    scenarios: ScenarioFiles
     index: Annotated[int | None, option("--index", "I", "The frame of this trial; default 0.")] = None
     at: Annotated[str | None, option("--at", "TIME", "The frame at this UTC time (ISO 8601) instead.")] = None
     pointing: Annotated[
@@ -65,7 +69,11 @@ class RenderRequest:
     seed: Seed = None
     set_values: SetValues = None
     out: Annotated[Path | None, option("--out", "FRAME.fits", "Write image, camera and truth as FITS.")] = None
-    preview: Annotated[Path | None, option("--preview", "FRAME.png", "Write a picture.")] = None
+    preview: Annotated[
+        Path | None, option("--preview", "FRAME.png", "Write a picture (png, jpg, svg, pdf).", _PICTURE)
+    ] = None
+    colour: Annotated[bool, switch("--colour", "Show the stars in their colours.", _PICTURE)] = False
+    axes: Annotated[bool, switch("--axes", "Plot pixel axes and names.", _PICTURE)] = False
     noiseless: Annotated[
         bool, switch("--noiseless", "Switch off every noise and flaw of the detector, and the background.")
     ] = False

@@ -5,31 +5,31 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.cli.checks import picture_format, writable
+from simulator.cli.centroid_list import parse_pixel, parse_size, read_centroids
+from simulator.cli.checks import picture_format, utc_time, writable
+from simulator.cli.image_files import FITS_SUFFIXES, OutputFiles, image_files, is_our_frame, spooled
 from simulator.cli.photograph_requests import PARITIES, SolveRequest
 from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
 from simulator.fits import read_fits
 from simulator.frame import Frame
 from startracker.blind import solve_unknown_fov
+from startracker.bodies import earth_observer
 from startracker.camera import Camera
 from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
 from startracker.image import read_image
+from startracker.observer import Observer
 from startracker.solution import Solution, Status
 from startracker.trace import Step
 from startracker.tracker import StarTracker
-
-FITS_SUFFIXES = (".fits", ".fit", ".fts")
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *FITS_SUFFIXES)
-
 
 _SMALLEST_PX = 16
 _CALIBRATED_PX = 0.7
@@ -50,6 +50,10 @@ class _Job:
     saturation_dn: float | None = None
     frame: Frame | None = None
     notes: tuple[str, ...] = ()
+    colours: NDArray[Any] | None = None
+    """Of a colour photograph, for its picture."""
+    observer: Observer | None = None
+    """That of the frame, or one on the Earth at the time given."""
 
     def pixels(self) -> NDArray[Any]:
         """The image; black where a list of centroids was solved."""
@@ -59,37 +63,58 @@ class _Job:
 def main(request: SolveRequest) -> int:
     """Solve all; exit status 0 when each is solved, 1 when some are not, 2 for bad input."""
     _check(request)
-    points = _points(request)
-    solver = _Solver(request)
-    status = 0
-    for source in [request.centroids] if request.centroids else image_files(request.images or ()):
-        try:
-            job = solver.load(source)
-            solution = solver.solve(job)
-        except BoresightError as error:
-            print(error, file=sys.stderr)
-            status = 2
-            continue
-        if not solution.solved:
-            status = max(status, 1)
-        observer = job.frame.observer if job.frame else None
-        if request.as_json:
-            answer = as_dict(solution, points, observer)
-            print(json.dumps({"image": job.name, **answer, "notes": list(job.notes)}, allow_nan=False))
-        else:
-            if request.explain:
-                solution = replace(solution, steps=(*(Step("file", note) for note in job.notes), *solution.steps))
-            print(f"{job.name}: {as_text(solution, points, observer, explain=request.explain)}")
-        try:
-            if request.wcs is not None:
-                write_wcs(request.wcs, solution, job.pixels(), observer)
-            if request.annotate is not None:
-                catalog, options = request.catalog, {"grid": request.grid, "constellations": request.constellations}
-                write_picture(request.annotate, solution, job.pixels(), observer, catalog=catalog, **options)
-        except BoresightError as error:
-            print(error, file=sys.stderr)
-            status = 2
+    with tempfile.TemporaryDirectory() as folder:
+        images = spooled(request.images or (), Path(folder))
+        several = len(images) > 1 or any(path.is_dir() for path in images)
+        files = _Files(OutputFiles(request.wcs, several, ".fits"), OutputFiles(request.annotate, several, ".png"))
+        status = 0
+        solver = _Solver(request)
+        for source in [request.centroids] if request.centroids else image_files(images):
+            try:
+                solved = _solve(source, solver, files)
+            except BoresightError as error:
+                print(str(error).replace(f"{folder}/", ""), file=sys.stderr)
+                status = 2
+                continue
+            status = max(status, 0 if solved else 1)
     return status
+
+
+class _Files(NamedTuple):
+    wcs: OutputFiles
+    annotate: OutputFiles
+
+
+def _solve(source: Path, solver: _Solver, files: _Files) -> bool:
+    """Solve one image, print its answer and write its files; returns whether it is solved."""
+    request = solver.request
+    job = solver.load(source)
+    solution = solver.solve(job)
+    points = _points(request)
+    if request.as_json:
+        answer = as_dict(solution, points, job.observer)
+        print(json.dumps({"image": job.name, **answer, "notes": list(job.notes)}, allow_nan=False))
+    else:
+        if request.explain:
+            solution = replace(solution, steps=(*(Step("file", note) for note in job.notes), *solution.steps))
+        print(f"{job.name}: {as_text(solution, points, job.observer, explain=request.explain)}")
+    wcs, picture = files.wcs.path(source), files.annotate.path(source)
+    if wcs is not None:
+        write_wcs(wcs, solution, job.pixels(), job.observer)
+    if picture is not None:
+        options = {
+            "catalog": request.catalog,
+            "grid": request.grid,
+            "constellations": request.constellations,
+            "deep_sky": request.deep_sky,
+        }
+        shown = job.pixels() if job.colours is None else job.colours
+        if request.colour and shown.ndim == 2 and solution.matched:
+            from startracker.annotate import star_coloured
+
+            shown = star_coloured(shown, solution, request.catalog)
+        write_picture(picture, solution, shown, job.observer, **options)
+    return solution.solved
 
 
 def _check(request: SolveRequest) -> None:
@@ -108,27 +133,21 @@ def _check(request: SolveRequest) -> None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
     if request.parity is not None and request.parity not in PARITIES:
         raise InputError(f"--parity: must be {', '.join(PARITIES)}, not '{request.parity}'")
-    if request.annotate is None and (request.grid or request.constellations):
-        raise InputError("--grid and --constellations: draw on the picture of --annotate OUT.png; give that too")
-    writable(request.wcs)
-    picture_format(request.annotate)
-    for path in (request.wcs, request.annotate):
-        if path is not None and (len(images) > 1 or any(p.is_dir() for p in images)):
-            raise InputError(f"{path}: --wcs and --annotate take one image at a time")
+    if request.annotate is None and (request.grid or request.constellations or request.colour):
+        raise InputError(
+            "--grid, --constellations and --colour: draw on the picture of --annotate OUT.png; give that too"
+        )
+    _points(request)
+    if len(images) == 1 and not images[0].is_dir():
+        if request.wcs is not None and not request.wcs.is_dir():
+            writable(request.wcs)
+        if request.annotate is not None and not request.annotate.is_dir():
+            picture_format(request.annotate)
 
 
 def _points(request: SolveRequest) -> NDArray[np.float64]:
     """Pixels (N, 2) asked for."""
     return np.array([parse_pixel(text) for text in request.pixels or ()]).reshape(-1, 2)
-
-
-def image_files(paths: Sequence[Path]) -> Iterator[Path]:
-    """Files, those of folders in their position; `InputError` for a folder without images, when it is reached."""
-    for path in paths:
-        found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
-        if not found:
-            raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
-        yield from found
 
 
 class _Solver:
@@ -139,6 +158,7 @@ class _Solver:
         self.camera = Camera.from_yaml(request.camera) if request.camera else None
         self.bad_pixels = read_image(request.bad_pixels).image != 0.0 if request.bad_pixels else None
         self.trackers: dict[Camera, StarTracker] = {}
+        self.observer = earth_observer(utc_time("--time", request.time)) if request.time else None
 
     def load(self, path: Path) -> _Job:
         if self.request.centroids is not None:
@@ -148,10 +168,19 @@ class _Solver:
             height, width = frame.image.shape
             camera = self.camera or self._from_fov(width, height) or frame.camera
             frame = replace(frame, image=self._without_bad_pixels(frame.image))
-            return _Job(str(path), width, height, camera, frame.image, saturation_dn=frame.saturation_dn, frame=frame)
+            return _Job(
+                path.name if path.stem == "standard-input" else str(path),
+                width,
+                height,
+                camera,
+                frame.image,
+                saturation_dn=frame.saturation_dn,
+                frame=frame,
+                observer=frame.observer,
+            )
         # a camera file and a map of bad pixels know the sensor's own rows and columns
         upright = self.camera is None and self.bad_pixels is None
-        loaded = read_image(path, bayer=self.request.bayer, upright=upright)
+        loaded = read_image(path, bayer=self.request.bayer, upright=upright, colours=self.request.annotate is not None)
         height, width = loaded.image.shape
         known = self.camera or self._from_fov(width, height)
         if self.camera is not None and (self.camera.width, self.camera.height) != (width, height):
@@ -160,7 +189,17 @@ class _Solver:
                 f"{self.camera.width}×{self.camera.height}"
             )
         image = self._without_bad_pixels(loaded.image)
-        return _Job(str(path), width, height, known, image, saturation_dn=loaded.saturation_dn, notes=loaded.notes)
+        return _Job(
+            path.name if path.stem == "standard-input" else str(path),
+            width,
+            height,
+            known,
+            image,
+            saturation_dn=loaded.saturation_dn,
+            notes=loaded.notes,
+            colours=loaded.colours,
+            observer=self.observer,
+        )
 
     def _without_bad_pixels(self, image: NDArray[Any]) -> NDArray[Any]:
         """NaN where the map of --bad-pixels is not zero."""
@@ -182,7 +221,8 @@ class _Solver:
         else:
             width, height = parse_size(self.request.size or "")
         xy, flux = read_centroids(path)
-        return _Job(str(path), width, height, self.camera or self._from_fov(width, height), xy=xy, flux=flux)
+        camera = self.camera or self._from_fov(width, height)
+        return _Job(str(path), width, height, camera, xy=xy, flux=flux, observer=self.observer)
 
     def solve(self, job: _Job) -> Solution:
         """Solve by what is known of the camera.
@@ -228,6 +268,7 @@ class _Solver:
                 fov_deg=request.fov_deg,
                 parity=request.sides,
                 catalog=request.catalog,
+                observer=job.observer,
             )
         assert job.image is not None
         return solve_unknown_fov(
@@ -236,6 +277,7 @@ class _Solver:
             parity=request.sides,
             catalog=request.catalog,
             saturation_dn=job.saturation_dn,
+            observer=job.observer,
         )
 
     def _with_camera(self, job: _Job, camera: Camera) -> Solution:
@@ -252,11 +294,11 @@ class _Solver:
             )
             self.trackers[camera] = tracker
         if job.xy is not None:
-            return tracker.solve_centroids(job.xy, job.flux)
+            return tracker.solve_centroids(job.xy, job.flux, observer=job.observer)
         assert job.image is not None
         frame = job.frame
         if frame is None:
-            return tracker.solve(job.image, saturation_dn=job.saturation_dn)
+            return tracker.solve(job.image, saturation_dn=job.saturation_dn, observer=job.observer)
         return tracker.solve(
             frame.image,
             prior=None if request.lost_in_space else frame.prior,
@@ -278,78 +320,3 @@ def _residual_px(solution: Solution) -> float:
     if not solution.matched:
         return math.inf
     return float(np.sqrt(np.mean(np.sum(solution.stars.fitted.residual_px**2, axis=1))))
-
-
-def is_our_frame(path: Path) -> bool:
-    """Whether a FITS file has the camera that `simulator.fits.write_fits` writes."""
-    try:
-        with path.open("rb") as stream:
-            return b"CAM_FX  =" in stream.read(80 * 36 * 8)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of ``WxH``; `InputError` for anything else."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise InputError(f"--size: must be WIDTHxHEIGHT in pixels, such as 1024x768, not '{text}'")
-    return int(width), int(height)
-
-
-def parse_pixel(text: str) -> tuple[float, float]:
-    """Column and row of ``X,Y``; `InputError` for anything else."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = math.nan
-    if not math.isfinite(x + y):
-        raise InputError(
-            f"--pixel: must be X,Y in pixels from the first pixel's centre, such as 511.5,383.5, not '{text}'"
-        )
-    return x, y
-
-
-def read_centroids(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Centroids (N, 2) and, where there is a third column, fluxes (N,) of a CSV file.
-
-    The first line may name the columns (x, y, flux in any order); lines that begin with # are left out.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read or a line that is not numbers; names the line.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError:
-        raise InputError(
-            f"{path}: is not a text file; --centroids needs a CSV with columns x, y and optionally flux"
-        ) from None
-    names = ["x", "y", "flux"]
-    rows: list[list[float]] = []
-    first = True
-    for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        cells = [cell.strip() for cell in line.split(",")]
-        if first and any(cell.lower() in ("x", "y") for cell in cells):
-            names = [cell.lower() for cell in cells]
-            first = False
-            continue
-        first = False
-        try:
-            rows.append([float(cell) for cell in cells])
-        except ValueError:
-            raise InputError(f"{path}:{number}: '{line.strip()}' is not a row of numbers x,y[,flux]") from None
-        if len(cells) < 2 or len(cells) != len(rows[0]):
-            raise InputError(f"{path}:{number}: has {len(cells)} columns; every row needs x, y and optionally flux")
-    if not {"x", "y"} <= set(names):
-        raise InputError(f"{path}:1: needs the columns x and y; found {', '.join(names)}")
-    if not rows:
-        return np.empty((0, 2)), None
-    table = np.array(rows)
-    column = {name: table[:, i] for i, name in enumerate(names[: table.shape[1]])}
-    return np.stack([column["x"], column["y"]], axis=1), column.get("flux")

@@ -74,7 +74,7 @@ def as_text(solution: Solution, pixels: FloatArray, observer: Observer | None, *
 def _summary(solution: Solution) -> str:
     if not solution.solved:
         return f"{solution.status}: {solution.reason}"
-    field = f"  field {solution.fov_deg:.3f}°" if solution.fov_deg else ""
+    field = f"  field {solution.camera.fov_text}" if solution.camera else ""
     rmse = f", residual {solution.rmse_arcsec:.1f}″ rms" if solution.rmse_arcsec is not None else ""
     mirrored = ", mirrored" if solution.parity < 0 else ""
     return (

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from simulator.cli.checks import at_least
 from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.printed_command import PictureRequest, greyling1995_study
+from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -181,24 +181,21 @@ STUDIES: dict[str, Callable[..., int | None]] = {
 """Name of a study to its function."""
 
 
-class _Studies(TyperGroup):
-    """The group of studies; an unknown name is answered with those that there are."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command of a name."""
-        if args and not args[0].startswith("-") and args[0] not in self.commands:
-            ctx.fail(f"there is no study {args[0]!r}; there are {', '.join(self.commands)}")
-        return super().resolve_command(ctx, args)
-
-
 study_app = typer.Typer(
-    cls=_Studies,
+    cls=SuggestingGroup,
     help="Studies that answer one question each: sky coverage, design, error budget; two printed works computed again.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+_EXAMPLES = {
+    "coverage": "boresight study coverage cubesat",
+    "design": "boresight study design cubesat --over optics.aperture_mm --from 3 --to 30",
+    "budget": "boresight study budget cubesat --trials 200",
+    "greyling1995": "boresight study greyling1995 --section chapter-4",
+    "yee1999": "boresight study yee1999",
+}
 for _name, _function in STUDIES.items():
-    study_app.command(_name)(_function)
+    study_app.command(_name, epilog=f"Example: {_EXAMPLES[_name]}")(_function)
 
 
 def _exclusion_text(body: str, angle_deg: float, of_baffle: bool) -> str:

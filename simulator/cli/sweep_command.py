@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import SweepRequest
-from simulator.cli.terminal import open_console, print_table
+from simulator.cli.terminal import WorkBar, open_console, print_table
 from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
@@ -56,60 +55,20 @@ def main(request: SweepRequest) -> int:
     return 130 if sweep.table["interrupted"] else 0
 
 
-def time_left_s(done: int, done_before: int, total: int, elapsed_s: float) -> float | None:
-    """Seconds that the rest will take, from the trials of this start alone: those resumed cost nothing.
-
-    None until a trial is finished.
-    """
-    here = done - done_before
-    return elapsed_s / here * (total - done) if here > 0 else None
-
-
-class SweepProgress:
-    """One bar over all trials of a sweep with the time left; without a terminal, a line a point on standard error."""
+class SweepProgress(WorkBar):
+    """One bar over all trials of a sweep; without a terminal, a line a point on standard error."""
 
     def __init__(self, plan: Plan, clock: Callable[[], float] = time.monotonic) -> None:
-        self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        super().__init__(plan.scenario.name, "trials", clock=clock)
         self.points = len(plan.points)
-        self.clock = clock
-        self.started_s = clock()
-        self.done_before: int | None = None
         self.point: int | None = None
-        columns = (
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("trials"),
-            TimeElapsedColumn(),
-            TextColumn("left {task.fields[left]}"),
-        )
-        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
-        self.task = self.bar.add_task(plan.scenario.name, total=None, left="–")
-
-    def __enter__(self) -> SweepProgress:
-        self.bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.stop()
 
     def update(self, done: int, total: int, point: Point) -> None:
         """Take note of progress, as `simulator.study.sweep.run.run_sweep` reports it."""
-        if self.done_before is None:
-            self.done_before, self.started_s = done, self.clock()
-        left_s = time_left_s(done, self.done_before, total, self.clock() - self.started_s)
-        left = "–" if left_s is None else str(timedelta(seconds=round(left_s)))
-        self.bar.update(
-            self.task,
-            completed=done,
-            total=total,
-            description=f"point {point.index + 1} of {self.points}",
-            left=left,
-        )
+        at = f"point {point.index + 1} of {self.points}"
+        self.show(done, total, at)
         if not self.console.is_terminal and point.index != self.point:
-            self.console.print(
-                f"point {point.index + 1} of {self.points}: {done} of {total} trials are done, {left} left"
-            )
+            print(f"{at}: {done} of {total} trials are done, {self.times}", file=sys.stderr)
             self.point = point.index
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
+from simulator.cli.centroid_list import parse_pixel, parse_size, read_centroids
 from simulator.cli.checks import writable
 from simulator.cli.printed_command import WIDTH, PictureRequest, finish
-from simulator.cli.solve_command import parse_pixel, parse_size, read_centroids
 from simulator.cli.terminal import open_console, print_table
 from simulator.paths import write_atomically
 from simulator.theses.yee1999.catalogue import EDITIONS

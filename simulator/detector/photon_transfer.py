@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import fields_repr
+
 Image = NDArray[Any]
 Pair = tuple[Image, Image]
 FloatArray = NDArray[np.float64]
@@ -45,6 +47,8 @@ class PhotonTransfer:
     """Electrons per DN: 1 / slope."""
     read_noise_e: Measured
     """Noise of the bias pair, without rounding."""
+
+    __repr__ = fields_repr
 
 
 def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:

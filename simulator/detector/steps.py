@@ -44,26 +44,18 @@ def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
 
 
 class Collection(NamedTuple):
-    """First part of the pipeline: mean charge = light × response + dark current × exposure.
-
-    Parameters
-    ----------
-    is_light : bool
-        Whether the signal is light, which must be finite and not negative.
-    response, dark_e_s : float
-        Common to all pixels.
-    response_map : (N,) float32
-        Factor of each pixel, or ones for one tile if `response_mapped` is false.
-    dark_map_e_s : (N,) float32
-        Dark current of each pixel in addition to `dark_e_s`, or zeros for one tile.
-    """
+    """First part of the pipeline: mean charge = light × response + dark current × exposure."""
 
     is_light: bool
+    """Whether the signal is light, which must be finite and not negative."""
     response: float
+    """Common to all pixels, as `dark_e_s`."""
     response_map: SingleArray
+    """Factor of each pixel, or ones for one tile if `response_mapped` is false, (N,) float32."""
     response_mapped: bool
     dark_e_s: float
     dark_map_e_s: SingleArray
+    """Dark current of each pixel in addition to `dark_e_s`, or zeros for one tile, (N,) float32."""
     dark_mapped: bool
 
 

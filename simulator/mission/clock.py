@@ -22,14 +22,14 @@ FIRST_YEAR_OF_UTC = 1960
 
 @dataclass(frozen=True)
 class Clock:
-    """SI seconds elapsed since an epoch, given in the time scales that the physics needs.
+    """SI seconds elapsed since an epoch, converted to the time scales that the physics needs.
 
-    The epoch goes from UTC to TT once, by ERFA's table of leap seconds (``eraUtctai``, ``eraTaitt``; IAU SOFA); after
-    that elapsed seconds add to TT, which is uniform, so that a leap second between the epoch and an instant shifts
-    nothing but the UTC label. Dates after the end of the table keep its last offset, as ERFA and astropy do."""
+    The epoch is converted from UTC to TT once, with ERFA's table of leap seconds (``eraUtctai``, ``eraTaitt``; IAU
+    SOFA). Elapsed seconds are then added to TT, which is uniform: a leap second between the epoch and an instant only
+    changes the UTC label. Dates after the end of the table keep its last offset, as ERFA and astropy do."""
 
     epoch: datetime
-    """With a time zone; UTC. `InputError` without one, or before UTC began (1960)."""
+    """With a time zone; UTC. `InputError` without one, or before the start of UTC (1960)."""
     _tt: tuple[float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -37,9 +37,10 @@ class Clock:
             raise InputError(f"the epoch {self.epoch} has no time zone; write it in UTC, for example {self.epoch}Z")
         utc = self.epoch.astimezone(UTC)
         if utc.year < FIRST_YEAR_OF_UTC:
-            raise InputError(f"the epoch {utc.isoformat()} lies before UTC began; take a date from 1960 on")
+            raise InputError(f"the epoch {utc.isoformat()} is before the start of UTC; use a date from 1960 on")
         second = utc.second + utc.microsecond * 1e-6
-        # the ufuncs themselves, as their wrappers warn of every date after the table of leap seconds ("dubious year")
+        # the ufuncs are called directly: their wrappers warn ("dubious year") of any date after the table of leap
+        # seconds
         utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, second)
         tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
         tt1, tt2, _ = erfa.ufunc.taitt(tai1, tai2)
@@ -51,9 +52,9 @@ class Clock:
     @overload
     def tt_jd(self, t_s: FloatArray) -> tuple[float, FloatArray]: ...
     def tt_jd(self, t_s: float | FloatArray) -> tuple[float, float | FloatArray]:
-        """Two-part Julian date TT, days; the sum is the date, the first part the same at every instant.
+        """Two-part Julian date TT, days; their sum is the date, and the first part is the same at every instant.
 
-        Good to 5 ns per year away from the epoch (rounding of the second part).
+        Accurate to 5 ns per year from the epoch (rounding of the second part).
         """
         return self._tt[0], self._tt[1] + t_s / SECONDS_PER_DAY
 

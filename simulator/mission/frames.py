@@ -1,4 +1,4 @@
-"""Frames of date against GCRS, and the mean Sun: precession-nutation IAU 2006/2000A through ERFA."""
+"""Frames of date relative to GCRS, and the mean Sun: precession-nutation IAU 2006/2000A through ERFA."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ FloatArray = NDArray[np.float64]
 def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) from GCRS into the true equator and equinox of date; read-only.
 
-    Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``); what the model leaves out of the pole's
-    motion (free core nutation) is below 0.4 mas, 1.5 cm at 800 km.
+    Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``); the neglected free core nutation is below
+    0.4 mas, 1.5 cm at 800 km.
     """
     jd1, jd2 = clock.tt_jd(np.asarray(t_s, dtype=float))
     return _of_dates(jd1, np.shape(jd2), np.asarray(jd2).tobytes())
 
 
-@functools.lru_cache(maxsize=8)  # 50 µs an instant, and an orbit, its node and its frames ask for the same ones in turn
+@functools.lru_cache(maxsize=8)  # 50 µs per instant; orbit, node and frames use the same instants
 def _of_dates(jd1: float, shape: tuple[int, ...], jd2: bytes) -> FloatArray:
     matrices = np.asarray(erfa.ufunc.pnm06a(jd1, np.frombuffer(jd2).reshape(shape)))
     matrices.flags.writeable = False
@@ -32,7 +32,7 @@ def _of_dates(jd1: float, shape: tuple[int, ...], jd2: bytes) -> FloatArray:
 
 
 def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatArray) -> FloatArray:
-    """Right ascension, radians, of SGP4's mean equinox short of the true one: apparent minus mean sidereal time.
+    """Equation of the equinoxes, radians: apparent minus mean sidereal time.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatAr
 
     Notes
     -----
-    The mean sidereal time is that of 1982, to which SGP4 belongs (Vallado et al. 2006, AIAA 2006-6753, appendix C).
-    Earth rotation drops out of the difference, so TT serves for UT1.
+    Mean sidereal time is the model of 1982, as in SGP4 (Vallado et al. 2006, AIAA 2006-6753, appendix C). The Earth's
+    rotation cancels in the difference, so TT replaces UT1.
     """
     jd1, jd2 = clock.tt_jd(t_s)
     difference: FloatArray = erfa.anpm(erfa.gst06(jd1, jd2, jd1, jd2, matrix) - erfa.gmst82(jd1, jd2))
@@ -61,12 +61,12 @@ def teme(clock: Clock, t_s: float | FloatArray) -> FloatArray:
 def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> float:
     """Right ascension, radians in [0, 2π), true equinox of date, of the meridian with a local *mean* solar time.
 
-    Local mean solar time is UT1 + east longitude, and longitude is right ascension less Greenwich apparent sidereal
+    Local mean solar time is UT1 + east longitude, and longitude is right ascension minus Greenwich apparent sidereal
     time (IAU 2006/2000A, ERFA's ``gst06a``; Urban & Seidelmann 2013, *Explanatory Supplement*, section 3.2):
 
         α = GAST + 15° (local time − UT1)
 
-    UTC serves for UT1: they differ by under 0.9 s, of which the mean Sun's motion leaves 0.04″ here.
+    UTC replaces UT1: they differ by less than 0.9 s, an error of 0.04″ in the position of the mean Sun.
     """
     utc1, utc2 = clock.utc_jd(t_s)
     midnight_fraction = (utc1 - 0.5) % 1.0 + utc2
@@ -75,15 +75,15 @@ def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> f
 
 
 def local_time_of_raan(clock: Clock, raan_rad: float, t_s: float = 0.0) -> float:
-    """Local mean solar time, hours in [0, 24), of a right ascension; undoes `raan_of_local_time`."""
+    """Local mean solar time, hours in [0, 24), of a right ascension; the inverse of `raan_of_local_time`."""
     return (raan_rad - raan_of_local_time(clock, 0.0, t_s)) % (2.0 * math.pi) * 12.0 / math.pi % 24.0
 
 
 def argument_of_latitude_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:
     """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360).
 
-    With h = r × v and n = z × h towards the node, u = atan2((h × n)·r / |h|, n·r) (Vallado 2013, section 2.5). An orbit
-    in the equator counts from the equinox.
+    With h = r × v and n = z × h towards the node, u = atan2((h × n)·r / |h|, n·r) (Vallado 2013, section 2.5). For an
+    equatorial orbit the angle is measured from the equinox.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def ground_track_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) ->
     """Geodetic latitude and east longitude in [−180, 180], degrees, WGS 84, of the point below the spacecraft.
 
     ITRS from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's ``gst06``), then
-    ERFA's ``gc2gd``. UTC serves for UT1, and the polar motion is left out: 0.9 s and 0.3″, 0.4 km at the equator.
+    ERFA's ``gc2gd``. UTC replaces UT1 and polar motion is neglected: up to 0.9 s and 0.3″, or 0.4 km at the equator.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ def gyro_samples(
 
     measured = (1 + k) turn / step + mean bias + white noise of N / √step; k constant, drawn once; bias = constant +
     first-order Gauss–Markov process of standard deviation B and correlation time T, b' = e^(−h/T) b +
-    B √(1 − e^(−2h/T)) w, its mean over a step taken between the ends (IEEE Std 952-1997, annexes B and C, has the
-    terms and the units of N and B).
+    B √(1 − e^(−2h/T)) w, with its mean over a step that of both ends. Terms and units of N and B are those of IEEE Std
+    952-1997, annexes B and C.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def gyro_samples(
     Returns
     -------
     rates, biases : arrays, shape (N, 3) and (N + 1, 3)
-        rad/s; the first bias is that before the first step.
+        Rad/s; the first bias is that before the first step.
     """
     constant, wander = rng.standard_normal((2, 3))
     constant = constant * gyro.bias_deg_h * DEG_H

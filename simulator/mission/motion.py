@@ -1,14 +1,13 @@
-"""How the body turns over a sequence of frames: the truth that a tracker follows.
+"""True attitude of the body over a sequence of frames.
 
-The body holds a reference, the local level, which turns with the orbit, or the axes of a free spin, or an inertial
-attitude, and turns against it
-at a rate that is a piecewise linear function of time in body axes: ``pointing.rate_deg_s``, plus ``sequence.rates``,
-plus the trapezoid of ``sequence.slew``. With S the turn against the reference, C what the body is turned by at the
-start (offset and random error) and L the reference,
+The body rotates relative to a reference (the local level, which rotates with the orbit; the axes of a free spin; or an
+inertial attitude) at a rate that is a piecewise linear function of time in body axes: ``pointing.rate_deg_s``, plus
+``sequence.rates``, plus the trapezoid of ``sequence.slew``. With S the rotation relative to the reference, C the
+rotation of the body at the start (offset and random error) and L the reference,
 
     A_body(t) = S(t) C L(t),    dS/dt = −[ω_rel(t) ×] S,    ω_body = S C ω_L + ω_rel.
 
-S is integrated by Magnus' series to the fourth order, exactly where the direction of ω_rel does not change.
+S is integrated by Magnus' series to the fourth order, which is exact if the direction of ω_rel is constant.
 """
 
 from __future__ import annotations
@@ -26,17 +25,18 @@ from simulator.mission.parameters import PointingParameters, SequenceMotion, Sle
 from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 
 __all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
 
 FloatArray = NDArray[np.float64]
 
 _LARGEST_TURN_RAD = 0.02
-"""Turn of one step of the integration."""
+"""Maximum rotation in one step of the integration."""
 _LONGEST_STEP_S = 0.1
-"""Its length: the next term of the series, ω ω'² h⁵ / 240, is below 1e-12 rad at 2°/s and 2°/s²."""
+"""Maximum length of a step: the next term of the series, ω ω'² h⁵ / 240, is below 1e-12 rad at 2°/s and 2°/s²."""
 _LEVEL_STEP_S = 1.0
-"""Half of the interval over which the turning of the local level is differenced: (n t)² / 6 of its change."""
+"""Half of the interval of the numerical derivative of the local level; the relative error is (n t)² / 6."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +50,19 @@ class MotionState:
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity, camera axes."""
 
+    __repr__ = fields_repr
+
 
 @dataclass(frozen=True, eq=False)
 class RateProfile:
-    """Piecewise linear rate, held before the first and after the last point."""
+    """Piecewise linear rate, constant before the first and after the last point."""
 
     t_s: FloatArray
-    """(N,): Seconds after the first frame, rising."""
+    """(N,): Seconds after the first frame, ascending."""
     rate_rad_s: FloatArray
     """(N, 3): Body axes."""
+
+    __repr__ = fields_repr
 
     def at(self, t_s: float) -> FloatArray:
         """Rate (3,) at a time."""
@@ -67,7 +71,7 @@ class RateProfile:
     def turn(self, start_s: float, end_s: float) -> Attitude:
         """Rotation (body → body) from one time to a later one.
 
-        Magnus' series for dS/dt = −[ω×] S with two Gauss points a step h (Iserles & Nørsett 1999; Blanes et al. 2009,
+        Magnus' series for dS/dt = −[ω×] S with two Gauss points per step h (Iserles & Nørsett 1999; Blanes et al. 2009,
         Physics Reports 470, 151, eq. 253): the rotation vector is h (ω₁ + ω₂)/2 + √3 h² (ω₁ × ω₂)/12.
         """
         inner = self.t_s[(self.t_s > start_s) & (self.t_s < end_s)]
@@ -75,7 +79,7 @@ class RateProfile:
         corners = [start_s, *inner, end_s]
         for low, high in pairwise(corners):
             ends = self.at(low), self.at(high)
-            steps = 1  # exact where the rate is constant
+            steps = 1  # exact for a constant rate
             if (ends[0] != ends[1]).any():
                 fastest = max(float(np.linalg.norm(rate)) for rate in ends)  # linear between: largest at an end
                 steps = math.ceil((high - low) * max(fastest / _LARGEST_TURN_RAD, 1.0 / _LONGEST_STEP_S))
@@ -89,7 +93,7 @@ class RateProfile:
 
 
 def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> RateProfile:
-    """Rate of the body against its reference over a sequence: steady rate, profile and slew in one."""
+    """Rate of the body relative to its reference over a sequence: sum of constant rate, profile and slew."""
     points = np.array([p.at_s for p in sequence.rates])
     corners, speeds = _trapezoid(sequence.slew)
     times = np.unique(np.concatenate([[0.0], points, corners]))
@@ -104,7 +108,8 @@ def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> Rate
 
 
 def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
-    """Corners of a slew's speed, s and rad/s: a trapezoid whose area is the turn, or a triangle where that is short."""
+    """Corners of a slew's speed profile, s and rad/s: a trapezoid, or a triangle for a short slew, whose area is the
+    angle."""
     turn = math.radians(math.hypot(*slew.turn_deg))
     if turn == 0.0:
         return np.empty(0), np.empty(0)
@@ -124,14 +129,14 @@ def motion(
     Parameters
     ----------
     pointing, sequence : sections
-        As in the scenario. With ``pointing.target`` the reference is the attitude at the start, held against
-        inertial space; with ``pointing.spin`` the spinning principal axes; else it is the local level.
+        As in the scenario. The reference is, with ``pointing.target``, the inertially fixed initial attitude; with
+        ``pointing.spin``, the spinning principal axes; otherwise the local level.
     orbit : Orbit
         The orbit.
     start : Pointing
         Attitude at the first frame, without jitter.
     frames : int
-        How many.
+        Number of frames.
     """
     profile = rate_profile(pointing, sequence)
     if pointing.target is not None:
@@ -156,12 +161,12 @@ def motion(
 
 
 def _inertial(start: Pointing) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
-    """Reference that stands still: the body's attitude at the start."""
+    """Inertially fixed reference: the initial attitude of the body."""
     return lambda t_s: start.body, lambda t_s: np.zeros(3)
 
 
 def _spinning(spin: Spin) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
-    """The principal axes of a body that spins freely, and their inertial rate in their own axes."""
+    """The principal axes of a freely spinning body, and their inertial rate in their own axes."""
     return lambda t_s: spin_attitude(spin, t_s), lambda t_s: spin_rate_rad_s(spin, t_s)
 
 

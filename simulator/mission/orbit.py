@@ -1,7 +1,7 @@
 """The spacecraft's orbit: circular, from the scenario's section, by an analytic J2 model or by SGP4.
 
-Elements refer to the true equator and equinox of date, as the Earth's bulge turns the orbit about the true pole; states
-come out in GCRS through precession and nutation (`simulator.mission.frames`).
+Elements refer to the true equator and equinox of date, because the Earth's oblateness makes the orbit precess about the
+true pole; states are converted to GCRS by precession and nutation (`simulator.mission.frames`).
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ __all__ = ["PROPAGATORS", "J2Orbit", "Orbit", "Sgp4Orbit", "build_orbit"]
 FloatArray = NDArray[np.float64]
 
 DEFAULT_LTAN_H = 22.5
-"""Local mean solar time of the ascending node where the section gives no node: 10:30, within 3° of
-Sunsat's node (Greyling 1995, Table 3.2: Ω = 155° at the vernal equinox)."""
+"""Local mean solar time of the ascending node if the section gives no node: 22:30 (descending node at 10:30), within 3°
+of Sunsat's node (Greyling 1995, Table 3.2: Ω = 155° at the vernal equinox)."""
 
 SPHERE_OF_INFLUENCE_KM = 925_000.0
-"""Radius of the Earth's sphere of influence, a⊕ (m⊕/m☉)^(2/5); beyond it the Sun rules the orbit."""
+"""Radius of the Earth's sphere of influence, a⊕ (m⊕/m☉)^(2/5); beyond it the Sun dominates."""
 
 SMALLEST_RADIUS_EARTHS = 0.5
-"""Below this many Earth radii the J2 expansion means nothing. The surface itself is the scenario's limit, as what is
-unphysical may be let through on purpose."""
+"""Minimum radius, in Earth radii, for which the J2 expansion is meaningful. The scenario's own limit is the surface,
+which `allow_unphysical` lifts."""
 
 
 @runtime_checkable
 class Orbit(Protocol):
-    """What a propagator gives; immutable and picklable."""
+    """Result of a propagator; immutable and picklable."""
 
     @property
     def clock(self) -> Clock:
-        """Epoch to which `t_s` counts."""
+        """Clock with the epoch of `t_s`."""
         ...
 
     @property
     def period_s(self) -> float:
-        """Nodal period: from one ascending node to the next, mean."""
+        """Mean nodal period: from one ascending node to the next."""
         ...
 
     @property
@@ -83,14 +83,15 @@ class Orbit(Protocol):
 class J2Orbit:
     """Analytic circular orbit whose node and argument of latitude advance at their secular J2 rates.
 
-    With P towards the node, Q ahead of it by 90° in the orbit's plane, u = u₀ + u̇ t and Ω = Ω₀ + Ω̇ t:
+    With P towards the node, Q 90° ahead of it in the orbital plane, u = u₀ + u̇ t and Ω = Ω₀ + Ω̇ t:
 
         r = a (P cos u + Q sin u),   v = a (u̇ + Ω̇ cos i) (−P sin u + Q cos u)
 
-    v is the derivative of r but for Ω̇ sin i cos u · a across the orbit (1.4 m/s at 800 km), left out together with the
-    short-period terms of J2, which are of its size, so that the plane of r and v is the mean plane. Left out as well:
-    the mean radius' own J2 offset (+4.3 km at 800 km), the eccentricity of 1e-3 that J3 forces, J4, drag, Sun and Moon.
-    With these the position is good to some 20 km near the epoch, the attitude of the local level to 0.1°."""
+    v is the derivative of r without the cross-track term Ω̇ sin i cos u · a (1.4 m/s at 800 km). That term is neglected
+    together with the short-period terms of J2, which are of the same size, so that the plane of r and v is the mean
+    plane. Also neglected: the mean radius' own J2 offset (+4.3 km at 800 km), the eccentricity of 1e-3 forced by J3,
+    J4, drag, Sun and Moon. The position is therefore accurate to about 20 km near the epoch, the attitude of the local
+    level to 0.1°."""
 
     elements: CircularElements
     """Mean elements at the epoch."""
@@ -103,7 +104,7 @@ class J2Orbit:
 
     @property
     def period_s(self) -> float:
-        """Nodal period; at 800 km it is 0.12 % longer than the Keplerian one, which published figures often mean."""
+        """Nodal period; at 800 km 0.12 % longer than the Keplerian period, which is often the one published."""
         return 2.0 * math.pi / self._latitude_rate
 
     @property
@@ -140,13 +141,13 @@ class Sgp4Orbit:
     """The same mean elements through SGP4 (Vallado et al. 2006; python-sgp4), without drag, from TEME into GCRS.
 
     SGP4 adds to `J2Orbit` the short-period terms of J2 (about 1 km, and 4 km of radius), the eccentricity forced by J3
-    (1e-3: 7 km in radius, 15 km along the orbit), and the secular rates of J2² and J4 (along the orbit 1 to 2 km a day;
-    the node of a sun-synchronous orbit leaves the mean Sun by about 1° a year). Above a period of
-    225 minutes it is SDP4, with Sun and Moon."""
+    (1e-3: 7 km in radius, 15 km along the orbit), and the secular rates of J2² and J4 (1 to 2 km per day along the
+    orbit; the node of a sun-synchronous orbit drifts by about 1° per year relative to the mean Sun). For periods above
+    225 minutes SDP4 is used, with Sun and Moon."""
 
     elements: CircularElements
     """Mean elements at the epoch. SGP4's input is Kozai's mean motion, from which it recovers Brouwer's; here the
-    conversion goes the other way, so that the semi-major axis is Brouwer's in both propagators."""
+    conversion is inverted, so that the semi-major axis is Brouwer's in both propagators."""
     clock: Clock
     """Epoch."""
 
@@ -175,26 +176,26 @@ class Sgp4Orbit:
     def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...).
 
-        `InputError` where SGP4 itself reports an error (an orbit below the surface, elements that ran away).
+        `InputError` if SGP4 reports an error (an orbit below the surface, diverging elements).
         """
         t = np.asarray(t_s, dtype=float)
         satellite = _satellite(self.elements, self.clock)
-        # as its own epoch is subtracted again inside, these are elapsed SI seconds whatever the leap seconds
+        # SGP4 subtracts its own epoch again: these are elapsed SI seconds, independent of leap seconds
         days = satellite.jdsatepochF + t.ravel() / SECONDS_PER_DAY
         error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
         if error.any():
             from sgp4.api import SGP4_ERRORS
 
             raise InputError(
-                f"orbit: SGP4 cannot follow this orbit ({SGP4_ERRORS[int(error[error != 0][0])]}); "
-                "change orbit.altitude_km or take orbit.propagator: j2"
+                f"orbit: SGP4 cannot propagate this orbit ({SGP4_ERRORS[int(error[error != 0][0])]}); "
+                "change orbit.altitude_km or set orbit.propagator: j2"
             )
         matrix = teme(self.clock, t)
         return _to_gcrs(matrix, position.reshape(*t.shape, 3)), _to_gcrs(matrix, velocity.reshape(*t.shape, 3))
 
 
 PROPAGATORS: dict[str, Callable[[CircularElements, Clock], Orbit]] = {"j2": J2Orbit, "sgp4": Sgp4Orbit}
-"""Propagators by name; each makes an `Orbit` of mean elements and a clock."""
+"""Propagators by name; each creates an `Orbit` from mean elements and a clock."""
 
 
 def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
@@ -204,24 +205,24 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
     ----------
     section : OrbitParameters
         Altitude above the equatorial radius, inclination or ``auto`` (sun-synchronous), node by right ascension or by
-        local mean solar time (22.5 h where neither is given), argument of latitude, propagator.
+        local mean solar time (22.5 h if neither is given), argument of latitude, propagator.
     epoch : datetime
         With a time zone.
 
     Raises
     ------
     InputError
-        For both node keys at once; an altitude outside what the model can mean, or without a sun-synchronous
-        inclination; an unknown propagator.
+        For both node keys at once, an altitude outside the range of the model or without a sun-synchronous inclination,
+        or an unknown propagator.
     """
     radius = EARTH_RADIUS_KM + section.altitude_km
     if not SMALLEST_RADIUS_EARTHS * EARTH_RADIUS_KM <= radius <= SPHERE_OF_INFLUENCE_KM:
         raise InputError(
             f"orbit.altitude_km: no orbit around the Earth at {section.altitude_km:g} km; "
-            f"allowed is up to {SPHERE_OF_INFLUENCE_KM - EARTH_RADIUS_KM:.0f} km"
+            f"use at most {SPHERE_OF_INFLUENCE_KM - EARTH_RADIUS_KM:.0f} km"
         )
     if section.raan_deg is not None and section.ltan_h is not None:
-        raise InputError("orbit: raan_deg and ltan_h both give the node; leave one out")
+        raise InputError("orbit: raan_deg and ltan_h both define the node; remove one of them")
     clock = Clock(epoch)
     if section.raan_deg is not None:
         raan_rad = math.radians(section.raan_deg % 360.0)
@@ -238,24 +239,25 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
 
 
 def _wrapped(angle: FloatArray) -> Any:
-    """Angle in [0, 2π); a plain float for a single one."""
+    """Angle in [0, 2π); a float for a scalar."""
     wrapped = np.mod(angle, 2.0 * np.pi)
     return float(wrapped) if np.ndim(wrapped) == 0 else wrapped
 
 
 def _to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Vectors (..., 3) taken back through matrices (..., 3, 3) out of GCRS."""
+    """Vectors (..., 3) rotated to GCRS by the inverse of matrices (..., 3, 3) from GCRS."""
     turned: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
     return turned
 
 
 def _kozai_mean_motion(elements: CircularElements) -> float:
-    """Kozai's mean motion, rad/s, of Brouwer's: SGP4's first step undone (Hoots & Roehrich 1980, section 6)."""
+    """Kozai's mean motion, rad/s, from Brouwer's: the inverse of SGP4's first step (Hoots & Roehrich 1980, section
+    6)."""
     brouwer = mean_motion(elements.semi_major_axis_km)
     d1 = 0.75 * EARTH_J2 * (3.0 * math.cos(elements.inclination_rad) ** 2 - 1.0)
     a1 = elements.semi_major_axis_km / EARTH_RADIUS_KM
     kozai = brouwer
-    for _ in range(20):  # each round gains three digits
+    for _ in range(20):  # each iteration gains three digits
         ak = a1 * (brouwer / kozai) ** (2.0 / 3.0)
         delta = d1 / ak**2
         adel = ak * (1.0 - delta * (1.0 / 3.0 + delta * (1.0 + 134.0 / 81.0 * delta)))
@@ -265,7 +267,7 @@ def _kozai_mean_motion(elements: CircularElements) -> float:
 
 @functools.lru_cache(maxsize=64)
 def _satellite(elements: CircularElements, clock: Clock) -> Any:
-    """SGP4's record of an orbit; kept beside it, as the record itself cannot be pickled."""
+    """SGP4's record of an orbit, cached here because it cannot be pickled."""
     from sgp4.api import WGS84, Satrec
 
     node = elements.raan_rad - float(equation_of_equinoxes(clock, 0.0, true_of_date(clock, 0.0)))
@@ -280,7 +282,7 @@ def _satellite(elements: CircularElements, clock: Clock) -> Any:
         0.0,  # first and second derivative of the mean motion, which SGP4 does not use
         0.0,
         0.0,  # eccentricity
-        0.0,  # argument of perigee, so that the mean anomaly counts from the node
+        0.0,  # argument of perigee, so that the mean anomaly is measured from the node
         elements.inclination_rad,
         elements.argument_of_latitude_rad,
         60.0 * _kozai_mean_motion(elements),

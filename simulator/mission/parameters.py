@@ -1,4 +1,4 @@
-"""Parameters of orbit, pointing and motion: plain values, which a scenario's sections of these names are made of."""
+"""Parameters of orbit, pointing and motion; the scenario's sections of these names are these classes."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ from dataclasses import dataclass
 from typing import Literal
 
 from simulator.optics.jitter import NO_JITTER, Jitter
+from startracker.display import changed_fields
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class OrbitParameters:
-    """Circular orbit. The node is given by `raan_deg` or by `ltan_h`, not by both."""
+    """Circular orbit. The node is given by either `raan_deg` or `ltan_h`."""
 
     altitude_km: float = 800.0
     """Height above the equatorial radius."""
     inclination_deg: float | Literal["auto"] = "auto"
     """Inclination; ``auto`` is sun-synchronous by J2."""
     ltan_h: float | None = None
-    """Local mean solar time of the ascending node, hours; 22.5 where neither node key is given."""
+    """Local mean solar time of the ascending node, hours; 22.5 if neither node key is given."""
     raan_deg: float | None = None
     """Right ascension of the ascending node at the epoch, true equator of date."""
     argument_of_latitude_deg: float = 0.0
@@ -27,78 +28,84 @@ class OrbitParameters:
     propagator: str = "j2"
     """``j2``: analytic circular orbit with secular J2; ``sgp4``: the same mean elements through SGP4."""
 
+    __repr__ = changed_fields
+
 
 @dataclass(frozen=True)
 class Spin:
-    """Free spin of a body with two equal moments of inertia: its axis of symmetry, body +Z, cones about the angular
-    momentum, which stands still."""
+    """Free spin of a body with two equal moments of inertia: its axis of symmetry, body +Z, precesses about the
+    inertially fixed angular momentum."""
 
     rate_deg_s: float = 0.0
     """Angular velocity about body +Z; 0: no spin, the body holds the local level or `pointing.target`."""
     axis_deg: tuple[float, float] = (0.0, 90.0)
-    """Right ascension and declination of the axis that stands still (ICRS)."""
+    """Right ascension and declination of the angular momentum (ICRS)."""
     phase_deg: float = 0.0
-    """Turn of the body about its +Z at the epoch, from where, with `cone_phase_deg` 0, its +X points east."""
+    """Rotation of the body about its +Z at the epoch; at 0, and with `cone_phase_deg` 0, its +X points east."""
     cone_deg: float = 0.0
-    """Half angle of the cone on which +Z goes about that axis."""
+    """Half angle of the cone that +Z describes about that axis."""
     cone_phase_deg: float = 0.0
-    """Where on the cone +Z is at the epoch: its position angle, north through east, from the axis."""
+    """Position of +Z on the cone at the epoch: position angle about the axis, north through east."""
     inertia_ratio: float = 0.1
-    """Moment of inertia about +Z over that across it: below 1 a rod, above a disk. The cone turns this many times as
-    fast as the body (over the cosine of `cone_deg`)."""
+    """Ratio of the moment of inertia about +Z to the transverse one: below 1 a rod, above 1 a disk. The precession rate
+    is `rate_deg_s` times this ratio, divided by the cosine of `cone_deg`."""
 
 
 @dataclass(frozen=True)
 class PointingParameters:
-    """How the camera is mounted and how the body is turned against the local level."""
+    """Mounting of the camera, and attitude of the body relative to the local level."""
 
     mounting: str | tuple[float, float, float, float] = "orbit_normal"
     """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
     target: str | Vector | None = None
-    """Hold the camera on this instead of the local level: right ascension, declination, roll in degrees (ICRS), or the
-    name of a star of the sky's catalogue (``Alp CMa``, ``HIP 32349``) or of a body (``Moon``, ``Jupiter``)."""
+    """Point the camera at this target instead of holding the local level: right ascension, declination and roll in
+    degrees (ICRS), or the name of a star of the sky's catalogue (``Alp CMa``, ``HIP 32349``) or of a body (``Moon``,
+    ``Jupiter``)."""
     target_offset_deg: tuple[float, float] = (0.0, 0.0)
-    """Where a named target stands in the image: degrees from the boresight along +x (columns) and +y (rows)."""
+    """Position of a named target in the image: degrees from the boresight along +x (columns) and +y (rows)."""
     target_roll_deg: float = 0.0
     """Roll of the camera on a named target."""
     offset_deg: Vector = (0.0, 0.0, 0.0)
     """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
     error_deg: float = 1.0
-    """Half width of the random attitude offset a trial and axis: what the other sensors leave unknown."""
+    """Half width of the uniformly distributed random attitude offset per trial and axis: the uncertainty of the other
+    sensors."""
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
-    """Body rate about X, Y, Z on top of the turning of the local-level frame itself."""
+    """Body rate about X, Y, Z in addition to the rotation of the local-level frame."""
     spin: Spin = Spin()
-    """Spin about an axis that stands still among the stars, in place of the local level; off without its rate."""
+    """Free spin instead of the local level; off if its rate is 0."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
+
+    __repr__ = changed_fields
 
 
 @dataclass(frozen=True)
 class RatePoint:
-    """A point of a profile of rates."""
+    """A point of a rate profile."""
 
     at_s: float
     """Seconds after the first frame."""
     roll_deg_s: float = 0.0
-    """Rate about the body's X."""
+    """Rate about body X."""
     pitch_deg_s: float = 0.0
-    """About Y."""
+    """Rate about body Y."""
     yaw_deg_s: float = 0.0
-    """About Z."""
+    """Rate about body Z."""
 
 
 @dataclass(frozen=True)
 class Slew:
-    """A turn about one axis: the speed rises evenly, stays, and falls evenly."""
+    """A slew about one axis: constant acceleration, constant rate, constant deceleration."""
 
     turn_deg: Vector = (0.0, 0.0, 0.0)
-    """Rotation vector of the whole turn in body axes, from where the body then is to where it ends; 0: no slew."""
+    """Rotation vector of the whole slew in body axes; 0: no slew."""
     max_rate_deg_s: float = 2.0
-    """Speed that is not exceeded; a short turn does not reach it."""
+    """Maximum rate; a short slew does not reach it."""
     acceleration_deg_s2: float = 0.2
-    """Angular acceleration at the beginning, and deceleration at the end."""
+    """Angular acceleration at the start and deceleration at the end."""
     start_s: float = 10.0
-    """When it begins, after the first frame."""
+    """Start of the slew after the first frame."""
 
 
 @dataclass(frozen=True)
@@ -113,18 +120,18 @@ class SequenceMotion:
 
 @dataclass(frozen=True)
 class Gyro:
-    """A gyro that the tracking filter goes by between frames, its noise in the terms of IEEE Std 952-1997; its axes are
-    the camera's."""
+    """A gyro used by the tracking filter between frames, aligned with the camera axes; noise terms as in IEEE Std
+    952-1997."""
 
     use: bool = False
-    """Whether there is one; without it the filter estimates the rate from the stars alone."""
+    """Use the gyro; false: the filter estimates the rate from the stars alone."""
     angle_random_walk_deg_sqrt_h: float = 0.05
     """White noise of the rate."""
     bias_deg_h: float = 10.0
     """Standard deviation of the constant bias, each axis."""
     bias_instability_deg_h: float = 0.5
-    """Standard deviation of the part of the bias that wanders (first-order Gauss-Markov)."""
+    """Standard deviation of the varying part of the bias (first-order Gauss–Markov process)."""
     bias_time_s: float = 300.0
-    """Correlation time of that part."""
+    """Correlation time of the varying part of the bias."""
     scale_factor_ppm: float = 0.0
-    """Standard deviation of the scale factors' errors, constant, each axis; 10,000 is 1 %."""
+    """Standard deviation of the constant scale-factor error of each axis; 10,000 is 1 %."""

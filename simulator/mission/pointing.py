@@ -1,7 +1,7 @@
 """Attitude and rate of the camera: local level → body (offset, random error) → camera (mounting).
 
 Local level (also the nominal body): +X along the velocity, +Y = minus the orbit normal, +Z to the Earth's centre.
-Angles about X, Y, Z are roll, pitch, yaw, taken as one rotation vector.
+Angles about X, Y, Z are roll, pitch, yaw, the components of one rotation vector.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from simulator.mission.orbit import Orbit
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from startracker.attitude import Attitude, direction_to_radec
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -54,7 +55,7 @@ MOUNTINGS: dict[str, Attitude] = {
     "forward": _mounting(boresight=_X, up=-_Z),
     "backward": _mounting(boresight=-_X, up=-_Z),
 }
-"""Body → camera by name. The camera's up (−y) is the zenith, for ``zenith`` itself the velocity. ``orbit_normal`` is
+"""Body → camera by name. The camera's up direction (−y) is the zenith, for ``zenith`` the velocity. ``orbit_normal`` is
 the reference mounting, along +Y, which is *minus* the angular momentum (Greyling 1995, section 3.2)."""
 
 
@@ -66,11 +67,13 @@ class Pointing:
     camera: Attitude
     """True attitudes, ICRS → body and ICRS → camera."""
     prior: Attitude
-    """ICRS → camera without the random error: what the other sensors say."""
+    """ICRS → camera without the random error, as known from other sensors."""
     mounting: Attitude
     """Body → camera."""
     rate_camera_rad_s: FloatArray
-    """(3,): Angular velocity against inertial space in camera axes."""
+    """(3,): Inertial angular velocity in camera axes."""
+
+    __repr__ = fields_repr
 
 
 def mounting_of(parameters: PointingParameters) -> Attitude:
@@ -89,13 +92,13 @@ def mounting_of(parameters: PointingParameters) -> Attitude:
 def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
     """Attitude ICRS → local level from position and velocity (3,) in GCRS axes.
 
-    Z = −r/|r|, Y = −(r × v)/|r × v|, X = Y × Z: the velocity, made square to Z (Wertz 1978, *Spacecraft Attitude
-    Determination and Control*, section 2.2).
+    Z = −r/|r|, Y = −(r × v)/|r × v|, X = Y × Z: the velocity component perpendicular to Z (Wertz 1978, *Spacecraft
+    Attitude Determination and Control*, section 2.2).
 
     Raises
     ------
     InputError
-        Where position and velocity span no plane.
+        If position and velocity are parallel.
     """
     return _local_level(r_km, v_km_s)[0]
 
@@ -103,22 +106,22 @@ def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
 def _local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> tuple[Attitude, float]:
     """`local_level`, and its rate |r × v| / r², rad/s."""
     r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
-    (x, y, z), (vx, vy, vz) = r.tolist(), v.tolist()  # plain floats: a tenth of the time of NumPy's calls
+    (x, y, z), (vx, vy, vz) = r.tolist(), v.tolist()  # Python floats take a tenth of the time of NumPy's calls
     momentum = (y * vz - z * vy, z * vx - x * vz, x * vy - y * vx)
     distance, turn = math.hypot(x, y, z), math.hypot(*momentum)
     if not turn > 1e-9 * distance * math.hypot(vx, vy, vz):
-        raise InputError(f"no local level: position {r} km and velocity {v} km/s span no plane")
+        raise InputError(f"no local level: position {r} km and velocity {v} km/s are parallel")
     (a, b, c), (d, e, f) = (h / -turn for h in momentum), (x / -distance, y / -distance, z / -distance)
     matrix = np.array([[b * f - c * e, c * d - a * f, a * e - b * d], [a, b, c], [d, e, f]])
     return Attitude.from_matrix(matrix, "icrs", "local_level"), turn / distance**2
 
 
 def point(parameters: PointingParameters, r_km: FloatArray, v_km_s: FloatArray, rng: np.random.Generator) -> Pointing:
-    """Attitude and rate of a spacecraft that holds the local level, at a position and velocity (3,) in GCRS.
+    """Attitude and rate of a spacecraft in local-level attitude at a position and velocity (3,) in GCRS.
 
-    The body is turned from the local level by the fixed `offset_deg`, and from there, about its own axes, by a random
-    rotation vector, each component uniform within ±`error_deg`. Its rate against inertial space is that of the local
-    level, ω = r × v / r² = (0, −n, 0) in local-level axes, plus `rate_deg_s` in body axes.
+    The body is rotated from the local level by the fixed `offset_deg`, and then about its own axes by a random rotation
+    vector with components uniform within ±`error_deg`. Its inertial rate is that of the local level, ω = r × v / r² =
+    (0, −n, 0) in local-level axes, plus `rate_deg_s` in body axes.
 
     Parameters
     ----------
@@ -127,7 +130,7 @@ def point(parameters: PointingParameters, r_km: FloatArray, v_km_s: FloatArray, 
     r_km, v_km_s : array, shape (3,)
         State of the spacecraft.
     rng : Generator
-        Always draws three uniform numbers, whatever the parameters say.
+        Always draws three uniform numbers, for any parameters.
 
     Raises
     ------
@@ -141,11 +144,10 @@ def point(parameters: PointingParameters, r_km: FloatArray, v_km_s: FloatArray, 
 def point_at_random(
     parameters: PointingParameters, rng: np.random.Generator, orbital_rate_rad_s: float = 0.0
 ) -> Pointing:
-    """`point` with a nominal camera attitude that is uniform over all attitudes in place of the local level's.
+    """`point` with a uniformly random nominal camera attitude instead of the local level.
 
-    Offset, error and rates act as they do in orbit: the local level, here a random frame, turns by
-    (0, −`orbital_rate_rad_s`, 0). The generator draws three numbers for the error, then three for the
-    attitude.
+    Offset, error and rates act as in orbit: the reference, a random frame, rotates at (0, −`orbital_rate_rad_s`, 0).
+    The generator draws three numbers for the error, then three for the attitude.
     """
     draws = rng.uniform(-1.0, 1.0, 3)
     nominal = mounting_of(parameters).inverse @ random_attitude(rng)
@@ -153,28 +155,28 @@ def point_at_random(
 
 
 def point_spinning(parameters: PointingParameters, t_s: float, rng: np.random.Generator) -> Pointing:
-    """`point` of a body that spins freely (`simulator.mission.spin`), `t_s` seconds after the epoch.
+    """`point` for a freely spinning body (`simulator.mission.spin`), `t_s` seconds after the epoch.
 
-    Its principal axes replace the local level: offset, random error and `rate_deg_s` act on top.
+    Its principal axes replace the local level: offset, random error and `rate_deg_s` are added.
     """
     nominal = _offset(parameters) @ spin_attitude(parameters.spin, t_s)
     return _pointing(parameters, nominal, spin_rate_rad_s(parameters.spin, t_s), rng.uniform(-1.0, 1.0, 3))
 
 
 def round_s(parameters: PointingParameters, orbital_period_s: float) -> float:
-    """Time after which the same directions come round: a turn of a body that spins, else an orbit."""
+    """Time after which pointing repeats: one rotation of a spinning body, otherwise one orbit."""
     rate_deg_s = parameters.spin.rate_deg_s
     return 360.0 / abs(rate_deg_s) if rate_deg_s else orbital_period_s
 
 
 def hold(parameters: PointingParameters, camera: Attitude, rng: np.random.Generator) -> Pointing:
-    """`point` with a nominal camera attitude (ICRS → camera) that stands still: no rate but `rate_deg_s`."""
+    """`point` with an inertially fixed nominal camera attitude (ICRS → camera): the only rate is `rate_deg_s`."""
     return _pointing(parameters, mounting_of(parameters).inverse @ camera, np.zeros(3), rng.uniform(-1.0, 1.0, 3))
 
 
 def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike | None = None) -> Pointing:
-    """The same spacecraft with another true camera attitude: error against the prior, and, unless another is given, the
-    rate in camera axes stay."""
+    """The same spacecraft with another true camera attitude; the error of the prior and, unless one is given, the rate
+    in camera axes are kept."""
     error = pointing.camera @ pointing.prior.inverse
     rate = pointing.rate_camera_rad_s if rate_camera_rad_s is None else np.array(rate_camera_rad_s, dtype=float)
     return replace(
@@ -189,8 +191,8 @@ def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike
 def attitude_at(pointing: Pointing, dt_s: float) -> Attitude:
     """True camera attitude `dt_s` seconds from mid-exposure: A(t + dt) = exp(−[ω×] dt) A(t).
 
-    Constant rate in camera axes; exact while the body holds the local level, else good to ω² dt² times the angle that
-    the body turns against it meanwhile.
+    Constant rate in camera axes; exact in local-level attitude, otherwise accurate to ω² dt² times the angle by which
+    the body rotates relative to the local level.
     """
     turn = Attitude.from_rotation_vector(pointing.rate_camera_rad_s * dt_s, "camera", "camera")
     return turn @ pointing.camera
@@ -214,11 +216,11 @@ class BoresightPath:
     """ICRS."""
     ra_date_deg: FloatArray
     dec_date_deg: FloatArray
-    """True equator and equinox of date, in which the orbit's node and inclination are given."""
+    """True equator and equinox of date, to which the orbit's node and inclination refer."""
 
 
 def boresight_path(orbit: Orbit, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:
-    """Geometric path over the sky, without the random error, at seconds since the epoch of any shape."""
+    """Geometric path over the sky without the random error, at seconds since the epoch, an array of any shape."""
     t = np.asarray(t_s, dtype=float)
     in_level = (mounting_of(parameters) @ _offset(parameters)).boresight
     direction = np.einsum("...ji,j->...i", level_matrices(*orbit.state(t)), in_level)
@@ -252,8 +254,8 @@ def _level_rate(orbital_rate_rad_s: float) -> FloatArray:
 
 
 def _pointing(parameters: PointingParameters, nominal: Attitude, level_rate: FloatArray, draws: FloatArray) -> Pointing:
-    """Pointing around a nominal body attitude (ICRS → body), of a reference that turns at `level_rate` (3,) in its own
-    axes, from three numbers uniform in [−1, 1)."""
+    """Pointing around a nominal body attitude (ICRS → body), of a reference that rotates at `level_rate` (3,) in its
+    own axes, with three numbers uniform in [−1, 1) for the error."""
     mounting = mounting_of(parameters)
     error = Attitude.from_rotation_vector(math.radians(parameters.error_deg) * draws, mounting.source, mounting.source)
     body = error @ nominal

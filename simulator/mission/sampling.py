@@ -1,6 +1,6 @@
-"""When, and for ``sky`` how, the trials of a study look: a pure function of seed and trial index.
+"""Times of the trials of a study: a pure function of seed and trial index.
 
-The times do not depend on the number of trials or workers, so that any trial can be made again alone.
+The times do not depend on the number of trials or workers, so that any trial can be reproduced on its own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 TROPICAL_YEAR_S = 365.2422 * 86_400.0
-"""One turn of the seasons, and of a sun-synchronous node; Explanatory Supplement 2013."""
+"""Tropical year, in which a sun-synchronous node completes one revolution; Explanatory Supplement 2013."""
 
 _GOLDEN = 0.618_033_988_749_894_9
 
@@ -24,9 +24,9 @@ _GOLDEN = 0.618_033_988_749_894_9
 def trial_time_s(sampling: str, seed: int, index: IntArray, period_s: float) -> FloatArray:
     """Seconds after the epoch of the trials `index`, of the shape of `index`.
 
-    ``mission_year`` and ``orbit`` spread the trials over a year or over one round, an orbit of `period_s`, by the
-    golden-ratio sequence from a random start: the first n trials are always evenly spread, whatever n (a lattice of
-    lowest discrepancy in one dimension, Niederreiter 1992, chapter 3). ``sky`` stays at the epoch.
+    ``mission_year`` and ``orbit`` distribute the trials over a year or over one period `period_s` by the golden-ratio
+    sequence with a random start: the first n trials are evenly distributed for any n (a sequence of lowest discrepancy
+    in one dimension, Niederreiter 1992, chapter 3). For ``sky`` all times are the epoch.
     """
     if sampling == "sky":
         return np.zeros(np.shape(index))

@@ -10,7 +10,7 @@ from simulator.mission.sampling import TROPICAL_YEAR_S
 from startracker.errors import InputError
 
 MEAN_SUN_RATE_RAD_S = 2.0 * math.pi / TROPICAL_YEAR_S
-"""Motion of the mean Sun against the equinox of date: a turn in a tropical year."""
+"""Motion of the mean Sun relative to the equinox of date: one revolution per tropical year."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class CircularElements:
     inclination_rad: float
     raan_rad: float
     argument_of_latitude_rad: float
-    """Inclination, right ascension of the ascending node, angle from the node along the motion."""
+    """Inclination, right ascension of the ascending node, angle from the node in the direction of motion."""
 
 
 def mean_motion(semi_major_axis_km: float) -> float:
@@ -34,9 +34,9 @@ def nodal_rate(semi_major_axis_km: float, inclination_rad: float) -> float:
     """Secular rate of the ascending node, rad/s, positive to the east.
 
     Ω̇ = −(3/2) n J₂ (R/a)² cos i (Vallado 2013, *Fundamentals of Astrodynamics and Applications*, section 9.6; Wertz &
-    Larson 1999, *Space Mission Analysis and Design*, eq. 6-19). J₂² and J₄, left out, come to 3e-3 of it at 800 km, 1°
-    a year. It is counted from the equinox of date, as the mean Sun is; that equinox itself moves by 46″ a year along
-    the equator, less than what is left out.
+    Larson 1999, *Space Mission Analysis and Design*, eq. 6-19). The neglected J₂² and J₄ terms are 3e-3 of it at 800
+    km, 1° per year. The node is measured from the equinox of date, as the mean Sun is; the motion of the equinox along
+    the equator, 46″ per year, is smaller than the neglected terms.
     """
     oblateness = EARTH_J2 * (EARTH_RADIUS_KM / semi_major_axis_km) ** 2
     return -1.5 * oblateness * mean_motion(semi_major_axis_km) * math.cos(inclination_rad)
@@ -54,21 +54,21 @@ def latitude_rate(semi_major_axis_km: float, inclination_rad: float) -> float:
 
 
 def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
-    """Inclination, radians, at which the node keeps up with the mean Sun.
+    """Inclination, radians, at which the node follows the mean Sun.
 
-    Solves `nodal_rate` = 360° in a tropical year: cos i = −(2/3) Ω̇ (a/R)² / (n J₂) (Wertz & Larson 1999, section 6.2).
+    Solves `nodal_rate` = 360° per tropical year: cos i = −(2/3) Ω̇ (a/R)² / (n J₂) (Wertz & Larson 1999, section 6.2).
 
     Raises
     ------
     InputError
-        Above some 5,970 km, where even an equatorial retrograde orbit turns too slowly.
+        Above about 5,970 km, where even an equatorial retrograde orbit precesses too slowly.
     """
     cosine = MEAN_SUN_RATE_RAD_S / nodal_rate(semi_major_axis_km, 0.0)
     if cosine < -1.0:
-        slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate goes as a^(−7/2)
+        slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate varies as a^(−7/2)
         altitude = semi_major_axis_km - EARTH_RADIUS_KM
         raise InputError(
-            f"orbit.inclination_deg: auto has no sun-synchronous inclination at {altitude:g} km, where the node turns "
-            f"too slowly; go below {slowest:.0f} km or give orbit.inclination_deg"
+            f"orbit.inclination_deg: no sun-synchronous inclination at {altitude:g} km, the node precesses too slowly; "
+            f"use an altitude below {slowest:.0f} km or give orbit.inclination_deg in degrees"
         )
     return math.acos(cosine)

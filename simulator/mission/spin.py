@@ -1,12 +1,12 @@
 """A freely spinning body: its axis of symmetry precesses about the angular momentum, which is inertially fixed.
 
-With equal moments of inertia I across the axis of symmetry (body +Z) and r I about it, Euler's equations without a
-torque are solved by steady turns (Goldstein, Poole & Safko 2002, *Classical Mechanics*, section 5.6). With ω the
-angular velocity about +Z and θ the half angle of the cone, the axis goes about the angular momentum at
+With equal moments of inertia I across the axis of symmetry (body +Z) and r I about it, the torque-free Euler equations
+are solved by uniform rotations (Goldstein, Poole & Safko 2002, *Classical Mechanics*, section 5.6). With ω the angular
+velocity about +Z and θ the half angle of the cone, the axis precesses about the angular momentum at
 
     Ω = r ω / cos θ,
 
-and the body turns about its own axis, against that motion, at (1 − r) ω. The angular velocity is their sum.
+and the body rotates about its own axis relative to that motion at (1 − r) ω. The angular velocity is their sum.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ FloatArray = NDArray[np.float64]
 
 
 def cone_rate_rad_s(spin: Spin) -> float:
-    """Rate Ω at which the axis goes about the angular momentum, right-handed about it, rad/s."""
+    """Precession rate Ω of the axis about the angular momentum, right-handed, rad/s."""
     return spin.inertia_ratio * math.radians(spin.rate_deg_s) / math.cos(math.radians(spin.cone_deg))
 
 
 def spin_attitude(spin: Spin, t_s: float) -> Attitude:
     """Attitude ICRS → principal axes, seconds after the epoch; these axes replace the local level.
 
-    At rest they are east, north and the axis that stands still; the body is tilted from there onto its cone, by the
-    smallest turn that does it, and turned about +Z.
+    At zero angles they are east, north and the angular momentum; the body is tilted from there onto its cone by the
+    smallest rotation, and rotated about +Z.
     """
     ra, dec = (math.radians(angle) for angle in spin.axis_deg)
     east = np.array([-math.sin(ra), math.cos(ra), 0.0])

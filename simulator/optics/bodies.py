@@ -7,6 +7,7 @@ tables include the integration over pixels.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
-__all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "draw_body", "share_before_limb", "sun_angle_rad"]
+__all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "LitDisk", "draw_body", "share_before_limb", "sun_angle_rad"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,6 +47,28 @@ Limb = tuple[float, float, float]
 t > offset + ½ curvature p² are occulted, with t along the angle (from +x to +y, radians) and p perpendicular to it."""
 
 NO_LIMB: Limb = (2.0, 0.0, 0.0)
+
+
+class LitDisk(NamedTuple):
+    """A sphere in the light of the Sun, as an image.
+
+    The brightness over the disk follows the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated
+    fraction.
+    """
+
+    radius_x: float
+    """Radius along columns, pixels (cells in `add_lit_disk`)."""
+    radius_y: float
+    """Radius along rows."""
+    illuminated_fraction: float
+    """Illuminated fraction k of the disk, 0 to 1."""
+    sun_angle_rad: float
+    """Direction of the Sun from the centre of the disk (`sun_angle_rad`)."""
+    law: int = LOMMEL_SEELIGER
+    """Scattering law, a value of `LAWS`."""
+    limb: Limb = NO_LIMB
+    """Limb of a nearer body beyond which the disk is occulted."""
+
 
 _SHARE_SAMPLES = 400
 
@@ -119,22 +142,9 @@ def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: Arra
 
 
 def draw_body(
-    mean_e: FloatArray,
-    xy_path: ArrayLike,
-    weights: ArrayLike,
-    radius_px: tuple[float, float],
-    electrons: float,
-    illuminated_fraction: float,
-    sun_angle_rad: float,
-    psf: Psf,
-    law: str = "lommel_seeliger",
-    limb: Limb = NO_LIMB,
+    mean_e: FloatArray, xy_path: ArrayLike, weights: ArrayLike, electrons: float, disk: LitDisk, psf: Psf
 ) -> None:
     """Add the lit disk of a body to `mean_e` in place.
-
-    The brightness over the disk follows the scattering law at phase angle α, cos α = 2 k − 1 with k the illuminated
-    fraction. `electrons` is the total for any phase (the magnitude includes the phase); all of it is rendered, except
-    for light beyond the end of the PSF.
 
     Parameters
     ----------
@@ -144,20 +154,13 @@ def draw_body(
         Centre at K moments of the exposure, pixels, on the image or outside; moments with NaN are skipped.
     weights : (K,) array
         Fraction of the exposure of each moment.
-    radius_px : (float, float)
-        Radius along columns and rows.
     electrons : float
-        Electrons of the body over the exposure.
-    illuminated_fraction : float
-        Illuminated fraction of the disk, 0 to 1.
-    sun_angle_rad : float
-        Direction of the Sun from the centre of the disk (`sun_angle_rad`).
+        Electrons of the body over the exposure, whatever its phase (the magnitude includes the phase); all are
+        rendered, except for light beyond the end of the PSF.
+    disk : LitDisk
+        Size, phase and limb.
     psf : Psf
         Point-spread function; blurs disks of up to 256 pixels radius.
-    law : str
-        Key of `LAWS`.
-    limb : Limb
-        Limb of a nearer body beyond which the disk is occulted.
 
     Notes
     -----
@@ -165,49 +168,51 @@ def draw_body(
     disk (2e-3 for an Airy pattern narrower than a pixel). Not modelled: the Moon's maria and opposition surge, belts of
     planets, limb darkening other than that of the law, rings and flattening.
     """
-    path = np.atleast_2d(np.asarray(xy_path, dtype=float))
-    share = np.asarray(weights, dtype=float)
-    height, width = mean_e.shape
-    rx, ry = (float(r) for r in radius_px)
-    blurred = max(rx, ry) <= CONVOLVED_PX
+    blurred = max(disk.radius_x, disk.radius_y) <= CONVOLVED_PX
     reach = _reach_px(psf, electrons) if blurred else 0
-    reach_y = math.ceil(reach * psf.sigma_y_px / psf.sigma_px)
-    # moments at which light may reach the image
-    near = (
-        np.isfinite(path).all(axis=1)
-        & (path[:, 0] > -1.0 - rx - reach)
-        & (path[:, 0] < width + rx + reach)
-        & (path[:, 1] > -1.0 - ry - reach_y)
-        & (path[:, 1] < height + ry + reach_y)
-    )
-    if not near.any() or electrons <= 0.0 or illuminated_fraction <= 0.0:
+    reach_px = (reach, math.ceil(reach * psf.sigma_y_px / psf.sigma_px))
+    path = np.atleast_2d(np.asarray(xy_path, dtype=float))
+    near = _may_reach_image(path, mean_e.shape, disk, reach_px)
+    if not near.any() or electrons <= 0.0 or disk.illuminated_fraction <= 0.0:
         return
-    path, share = path[near], share[near]
-    low, high = path.min(axis=0), path.max(axis=0)
-    left, top = math.floor(low[0] - rx - 1.0), math.floor(low[1] - ry - 1.0)
-    right, bottom = math.ceil(high[0] + rx + 1.0), math.ceil(high[1] + ry + 1.0)
-    left, right = max(left, -reach - 1), min(right, width + reach)
-    top, bottom = max(top, -reach_y - 1), min(bottom, height + reach_y)
-    fine = _oversampling(min(rx, ry)) if blurred else 1
-    disk = np.zeros(((bottom - top + 1) * fine, (right - left + 1) * fine))
-    cosine = min(max(2.0 * illuminated_fraction - 1.0, -1.0), 1.0)
+    path, amounts = path[near], np.asarray(weights, dtype=float)[near] * electrons
+    (left, top), (columns, rows) = _patch(path, mean_e.shape, disk, reach_px)
+    smallest = min(disk.radius_x, disk.radius_y)
+    fine = _oversampling(smallest) if blurred else 1
+    cells = np.zeros((rows * fine, columns * fine))
     centres = np.ascontiguousarray((path - (left, top) + 0.5) * fine - 0.5)
-    add_lit_disk(
-        disk,
-        centres,
-        share * electrons,
-        rx * fine,
-        ry * fine,
-        cosine,
-        sun_angle_rad,
-        LAWS[law],
-        _samples(min(rx, ry) * fine),
-        limb,
-    )
-    if not blurred:
-        _add(mean_e, disk, left, top)
-        return
-    _convolve(mean_e, disk, fine, left, top, reach, reach_y, electrons, psf)
+    in_cells = disk._replace(radius_x=disk.radius_x * fine, radius_y=disk.radius_y * fine)
+    add_lit_disk(cells, centres, amounts, in_cells, _samples(smallest * fine))
+    if blurred:
+        _add_convolved(mean_e, cells, fine, (left, top), reach_px, electrons, psf)
+    else:
+        _add(mean_e, cells, left, top)
+
+
+def _may_reach_image(
+    path: FloatArray, shape: tuple[int, ...], disk: LitDisk, reach_px: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Moments (K,) at which light may reach the image."""
+    extent = np.array([disk.radius_x + reach_px[0], disk.radius_y + reach_px[1]])
+    inside = (path > -1.0 - extent) & (path < np.array([shape[1], shape[0]]) + extent)
+    return np.asarray(np.isfinite(path).all(axis=1) & inside.all(axis=1))
+
+
+def _patch(
+    path: FloatArray, shape: tuple[int, ...], disk: LitDisk, reach_px: tuple[int, int]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First pixel (column, row) and size (columns, rows) of the patch that contains the disk along its path, cut where
+    its light does not reach the image."""
+    ends = [
+        (
+            max(math.floor(low - radius - 1.0), -reach - 1),
+            min(math.ceil(high + radius + 1.0), pixels + reach),
+        )
+        for low, high, radius, reach, pixels in zip(
+            path.min(axis=0), path.max(axis=0), disk[:2], reach_px, shape[::-1], strict=True
+        )
+    ]
+    return (ends[0][0], ends[1][0]), (ends[0][1] - ends[0][0] + 1, ends[1][1] - ends[1][0] + 1)
 
 
 def _reach_px(psf: Psf, electrons: float) -> int:
@@ -226,26 +231,11 @@ def _samples(radius_cells: float) -> int:
 
 
 @kernel
-def add_lit_disk(
-    image: FloatArray,
-    centres: FloatArray,
-    amounts: FloatArray,
-    radius_x: float,
-    radius_y: float,
-    cosine: float,
-    sun_angle: float,
-    law: int,
-    samples: int,
-    limb: Limb = NO_LIMB,
-) -> None:
-    """Kernel: light of a lit sphere, sampled at `samples`² points per cell, added with `amounts` (K,) at the centres
-    (K, 2); nothing beyond the limb of an occulting body."""
+def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, disk: LitDisk, samples: int) -> None:
+    """Kernel: light of a lit sphere with its radii in cells of `image`, sampled at `samples`² points per cell, added
+    with `amounts` (K,) at the centres (K, 2)."""
     height, width = image.shape
-    offset, bend, along_x, along_y = limb[0], 0.5 * limb[1], math.cos(limb[2]), math.sin(limb[2])
-    cut = offset < 1.0
-    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    sun_x, sun_y = sine * math.cos(sun_angle), sine * math.sin(sun_angle)
-    step = 1.0 / samples
+    radius_x, radius_y, sun_angle = disk.radius_x, disk.radius_y, disk.sun_angle_rad
     box = np.empty((math.ceil(2.0 * radius_y) + 3, math.ceil(2.0 * radius_x) + 3))
     for k in range(len(centres)):
         left, top = math.floor(centres[k, 0] - radius_x), math.floor(centres[k, 1] - radius_y)
@@ -253,25 +243,11 @@ def add_lit_disk(
         total = 0.0
         for j in range(box.shape[0]):
             for i in range(box.shape[1]):
-                light = 0.0
                 nearest_u = max(abs(i - x) - 0.5, 0.0) / radius_x
                 nearest_v = max(abs(j - y) - 0.5, 0.0) / radius_y
-                if nearest_u * nearest_u + nearest_v * nearest_v < 1.0:
-                    for b in range(samples):
-                        v = (j - 0.5 + (b + 0.5) * step - y) / radius_y
-                        for a in range(samples):
-                            u = (i - 0.5 + (a + 0.5) * step - x) / radius_x
-                            square = 1.0 - u * u - v * v
-                            if square <= 0.0:
-                                continue
-                            if cut and u * along_x + v * along_y > offset + bend * (v * along_x - u * along_y) ** 2:
-                                continue
-                            mu = math.sqrt(square)
-                            mu_0 = u * sun_x + v * sun_y + mu * cosine
-                            if mu_0 > 0.0:
-                                light += mu_0 if law == LAMBERT else mu_0 / (mu_0 + mu)
-                box[j, i] = light
-                total += light
+                inside = nearest_u * nearest_u + nearest_v * nearest_v < 1.0
+                box[j, i] = _light_of_cell(i - x, j - y, disk, samples) if inside else 0.0
+                total += box[j, i]
         if total <= 0.0:  # a crescent thinner than the sampling distance: all light at the limb
             i = min(max(math.floor(x + radius_x * math.cos(sun_angle) + 0.5), 0), box.shape[1] - 1)
             j = min(max(math.floor(y + radius_y * math.sin(sun_angle) + 0.5), 0), box.shape[0] - 1)
@@ -282,24 +258,49 @@ def add_lit_disk(
                 image[top + j, left + i] += scale * box[j, i]
 
 
-def _convolve(
+@kernel
+def _light_of_cell(x: float, y: float, disk: LitDisk, samples: int) -> float:
+    """Sum of the scattering law over `samples`² points of the cell at (x, y) from the centre of the disk."""
+    offset, bend = disk.limb[0], 0.5 * disk.limb[1]
+    along_x, along_y = math.cos(disk.limb[2]), math.sin(disk.limb[2])
+    cosine = min(max(2.0 * disk.illuminated_fraction - 1.0, -1.0), 1.0)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    sun_x, sun_y = sine * math.cos(disk.sun_angle_rad), sine * math.sin(disk.sun_angle_rad)
+    step = 1.0 / samples
+    light = 0.0
+    for b in range(samples):
+        v = (y - 0.5 + (b + 0.5) * step) / disk.radius_y
+        for a in range(samples):
+            u = (x - 0.5 + (a + 0.5) * step) / disk.radius_x
+            square = 1.0 - u * u - v * v
+            if square <= 0.0:
+                continue
+            if offset < 1.0 and u * along_x + v * along_y > offset + bend * (v * along_x - u * along_y) ** 2:
+                continue
+            mu = math.sqrt(square)
+            mu_0 = u * sun_x + v * sun_y + mu * cosine
+            if mu_0 > 0.0:
+                light += mu_0 if disk.law == LAMBERT else mu_0 / (mu_0 + mu)
+    return light
+
+
+def _add_convolved(
     mean_e: FloatArray,
     disk: FloatArray,
     fine: int,
-    left: int,
-    top: int,
-    reach_x: int,
-    reach_y: int,
+    first: tuple[int, int],
+    reach_px: tuple[int, int],
     electrons: float,
     psf: Psf,
 ) -> None:
-    """Add a blurred disk on a grid of `fine`² cells per pixel: the PSF's core for each cell, its wings for each pixel.
+    """Add a blurred disk on a grid of `fine`² cells per pixel, which begins at the pixel `first` (column, row): the
+    PSF's core for each cell, its wings for each pixel.
 
     Cells are represented by points at their centres, which adds a variance of 1/12 cell²; the filter (−1, 26, −1)/24
     along both axes corrects for this.
     """
     disk = np.pad(disk, fine)
-    left, top = left - 1, top - 1
+    (left, top), (reach_x, reach_y) = (first[0] - 1, first[1] - 1), reach_px
     for axis in (0, 1):
         disk = disk * (13.0 / 12.0) - (np.roll(disk, 1, axis) + np.roll(disk, -1, axis)) / 24.0
     half_x, half_y = min(reach_x, _CORE_HALF_PX), min(reach_y, _CORE_HALF_PX)

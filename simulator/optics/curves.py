@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -38,6 +39,8 @@ class Curve:
     """(N,): Ascending, N ≥ 2, nanometres."""
     value: FloatArray
     """(N,): Values; a fraction between 0 and 1 if from `load_curve`."""
+
+    __repr__ = fields_repr
 
     def __post_init__(self) -> None:
         wavelength_nm, value = np.array(self.wavelength_nm, dtype=float), np.array(self.value, dtype=float)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from simulator.optics import airy, diffraction
 from simulator.optics.measured import measured_centroid
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.registry import lookup
@@ -108,6 +110,8 @@ class Psf:
     geometric_px: tuple[float, float] = (0.0, 0.0)
     """Position of the geometric centroid of an aberrated image relative to the star's, which is its measured centroid
     (`simulator.optics.measured.measured_centroid`), pixels along columns and rows."""
+
+    __repr__ = fields_repr
 
     def __post_init__(self) -> None:
         for table in (self.core, self.wing, self.drawn):
@@ -299,35 +303,55 @@ def aberrated(
     r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
     wings = weights @ np.array([airy.annulus_share(r, scale, aspect, hole) for scale in lambda_n])
     totals = weights @ np.array([float(airy.encircled_energy(r[-1] / scale, hole)) for scale in lambda_n])
-    half, room = math.ceil(spread + margin), 1
-    for _ in range(2):  # in the second iteration the stamp has the size required by peak and centroid of the first
-        images = diffraction.Images(waves, lambda_n, hole, aspect, lens.diffusion_px, half + room)
+    at_half_px = partial(diffraction.Images, waves, lambda_n, hole, aspect, lens.diffusion_px)
+    images, centre, half = _sized(at_half_px, spread + margin, weights, wings, aspect)
+    phases = 12 * max(1, math.ceil(1.0 / finest))
+    matrices = images.matrices(offsets(half, phases, max(STRIDES)) / phases, centre)
+    psfs = []
+    for spectrum, wing, total in zip(weights, wings, totals, strict=True):
+        core, coarse = _coarse_core(images.shares(spectrum, *matrices), half, phases)
+        joined, drawn = join(core, coarse, wing, _WING_STEP_PX, aspect, float(total))
+        scale = float(spectrum @ lambda_n)
+        sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
+        feature = scale * min(1.0, aspect) / 2.0
+        single = core.astype(np.float32)
+        made = Psf("diffraction", sigma, sigma * aspect, feature, single, coarse, joined, drawn, aspect=aspect)
+        psfs.append(replace(made, geometric_px=(-centre[0], -centre[1])))
+    return psfs
+
+
+def _sized(
+    at_half_px: Callable[[int], diffraction.Images],
+    extent_px: float,
+    weights: FloatArray,
+    wings: FloatArray,
+    aspect: float,
+) -> tuple[diffraction.Images, tuple[float, float], int]:
+    """Images, their measured centroid, and the half side of the stamp that holds them about it, pixels.
+
+    In the second iteration the stamp has the size required by peak and centroid of the first.
+    """
+    half, room = math.ceil(extent_px), 1
+    for _ in range(2):
+        images = at_half_px(half + room)
         centre = measured_centroid(images, weights.mean(axis=0), half)
         away = max(abs(centre[0]), abs(centre[1]))
         coarse = images.matrices(np.arange(-half, half + 1.0))
         peaks = [float(images.shares(spectrum, *coarse).max()) for spectrum in weights]
-        least = min(math.ceil(spread + away + margin), MAX_HALF_PX)
+        least = min(math.ceil(extent_px + away), MAX_HALF_PX)
         wanted = max(stamp_half_px(least, wing, peak, aspect) for wing, peak in zip(wings, peaks, strict=True))
         if wanted == half and away <= room:
             break
         half, room = wanted, math.ceil(away) + 1
-    phases = 12 * max(1, math.ceil(1.0 / finest))
-    most = offsets(half, phases, max(STRIDES))
-    matrices = images.matrices(most / phases, centre)
-    psfs = []
-    for spectrum, wing, total in zip(weights, wings, totals, strict=True):
-        fine = images.shares(spectrum, *matrices)
-        stride = coarsest(fine, phases, _INTERPOLATION)
-        cut = (len(most) - len(offsets(half, phases, stride))) // 2
-        core = polyphase(fine[cut : len(most) - cut, cut : len(most) - cut], half, phases, stride)
-        joined, drawn = join(core, phases // stride, wing, _WING_STEP_PX, aspect, float(total))
-        core = core.astype(np.float32)
-        scale = float(spectrum @ lambda_n)
-        sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
-        feature = scale * min(1.0, aspect) / 2.0
-        made = Psf("diffraction", sigma, sigma * aspect, feature, core, phases // stride, joined, drawn, aspect=aspect)
-        psfs.append(replace(made, geometric_px=(-centre[0], -centre[1])))
-    return psfs
+    return images, centre, half
+
+
+def _coarse_core(fine: FloatArray, half: int, phases: int) -> tuple[FloatArray, int]:
+    """Core table from pixel integrals at `offsets` with the largest stride, and its number of phases: the fewest that
+    the interpolation allows."""
+    stride = coarsest(fine, phases, _INTERPOLATION)
+    cut = (len(fine) - len(offsets(half, phases, stride))) // 2
+    return polyphase(fine[cut : len(fine) - cut, cut : len(fine) - cut], half, phases, stride), phases // stride
 
 
 def first_dark_ring_px(psf_model: PsfModel, lens: Lens) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from startracker.display import changed_fields
+
 
 @dataclass(frozen=True)
 class Zernike:
@@ -64,3 +66,5 @@ class PsfModel:
     """Diffraction: distance of the detector from the focus, in addition to `zernike_waves.defocus`."""
     field: FieldAberrations = FieldAberrations()
     """Diffraction: field-dependent aberrations."""
+
+    __repr__ = changed_fields

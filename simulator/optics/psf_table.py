@@ -126,14 +126,8 @@ def join(
         all phases; valid from `least_radius` on, below which no wings are rendered.
     """
     half = core.shape[3] // 2
-    middle = core.shape[0] // 2
     radius = least_radius(half, aspect)
-    sums = core.sum(axis=(2, 3))
-    period = slice(middle - phases // 2, middle + phases // 2 + 1)
-    mean = np.full(phases + 1, 1.0 / phases)  # both ends have half weight, so that mirrored tables are identical
-    mean[[0, -1]] /= 2.0
-    held = float(mean @ sums[period, period] @ mean)
-    core *= (held / sums)[:, :, None, None]
+    held = _even_sums(core, phases)
     r: FloatArray = np.arange(len(wing), dtype=np.float64) * step_px
     area = 2.0 * np.pi * r * aspect  # of rings, pixels per column
     knots, weights = pupil.legendre(_KNOTS)
@@ -155,6 +149,18 @@ def join(
     t = (nodes + 1.0) / 2.0
     rims = np.interp(np.append(r, radius)[:, None] + TAPER_PX * t, r, inside) @ (slopes * 3.0 * t * (1.0 - t))
     return wing, held + beyond(wing) + rims[:-1] - rims[-1]
+
+
+def _even_sums(core: FloatArray, phases: int) -> float:
+    """Scale the stamps in place to the same sum at every phase, the mean over a pixel, and return it."""
+    middle = core.shape[0] // 2
+    sums = core.sum(axis=(2, 3))
+    period = slice(middle - phases // 2, middle + phases // 2 + 1)
+    mean = np.full(phases + 1, 1.0 / phases)  # both ends have half weight, so that mirrored tables are identical
+    mean[[0, -1]] /= 2.0
+    held = float(mean @ sums[period, period] @ mean)
+    core *= (held / sums)[:, :, None, None]
+    return held
 
 
 def least_radius(half: int, aspect: float) -> float:

@@ -20,6 +20,7 @@ C. Geyer & S. Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 200
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -98,24 +99,12 @@ def rolling_paths(
             vectors = np.einsum("nkij,nkj->nki", rotation_matrices(-shaking(t)), vectors)
         return camera.project(vectors.reshape(-1, 3)).reshape(*t.shape, 2), vectors[..., 2]
 
-    def late(t: FloatArray, u: FloatArray) -> FloatArray:
-        """By how much moments (N, K) come after those of the rows the stars stand in then."""
-        rows = np.clip(position(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
-        return np.asarray(t - u - rows * line_time_s)
+    def rows(t: FloatArray) -> FloatArray:
+        """Rows (N, K) of the stars at moments (N, K), from the middle of the image."""
+        return np.clip(position(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
 
     def moments(u: FloatArray) -> FloatArray:
-        """Moments (N, K) at which stars are in a row whose window is at u (K,) from its middle, by the secant method,
-        whose first step is exact for straight paths."""
-        before = np.tile(u, (len(directions), 1))
-        miss = late(before, u)
-        t = before - miss
-        for _ in range(_MOST_STEPS):
-            now = late(t, u)
-            if not (np.abs(now) > _SETTLED_PX * line_time_s).any():
-                return t
-            change = np.where(now == miss, 0.0, now * (t - before) / np.where(now == miss, 1.0, now - miss))
-            before, miss, t = t, now, t - change
-        return np.where(np.abs(late(t, u)) > _SETTLED_PX * line_time_s, np.nan, t)
+        return _moments_in_windows(rows, np.tile(u, (len(directions), 1)), line_time_s)
 
     ends = moments(np.array([-0.5, 0.5]) * exposure_s)
     exposed = np.abs(ends[:, 1] - ends[:, 0]) / exposure_s
@@ -131,6 +120,27 @@ def rolling_paths(
     xy, cosine = position(moments(nodes * exposure_s / 2.0))
     xy[~(cosine >= np.cos(limit_rad)) | ~held[:, None]] = np.nan
     return xy, weights, exposed
+
+
+def _moments_in_windows(rows: Callable[[FloatArray], FloatArray], u: FloatArray, line_time_s: float) -> FloatArray:
+    """Moments (N, K) at which stars are in a row whose window is at `u` (N, K) from its middle, NaN if there are none.
+
+    The secant method, whose first step is exact for straight paths.
+    """
+
+    def late(t: FloatArray) -> FloatArray:
+        """By how much moments come after those of the rows the stars stand in then."""
+        return np.asarray(t - u - rows(t) * line_time_s)
+
+    before, miss = u, late(u)
+    t = before - miss
+    for _ in range(_MOST_STEPS):
+        now = late(t)
+        if not (np.abs(now) > _SETTLED_PX * line_time_s).any():
+            return t
+        change = np.where(now == miss, 0.0, now * (t - before) / np.where(now == miss, 1.0, now - miss))
+        before, miss, t = t, now, t - change
+    return np.where(np.abs(late(t)) > _SETTLED_PX * line_time_s, np.nan, t)
 
 
 def frame_transfer_smear(

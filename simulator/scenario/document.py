@@ -1,8 +1,8 @@
-"""A YAML 1.2 file as a tree that knows the line and column of every key.
+"""A YAML 1.2 file as a tree with the line and column of every key.
 
-Built from the parser's events, in which duplicate keys, tags and merge keys still stand.
-Plain scalars follow YAML 1.2's core schema (``yes`` is text, ``012`` is twelve); dates stay text until a key asks for
-one. Anchors and aliases work within a file. Nothing in a file is ever executed.
+It is built from the parser's events, which still contain duplicate keys, tags and merge keys. Plain scalars follow YAML
+1.2's core schema (``yes`` is text, ``012`` is twelve); dates remain text until a key requires one. Anchors and aliases
+work within a file. No content of a file is executed.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 from simulator.scenario.errors import Location, Problem
 
 REPORTED = object()
-"""Stands for a value that cannot be read and whose mistake is reported already."""
+"""Marks a value that cannot be read and whose error has already been reported."""
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
-MAX_NODES = 20_000  # after expansion of aliases, which would otherwise multiply without end
+MAX_NODES = 20_000  # after expansion of aliases, which could otherwise grow without limit
 
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -31,7 +31,7 @@ _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufefe\uff00-\uf
 
 
 class Entry(NamedTuple):
-    """A key of a table: where the key stands, and its value."""
+    """A key of a table: its location and value."""
 
     location: Location
     node: Table | Value
@@ -47,18 +47,18 @@ class Value:
 
 @dataclass
 class Table:
-    """A mapping; `location` is where it begins."""
+    """A mapping; `location` is its start."""
 
     location: Location
     entries: dict[str, Entry] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
-        """The same without locations."""
+        """The table without locations."""
         return {k: e.node.plain() if isinstance(e.node, Table) else e.node.data for k, e in self.entries.items()}
 
 
 def read_text(path: Path, name: str, location: Location | None = None, key: str = "") -> str | Problem:
-    """Text of a UTF-8 file, or why there is none (reported at `location`, where given, else at the file)."""
+    """Text of a UTF-8 file, or the problem (reported at `location` if given, otherwise at the file)."""
     at = location or Location(name)
     named = f": {name}" if location else ""
     try:
@@ -69,11 +69,11 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
     except IsADirectoryError:
         return Problem(at, key, f"is a folder, not a scenario file{named}")
     except PermissionError:
-        return Problem(at, key, f"may not be read (permission denied){named}")
+        return Problem(at, key, f"cannot be read (permission denied){named}")
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         return Problem(at, key, f"cannot be read: {getattr(error, 'strerror', None) or error}{named}")
     if len(raw) > MAX_BYTES:
-        return Problem(Location(name), "", f"is larger than {MAX_BYTES // 1000} kB, which no scenario is")
+        return Problem(Location(name), "", f"is larger than {MAX_BYTES // 1000} kB, too large for a scenario")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -84,7 +84,7 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
 
 
 def parse_document(text: str, name: str, problems: list[Problem]) -> Table | None:
-    """Tree of a scenario file; None when it cannot be read as one. Mistakes are appended to `problems`."""
+    """Tree of a scenario file; None if it cannot be parsed. Errors are appended to `problems`."""
     node = _parse(text, Location(name, 1, 1), problems)
     if isinstance(node, Table) or node is None:
         return node
@@ -92,18 +92,18 @@ def parse_document(text: str, name: str, problems: list[Problem]) -> Table | Non
         problems.append(Problem(Location(name), "", "is empty; a scenario needs name, epoch, optics and detector"))
     elif node.data is not REPORTED:
         problems.append(
-            Problem(node.location, "", f"must be keys and values (key: value), not {show_value(node.data)}")
+            Problem(node.location, "", f"must consist of keys and values (key: value), not {show_value(node.data)}")
         )
     return None
 
 
 def parse_value(text: str, location: Location, problems: list[Problem]) -> Table | Value | None:
-    """Value of an option of the command line, read as YAML; every location in it is `location`."""
+    """Value of a command-line option, parsed as YAML; every location in it is `location`."""
     return _parse(text, location, problems)
 
 
 def show_value(value: Any) -> str:
-    """A value as a message quotes it: short, in YAML's words."""
+    """A value as quoted in a message: short, in YAML notation."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -123,7 +123,7 @@ def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-    fixed = start.line == 0  # an option of the command line
+    fixed = start.line == 0  # a command-line option
     if bad := _FORBIDDEN.search(text):
         line, column = text.count("\n", 0, bad.start()) + 1, bad.start() - text.rfind("\n", 0, bad.start())
         location = start if fixed else Location(start.source, line, column)
@@ -137,7 +137,7 @@ def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value
         problems.append(Problem(location, "", _syntax_message(str(error.problem or error.context))))
         return None
     except (YAMLError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
-        # the parser stumbles over some malformed directives and escapes with an error of its own making
+        # the parser raises internal errors on some malformed directives
         reason = (str(error).splitlines() or ["unreadable"])[0]
         problems.append(Problem(start, "", f"invalid YAML: {reason}"))
         return None
@@ -148,18 +148,18 @@ def _syntax_message(problem: str) -> str:
     if "'\\t'" in problem or "\t" in problem:
         return "invalid YAML: a tab; indent with spaces"
     if "mapping values are not allowed" in problem:
-        return "invalid YAML: a ':' is not expected here; check the indentation, or quote the text"
+        return "invalid YAML: unexpected ':'; check the indentation, or quote the text"
     if "could not find expected ':'" in problem:
-        return "invalid YAML: a ':' is missing after the key"
+        return "invalid YAML: missing ':' after the key"
     return f"invalid YAML: {problem}"
 
 
 class _Builder:
-    """Turns the parser's events into a tree."""
+    """Builds the tree from the parser's events."""
 
     def __init__(self, events: Iterator[Any], start: Location, problems: list[Problem]) -> None:
         self.events, self.start, self.problems = events, start, problems
-        self.anchors: dict[str, tuple[Table | Value, int] | None] = {}  # None: still being built
+        self.anchors: dict[str, tuple[Table | Value, int] | None] = {}  # None: under construction
         self.count = 0
         self.full = False
 
@@ -171,9 +171,9 @@ class _Builder:
             if kind == "DocumentStartEvent":
                 documents += 1
                 if event.version and tuple(event.version) != (1, 2):
-                    self.report(event, "only YAML 1.2 is read here; take out the %YAML line")
+                    self.report(event, "only YAML 1.2 is supported; remove the %YAML line")
                 if documents == 2:
-                    self.report(event, "a second document begins here; one file holds one scenario")
+                    self.report(event, "second document; a file must contain one scenario only")
                 read = self.node(next(self.events), 0)
                 if documents == 1:
                     node = read
@@ -197,7 +197,7 @@ class _Builder:
         if anchor:
             self.anchors[anchor] = None
         if getattr(event, "tag", None) is not None:
-            self.report(event, f"tags ('{event.tag}') are not used in scenarios; write the plain value")
+            self.report(event, f"tags ('{event.tag}') are not supported in scenarios; write the plain value")
         node: Table | Value
         if kind == "ScalarEvent":
             node = Value(self.scalar(event), location)
@@ -215,12 +215,12 @@ class _Builder:
             return Value(REPORTED, location)
         target = self.anchors[event.anchor]
         if target is None:
-            self.report(event, f"alias '*{event.anchor}' stands inside its own anchor")
+            self.report(event, f"alias '*{event.anchor}' refers to itself")
             return Value(REPORTED, location)
         self.count += target[1]
         if self.count > MAX_NODES:
             if not self.full:
-                self.report(event, f"the aliases expand to more than {MAX_NODES} values, which no scenario needs")
+                self.report(event, f"the aliases expand to more than {MAX_NODES} values; reduce them")
             self.full = True
             return Value(REPORTED, location)
         return target[0]
@@ -229,9 +229,9 @@ class _Builder:
         if depth < MAX_DEPTH:
             return False
         if depth == MAX_DEPTH:
-            self.report(event, f"nested more than {MAX_DEPTH} levels deep, which no scenario is")
+            self.report(event, f"nested more than {MAX_DEPTH} levels deep; reduce the nesting")
         level = 1
-        while level:  # skip it without recursion
+        while level:  # skip the node without recursion
             kind = type(next(self.events)).__name__
             level += kind.endswith("StartEvent") - kind.endswith("EndEvent")
         return True
@@ -258,10 +258,10 @@ class _Builder:
             if not isinstance(key, str):
                 self.report(key_event, "a key must be a plain word")
             elif key == "<<" and not key_event.style:
-                self.report(key_event, "merge keys (<<) are not part of YAML 1.2; use base: or write the keys out")
+                self.report(key_event, "merge keys (<<) are not part of YAML 1.2; use base: or repeat the keys")
             elif key in table.entries:
                 first = table.entries[key].location
-                where = f"; first given in line {first.line}" if first.line else ""
+                where = f"; first given on line {first.line}" if first.line else ""
                 self.report(key_event, f"duplicate key{where}; keep one of them", key)
             else:
                 table.entries[key] = Entry(self.location(key_event), value)
@@ -270,7 +270,7 @@ class _Builder:
     def scalar(self, event: Any) -> Any:
         text: str = event.value
         if _FORBIDDEN.search(text) or re.search("[\ud800-\udfff]", text):
-            self.report(event, "text holds a control character or half a surrogate pair; take it out")
+            self.report(event, "text contains a control character or an unpaired surrogate; remove it")
             return REPORTED
         if event.style:  # quoted or block: text
             return text
@@ -278,7 +278,7 @@ class _Builder:
             return _WORDS[text]
         if _INT.fullmatch(text):
             if len(text) > 400:
-                self.report(event, "a number of more than 400 digits is none that can be used")
+                self.report(event, "numbers may have at most 400 digits")
                 return REPORTED
             return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
         if _FLOAT.fullmatch(text):

@@ -1,4 +1,4 @@
-"""Where a mistake stands and what it is; a `ScenarioError` reports all mistakes of a scenario at once."""
+"""Errors of a scenario with their locations; a `ScenarioError` reports all of them at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from startracker.errors import InputError
 
 @dataclass(frozen=True)
 class Location:
-    """Where a key was written: a line of a file, or an option of the command line."""
+    """Location of a key: a line of a file, or a command-line option."""
 
     source: str
     """File name as the user wrote it, or the option (``--set optics.aperture_mm``)."""
@@ -19,7 +19,7 @@ class Location:
     column: int = 0
     """Counted from 1; 0 means the whole source."""
     key: str = ""
-    """For an option: the key it sets, which a message then need not repeat."""
+    """For an option: the key that it sets, so that a message does not repeat it."""
 
     def __str__(self) -> str:
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
@@ -27,7 +27,7 @@ class Location:
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake: its location, the dotted key it is about (or an empty string), and what to do."""
+    """One error: its location, the dotted key (or an empty string), and what to do."""
 
     location: Location
     key: str
@@ -36,16 +36,16 @@ class Problem:
     def __str__(self) -> str:
         subject = f"{self.key}: " if self.key and self.key != self.location.key else ""
         line = f"{self.location}: {subject}{self.message}"
-        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)  # one line, whatever was quoted
+        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)  # a single line for any quoted text
 
 
 class ScenarioError(InputError):
-    """Everything that is wrong with a scenario, a line each.
+    """All errors of a scenario, one per line.
 
     Attributes
     ----------
     problems : tuple of Problem
-        In the order of the files and their lines; options of the command line last.
+        In the order of files and lines; command-line options last.
     """
 
     def __init__(self, problems: Iterable[Problem]) -> None:
@@ -62,12 +62,12 @@ class ScenarioError(InputError):
         self.problems: tuple[Problem, ...] = tuple(unique)
         super().__init__("\n".join(map(str, self.problems)))
 
-    def __reduce__(self) -> tuple[Any, ...]:  # the default would hand the text to __init__ when it crosses processes
+    def __reduce__(self) -> tuple[Any, ...]:  # the default would pass the text to __init__ when unpickled
         return type(self), (self.problems,)
 
 
 class Violation(NamedTuple):
-    """A rule that does not hold: the key at fault, why, and whether ``allow_unphysical`` lets it pass."""
+    """A violated rule: the key, the reason, and whether ``allow_unphysical`` permits it."""
 
     key: str
     message: str
@@ -75,10 +75,10 @@ class Violation(NamedTuple):
 
 
 def impossible(key: str, message: str) -> Violation:
-    """A contradiction, which nothing allows."""
+    """A contradiction, which is always an error."""
     return Violation(key, message, overridable=False)
 
 
 def unphysical(key: str, message: str) -> Violation:
-    """A value that cannot be, which ``allow_unphysical`` lets pass."""
+    """An unphysical value, which ``allow_unphysical`` permits."""
     return Violation(key, message, overridable=True)

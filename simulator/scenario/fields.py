@@ -1,6 +1,6 @@
-"""The schema read as a table of keys: type, limits, default, description and unit of each.
+"""The schema as a table of keys: type, limits, default, description and unit.
 
-The loader's messages, `boresight show` and the JSON schema all come from here, so that they cannot disagree.
+The loader's messages, `boresight show` and the JSON schema are all generated from it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from simulator.scenario.schema import LIMITS, ScenarioModel
 MISSING = dataclasses.MISSING
 
 NameChecks = Mapping[str, Callable[[Any, Mapping[str, Any]], str | None]]
-"""Dotted path to a function of the key's value and of the valid values of all keys by dotted path: it returns what is
-wrong with the value, or None."""
+"""Dotted path to a function of the key's value and of the valid values of all keys by dotted path: it returns the
+error, or None."""
 
 _UNITS = {
     "deg_s": "degrees/s",
@@ -57,7 +57,7 @@ _UNITS = {
     "e": "electrons",
     "dn": "DN",
     "bits": "bits",
-    "s10": "10th-magnitude stars a square degree",
+    "s10": "10th-magnitude stars per square degree",
 }
 
 
@@ -68,9 +68,9 @@ class Key:
     path: str
     """Dotted path from the top."""
     annotation: Any
-    """Type with its limits."""
+    """Type including its limits."""
     default: Any
-    """`MISSING` where the user must give it."""
+    """`MISSING` for required keys."""
     owner: type
     """The class that declares it."""
     section: type | None
@@ -88,12 +88,12 @@ class Key:
 
     @property
     def unit(self) -> str:
-        """Unit spelled out, from the ending of the name; empty where there is none."""
+        """Unit, spelled out, from the suffix of the name; empty if there is none."""
         return _UNITS.get(self.unit_suffix[1:], "")
 
     @property
     def unit_suffix(self) -> str:
-        """The ending of the name that says the unit, underscore included."""
+        """The suffix of the name that states the unit, including the underscore."""
         ending = self.name.partition("_")[2]
         while ending and ending not in _UNITS:
             ending = ending.partition("_")[2]
@@ -102,7 +102,7 @@ class Key:
 
 @cache
 def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
-    """Keys of a section, a pydantic model or a dataclass, by name, in their order."""
+    """Keys of a section (a pydantic model or a dataclass) by name, in order."""
     hints = typing.get_type_hints(section, include_extras=True)
     limits = LIMITS.get(section, {})
     keys = {}
@@ -125,7 +125,7 @@ def is_section(kind: Any) -> bool:
 
 @cache
 def _descriptions(section: type) -> dict[str, str]:
-    """What the keys of a section mean: the strings below its fields, or the ``Parameters`` of its docstring."""
+    """Descriptions of the keys of a section: the strings below its fields, or the ``Parameters`` of its docstring."""
     words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
     (declared,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
     assert isinstance(declared, ast.ClassDef)
@@ -136,7 +136,7 @@ def _descriptions(section: type) -> dict[str, str]:
 
 
 def all_keys(section: type = ScenarioModel, prefix: str = "") -> Iterator[Key]:
-    """Every key of the schema, sections before what is in them."""
+    """Every key of the schema; sections precede their keys."""
     for key in keys_of(section, prefix).values():
         yield key
         if key.section:
@@ -154,7 +154,7 @@ def flatten(section: object, prefix: str = "") -> dict[str, Any]:
 
 
 def nest(flat: dict[str, Any]) -> dict[str, Any]:
-    """The reverse of `flatten`, as plain dictionaries."""
+    """The inverse of `flatten`, as plain dictionaries."""
     nested: dict[str, Any] = {}
     for path, value in flat.items():
         *sections, name = path.split(".")
@@ -166,10 +166,10 @@ def nest(flat: dict[str, Any]) -> dict[str, Any]:
 
 
 def check_value(key: Key, data: Any) -> tuple[Any, str]:
-    """A value as read from YAML turned into what the key wants, and an empty string; or None and what is wrong.
+    """A YAML value converted to the type of the key, and an empty string; or None and the error.
 
-    Strict: text is no number even where it looks like one, true is not 1, a fraction is no whole number. A whole
-    number does where a number is asked for, a list where a tuple is, ISO 8601 text where a date is.
+    Strict: text is not a number even if it looks like one, true is not 1, and 1.5 is not an integer. Integers are
+    accepted for floats, lists for tuples, and ISO 8601 text for dates.
     """
     base = _strip(key.annotation)[0]
     given = data
@@ -191,19 +191,19 @@ def parse_utc(text: str) -> datetime:
     Raises
     ------
     ValueError
-        For anything else. Its text says why where the form is right but there is no such date or time (30 February),
-        and is empty otherwise.
+        For anything else. Its text states the reason if the form is correct but the date or time does not exist (30
+        February), and is empty otherwise.
     """
     try:
         value = datetime.fromisoformat(text.strip())
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
     except (ValueError, OverflowError) as error:
         formed = re.match(r"\d{4}-\d{2}-\d{2}($|[T ]\d{2}:\d{2})", text.strip())
-        raise ValueError(f"there is no such date or time ({error})" if formed else "") from None
+        raise ValueError(f"no such date or time ({error})" if formed else "") from None
 
 
 def describe(annotation: Any) -> str:
-    """What a type expression allows, in words: "a number above 0", "'j2' or 'sgp4'"."""
+    """Values permitted by a type expression, in words: "a number above 0", "'j2' or 'sgp4'"."""
     base, limits = _strip(annotation)
     if get_origin(base) is Literal:
         return _join([f"'{word}'" for word in get_args(base)])
@@ -216,7 +216,7 @@ def describe(annotation: Any) -> str:
         items = get_args(base)
         return f"a list of {len(items)} numbers{_bounds(_strip(items[0])[1])}"
     if "pattern" in limits:
-        return "a name of letters, digits, '.', '_' and '-' that begins with a letter or digit"
+        return "a name of letters, digits, '.', '_' and '-' that starts with a letter or digit"
     words = {
         float: "a number",
         int: "a whole number",
@@ -229,7 +229,7 @@ def describe(annotation: Any) -> str:
 
 
 def item_section(annotation: Any) -> type | None:
-    """The section of which a key holds a list of any length; None where it holds something else."""
+    """The section of the items if the value of a key is a list of sections; otherwise None."""
     base = _strip(annotation)[0]
     items = get_args(base) if get_origin(base) is tuple else ()
     return items[0] if len(items) == 2 and items[1] is Ellipsis and is_section(items[0]) else None
@@ -260,11 +260,11 @@ def _hint(annotation: Any, value: Any) -> str:
             return f"; write {'true' if value.lower() in ('yes', 'on', 'true') else 'false'}, without quotes"
         if {float, int} & accepted:
             if re.fullmatch(r"[-+]?[0-9.]+([eE][-+]?[0-9]+)?", value):
-                return "; take off the quotes"
+                return "; remove the quotes"
             if re.fullmatch(r"[-+]?[0-9.]+ *[^\W\d_]\S*", value):
-                return "; write the bare number, the unit is in the key's name"
+                return "; write the number only, the unit is in the name of the key"
             if re.fullmatch(r"[-+]?[0-9]+,[0-9]+", value):
-                return "; write a decimal point"
+                return "; write a decimal point, not a comma"
     if int in accepted and isinstance(value, float) and value.is_integer():
         return f"; write {int(value)}" if abs(value) < 1e15 else ""
     return ""
@@ -317,12 +317,12 @@ def _make_adapter(key: Key) -> Callable[[Any], Any]:
 
 def _list(items: Any) -> tuple[Any, ...]:
     if not isinstance(items, tuple):
-        raise ValueError("no list")
+        raise ValueError("not a list")
     return items
 
 
 def _item(section: type, columns: Mapping[str, Key], item: Any) -> Any:
-    """One of a list of sections, from a mapping or as it is, each value checked."""
+    """An item of a list of sections, from a mapping or unchanged, with each value checked."""
     given = item if isinstance(item, dict) else {name: getattr(item, name, MISSING) for name in columns}
     values: dict[str, Any] = {}
     for name, key in columns.items():
@@ -340,7 +340,7 @@ def _join(parts: list[str]) -> str:
 
 
 def _parameter_docs(doc: str) -> dict[str, str]:
-    """Descriptions out of a numpydoc ``Parameters`` section."""
+    """Descriptions from a numpydoc ``Parameters`` section."""
     words: dict[str, str] = {}
     names: list[str] = []
     for line in doc.partition("----------\n")[2].splitlines():

@@ -1,8 +1,11 @@
-"""Files of a scenario: itself, those that it is based on, and those that its values name."""
+"""Files of a scenario: the file itself, its bases, and the files named by its values."""
 
 from __future__ import annotations
 
+import difflib
+import functools
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +14,44 @@ from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
 FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
-"""Keys that may name a CSV file; relative to the file that says so, or for ``--set`` to the working folder."""
+"""Keys that may name a CSV file, relative to the scenario file, or for ``--set`` to the working folder."""
 
 
 def find_scenario(path: str | Path) -> Path:
-    """The file itself, or for a bare name such as ``sunsat`` that is no file here, the scenario that ships."""
+    """The file, or for a name such as ``sunsat`` or ``moon`` that is not a file, the included scenario of that name."""
     return _file_or_shipped(Path(path), str(path))
 
 
+@functools.cache
+def included_scenarios() -> dict[str, Path]:
+    """Files of the included scenarios by name; those of the gallery go by ``moon`` and by ``gallery/moon``."""
+    here = Path(__file__).resolve().parent
+    folder = next(path for path in (here / "shipped", here.parents[1] / "scenarios") if path.is_dir())
+    found = {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+    for file in sorted((folder / "gallery").glob("*.yaml")):
+        found |= {file.stem: file, f"gallery/{file.stem}": file}
+    return found
+
+
 def _file_or_shipped(file: Path, written: str) -> Path:
-    """`file`, or where it does not exist and the user wrote a bare name, the scenario of that name that ships."""
-    bare = not Path(written).suffix and Path(written).parent == Path() and written not in ("", ".", "..")
-    if bare and "\0" not in written and (file.is_dir() or not os.path.lexists(file)):
-        here = Path(__file__).resolve().parent
-        for folder in (here / "shipped", here.parents[1] / "scenarios"):
-            shipped = folder / f"{written}.yaml"
-            if shipped.is_file():
-                return shipped
-    return file
+    """`file`, or, if it does not exist and the user wrote the name of an included scenario, that."""
+    shipped = included_scenarios().get(written)
+    return shipped if shipped is not None and (file.is_dir() or not os.path.lexists(file)) else file
+
+
+def _hint(file: Path) -> str:
+    """What to write instead of a file that does not exist."""
+    if "\0" in str(file):
+        return ""
+    known = {name: name for name in included_scenarios()} | {
+        path.name: str(path) for path in file.parent.glob("*.yaml")
+    }
+    for wanted in (file.name, file.stem):
+        if close := difflib.get_close_matches(wanted, known, n=1, cutoff=0.7):
+            return f"; did you mean '{known[close[0]]}'?"
+    if file.suffix or file.parent != Path():
+        return ""
+    return f"; included are {', '.join(name for name in included_scenarios() if '/' not in name)}"
 
 
 def read_chain(
@@ -38,17 +61,18 @@ def read_chain(
     chain: tuple[tuple[str, str], ...] = (),
     named_at: Location | None = None,
 ) -> Table | None:
-    """Tree of a file laid over its base; None, with the reason among `problems`, where one of them cannot be read."""
+    """Tree of a file merged over its base; None if one of them cannot be read, with the reason in `problems`."""
     text = read_text(file, name, named_at, "base" if named_at else "")
     if isinstance(text, Problem):
-        problems.append(text)
+        missing = text.message.startswith("no such file")
+        problems.append(replace(text, message=text.message + _hint(file)) if missing else text)
         return None
     tree = parse_document(text, name, problems)
     return with_base(tree, name, problems, (*chain, (os.path.realpath(file), name))) if tree else None
 
 
 def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tuple[str, str], ...]) -> Table | None:
-    """A tree laid over the base that it names; `chain` are the files (real path, name) that led here."""
+    """A tree merged over its base; `chain` are the files (real path, name) that refer to it."""
     folder = os.path.dirname(name) if chain else ""
     tree = absolute_files(tree, folder)
     entry = tree.entries.pop("base", None)
@@ -66,14 +90,14 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
     known = [seen for seen, _ in chain]
     if real in known:
         circle = " → ".join([n for _, n in chain[known.index(real) :]] + [base_name])
-        problems.append(Problem(entry.location, "base", f"the files are based on each other in a circle: {circle}"))
+        problems.append(Problem(entry.location, "base", f"the files form a circular chain of bases: {circle}"))
         return None
     below = read_chain(Path(base_name), base_name, problems, chain, entry.location)
     return merge(below, tree) if below else None
 
 
 def absolute_files(tree: Table, folder: str) -> Table:
-    """Names of CSV files made absolute, so that they are still found from elsewhere: from a base, or once resolved."""
+    """Names of CSV files as absolute paths, so that they remain valid in another folder."""
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
         for key in keys[:-1]:

@@ -1,8 +1,8 @@
 """Points of a sweep: the values that ``--over`` gives to keys, and how they are combined.
 
-``path=low:high:count`` is a range of `count` evenly spaced values, both ends among them; ``,log`` spaces them evenly in
-the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several of
-them make a full grid, whose last key changes fastest, or a Latin hypercube.
+``path=low:high:count`` is a range of `count` evenly spaced values including both ends; ``,log`` spaces them evenly in
+the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several
+options form a full grid, in which the last key varies fastest, or a Latin hypercube.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from simulator.scenario.output import yaml_value
 from startracker.errors import InputError
 
 MAX_POINTS = 100_000
-"""More points than this are a slip of the pen: each is a Monte Carlo study of its own."""
+"""Maximum number of points, each of which is a Monte Carlo run."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(?::({_NUMBER}))?(?:,(\w+))?")
 _EXPECTED = "must look like section.key=low:high:count, section.key=low:high:count,log or section.key=value,value,…"
 _NOT_SWEPT = {
-    "study.trials": "is given by --trials, the same at every point",
-    "name": "distinguishes no points; sweep another key",
-    "description": "distinguishes no points; sweep another key",
+    "study.trials": "is set by --trials, the same at every point",
+    "name": "has no effect on results; sweep another key",
+    "description": "has no effect on results; sweep another key",
 }
 
 
 @dataclass(frozen=True)
 class SweptKey:
-    """A key of the scenario and the values it takes."""
+    """A key of the scenario and its values."""
 
     key: Key
     """The key, with its type and unit."""
     values: tuple[Any, ...]
-    """The values in their order; for a range, those of the grid."""
+    """The values in order; for a range, those of the grid."""
     low: float | None = None
     high: float | None = None
     """Ends of a range; None for a list."""
     log: bool = False
-    """Whether the range is spaced in the logarithm."""
+    """Whether the range is logarithmic."""
     whole: bool = False
-    """Whether the key takes whole numbers only, to which a range is then rounded."""
+    """Whether the key is an integer, to which the values of a range are rounded."""
 
     @property
     def path(self) -> str:
@@ -64,17 +64,17 @@ class SweptKey:
 
     @property
     def label(self) -> str:
-        """Path and unit, for people."""
+        """Path and unit, for display."""
         return f"{self.path} [{self.key.unit}]" if self.key.unit else self.path
 
     def at(self, fraction: float) -> Any:
-        """Value at a fraction from 0 to below 1 of the range (of its logarithm, where so spaced), or of the list."""
+        """Value at a fraction in [0, 1) of the range (of its logarithm if logarithmic) or of the list."""
         if self.low is None or self.high is None:
             return self.values[int(fraction * len(self.values))]
         if self.log:
             value = math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
             value = min(max(value, self.low), self.high)
-        elif self.whole:  # every whole number is as likely as any other
+        elif self.whole:  # every integer has the same probability
             return math.floor(self.low + fraction * (self.high - self.low + 1))
         else:
             value = self.low + fraction * (self.high - self.low)
@@ -82,21 +82,21 @@ class SweptKey:
 
 
 def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> tuple[SweptKey, ...]:
-    """Every ``--over`` option read and checked against the schema.
+    """Every ``--over`` option, parsed and checked against the schema.
 
     Parameters
     ----------
     texts : iterable of str
-        As after ``--over``.
+        Values of ``--over``.
     names : mapping, optional
-        Checks of values that name something of a later stage: `simulator.checks.NAME_CHECKS`.
+        Checks of names that are defined in later stages: `simulator.checks.NAME_CHECKS`.
 
     Raises
     ------
     ScenarioError
-        With every mistake: unknown keys, values that a key cannot take, keys given twice.
+        With all errors: unknown keys, invalid values, keys given twice.
     InputError
-        When there is nothing to sweep.
+        If there is nothing to sweep.
     """
     swept: dict[str, SweptKey] = {}
     problems: list[Problem] = []
@@ -107,7 +107,7 @@ def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> t
         if not equals or not path or not written:
             problems.append(Problem(Location(f"--over {text}"), "", _EXPECTED))
         elif path in swept:
-            problems.append(Problem(location, path, "given twice; write its values into one --over"))
+            problems.append(Problem(location, path, "given twice; put all values into one --over"))
         elif path in _NOT_SWEPT:
             problems.append(Problem(location, path, _NOT_SWEPT[path]))
         elif path not in keys:
@@ -124,7 +124,7 @@ def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> t
 
 
 def grid(swept: Sequence[SweptKey]) -> list[tuple[Any, ...]]:
-    """Every combination of the values, the last key's changing fastest.
+    """All combinations of the values; the last key varies fastest.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def grid(swept: Sequence[SweptKey]) -> list[tuple[Any, ...]]:
     """
     for axis in swept:
         if not axis.values:
-            raise InputError(f"--over {axis.path}: a grid needs the number of values: low:high:count")
+            raise InputError(f"--over {axis.path}: a grid needs the number of values, low:high:count")
     count = math.prod(len(axis.values) for axis in swept)
     _limit(count)
     return list(itertools.product(*(axis.values for axis in swept)))
@@ -142,14 +142,14 @@ def grid(swept: Sequence[SweptKey]) -> list[tuple[Any, ...]]:
 def latin_hypercube(swept: Sequence[SweptKey], count: int, rng: np.random.Generator) -> list[tuple[Any, ...]]:
     """Latin hypercube sample of the ranges and lists (McKay, Beckman & Conover 1979, Technometrics 21, 239).
 
-    Each range is cut into `count` equal parts (of its logarithm, where it is so spaced), and every part holds exactly
-    one point; the parts of different keys are paired at random. Of a list every value is taken equally often, to one.
-    The count of a range plays no role.
+    Each range is divided into `count` equal parts (of its logarithm if logarithmic), each of which contains exactly one
+    point; the parts of different keys are combined at random. Each value of a list is used equally often, to within
+    one. The count of a range is ignored.
 
     Parameters
     ----------
     swept : sequence of SweptKey
-        What is swept.
+        Keys and their values.
     count : int
         Number of points, at least 1.
     rng : numpy.random.Generator
@@ -170,17 +170,17 @@ def latin_hypercube(swept: Sequence[SweptKey], count: int, rng: np.random.Genera
 
 
 def overrides(swept: Sequence[SweptKey], values: Sequence[Any]) -> list[str]:
-    """The values of a point as ``path=value``, as ``--set`` takes them."""
+    """The values of a point as ``path=value``, the form of ``--set``."""
     return [f"{axis.path}={yaml_value(value)}" for axis, value in zip(swept, values, strict=True)]
 
 
 def _limit(count: int) -> None:
     if count > MAX_POINTS:
-        raise InputError(f"--over: {count} points are more than the {MAX_POINTS} that a sweep may have; use --lhs N")
+        raise InputError(f"--over: {count} points exceed the maximum of {MAX_POINTS}; use --lhs N")
 
 
 def _unknown(path: str, keys: Mapping[str, Key]) -> str:
-    """What to say of a key that is not there: what the scenario's loader says of it, or that it is a section."""
+    """Message for an unknown key: that of the scenario's loader, or that it is a section."""
     if any(known.startswith(f"{path}.") for known in keys):
         inside = [known for known in keys if known.startswith(f"{path}.")]
         return f"is a section; sweep one of its keys: {', '.join(inside[:12])}{' …' if len(inside) > 12 else ''}"
@@ -217,17 +217,17 @@ def _range(key: Key, match: re.Match[str], location: Location, problems: list[Pr
     count = int(match[3]) if match[3] and match[3].isdigit() else None
     message = ""
     if match[4] not in (None, "log", "lin"):
-        message = f"'{match[4]}' is no spacing; write log, or leave it out"
+        message = f"'{match[4]}' is not a spacing; write log or omit it"
     elif match[3] and (count is None or count < 2):
         message = f"a range needs 2 values or more, not {match[3]}"
     elif not (math.isfinite(low) and math.isfinite(high) and low < high):
-        message = f"a range goes from a number to a greater one, not from {match[1]} to {match[2]}"
+        message = f"the end of a range must be greater than its start, not from {match[1]} to {match[2]}"
     elif log and low <= 0:
-        message = f"a logarithmic range must lie above 0, not begin at {match[1]}"
+        message = f"a logarithmic range must start above 0, not at {match[1]}"
     elif whole and not (low.is_integer() and high.is_integer()):
-        message = "takes whole numbers only; give whole ends to the range"
+        message = "takes integers only; use integers for both ends of the range"
     elif count is not None and count > MAX_POINTS:
-        message = f"{count} values are more than the {MAX_POINTS} points that a sweep may have"
+        message = f"{count} values exceed the maximum of {MAX_POINTS} points"
     if message:
         problems.append(Problem(location, key.path, message))
         return None
@@ -235,20 +235,20 @@ def _range(key: Key, match: re.Match[str], location: Location, problems: list[Pr
     if whole:
         values = tuple(round(v) for v in values)
         if len(set(values)) < len(values):
-            message = f"only {len(set(values))} of the {count} values differ as whole numbers; ask for fewer"
+            message = f"only {len(set(values))} of the {count} values are different integers; use fewer"
             problems.append(Problem(location, key.path, message))
             return None
     return SweptKey(key, values, low, high, log, whole)
 
 
 def _spaced(low: float, high: float, count: int, log: bool) -> tuple[float, ...]:
-    """Evenly spaced values with both ends exact, and the rounding of the arithmetic taken off those between."""
+    """Evenly spaced values with exact ends, and with rounding errors removed from the others."""
     inner = (np.geomspace if log else np.linspace)(low, high, count)[1:-1]
     return (low, *(float(f"{v:.12g}") for v in inner), high)
 
 
 def _split(text: str) -> list[str]:
-    """Parts between the commas that stand outside brackets and quotes."""
+    """Parts between the commas outside brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for character in text:
         if quote:
@@ -264,7 +264,7 @@ def _split(text: str) -> list[str]:
 
 
 def _whole(annotation: Any) -> bool:
-    """Whether a key takes whole numbers and no others."""
+    """Whether a key takes integers only."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Union, types.UnionType):
@@ -274,7 +274,7 @@ def _whole(annotation: Any) -> bool:
 
 
 def _check(axis: SweptKey, location: Location, names: NameChecks, problems: list[Problem]) -> bool:
-    """Whether the key can take each of the values by itself; what physics says of them together comes later."""
+    """Check each value against its key; physical plausibility of the combination is checked later."""
     ends: tuple[Any, ...] = () if axis.low is None else (axis.low, axis.high)
     candidates = axis.values or (tuple(map(round, ends)) if axis.whole else ends)
     before = len(problems)

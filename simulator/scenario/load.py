@@ -1,8 +1,8 @@
-"""A scenario file, and what it is based on, into a frozen `Scenario`; every mistake at once, each with its location.
+"""From a scenario file and its bases to a frozen `Scenario`; all errors are reported at once, each with its location.
 
-The way of a file: text → tree with locations (`document`) → laid over its base, options over both (`overrides`) → each
-value against the schema (`fields`) → physics (`physics`) → `Scenario`. Names of algorithms and curves belong to later
-stages; `simulator.checks` hands their checks in as `names`.
+Steps: text → tree with locations (`document`) → merged over its base, with options over both (`overrides`) → values
+checked against the schema (`fields`) → physical plausibility (`physics`) → `Scenario`. Names of algorithms and curves
+belong to later stages; `simulator.checks` passes their checks as `names`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from simulator.scenario.document import REPORTED, Table, Value, parse_document, 
 from simulator.scenario.errors import Location, Problem, ScenarioError, Violation
 from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
 from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
-from simulator.scenario.overrides import apply_overrides, merge, set_option
+from simulator.scenario.overrides import apply_overrides, merge, set_option, set_values
+from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
+from startracker.display import described
 from startracker.errors import InputWarning
 from startracker.identification_settings import unread_keys
 
@@ -46,9 +48,9 @@ _NOISELESS: dict[str, Any] = {
 
 
 class Scenario(ScenarioModel):
-    """A whole scenario, checked and frozen. Made by `Scenario.load` from a file, or directly from its sections.
+    """A complete scenario, checked and frozen. Created by `Scenario.load` from a file, or from its sections.
 
-    Two scenarios are equal when all their keys are, wherever they were read from.
+    Two scenarios are equal if all their values are, independently of their files.
     """
 
     _path: Path | None = PrivateAttr(default=None)
@@ -78,11 +80,25 @@ class Scenario(ScenarioModel):
     def __hash__(self) -> int:
         return hash(tuple(flatten(self).values()))
 
+    def __repr__(self) -> str:
+        optics, detector = self.optics, self.detector
+        lens = f"{optics.focal_length_mm:g} mm f/{optics.focal_length_mm / optics.aperture_mm:.2g}"
+        return described(
+            "Scenario",
+            self.name,
+            lens,
+            f"{detector.width}×{detector.height} px",
+            f"exposure {detector.exposure_s:g} s",
+            f"{self.orbit.altitude_km:g} km orbit",
+            f"{self.study.trials} trials",
+            f"seed {self.seed}",
+        )
+
     @classmethod
     def load(
         cls,
         path: str | Path,
-        overrides: Sequence[str] = (),
+        overrides: Sequence[str] | Mapping[str, Any] = (),
         seed: int | None = None,
         trials: int | None = None,
         *,
@@ -93,18 +109,19 @@ class Scenario(ScenarioModel):
         Parameters
         ----------
         path : str or Path
-            YAML file, or the bare name of a scenario that ships (``sunsat``).
-        overrides : sequence of str
-            ``path=value`` as after ``--set`` on the command line; the value is YAML.
+            YAML file, or the bare name of an included scenario (``sunsat``).
+        overrides : sequence of str, or mapping
+            ``path=value`` as for ``--set`` on the command line, where the value is YAML; or values by dotted path,
+            which may be astropy quantities and times: ``{"optics.aperture_mm": 2 * u.cm}``.
         seed, trials : int, optional
-            In place of ``seed`` and ``study.trials``.
+            Replace ``seed`` and ``study.trials``.
         names : mapping, optional
-            Checks of the values that name something of a later stage: `simulator.checks.NAME_CHECKS`.
+            Checks of names that are defined in later stages: `simulator.checks.NAME_CHECKS`.
 
         Raises
         ------
         ScenarioError
-            With every mistake of the file, its bases and the options.
+            With all errors of the file, its bases and the options.
         """
         file = find_scenario(path)
         problems: list[Problem] = []
@@ -117,9 +134,14 @@ class Scenario(ScenarioModel):
 
     @classmethod
     def parse(
-        cls, text: str, overrides: Sequence[str] = (), *, name: str = "<text>", names: NameChecks | None = None
+        cls,
+        text: str,
+        overrides: Sequence[str] | Mapping[str, Any] = (),
+        *,
+        name: str = "<text>",
+        names: NameChecks | None = None,
     ) -> Scenario:
-        """Read a scenario from text, as `load` does from a file; other files are looked up from the working folder."""
+        """Read a scenario from text; parameters as in `load`. Other files are relative to the working folder."""
         problems: list[Problem] = []
         tree = parse_document(text, name, problems)
         tree = with_base(tree, name, problems, ()) if tree else None
@@ -129,30 +151,30 @@ class Scenario(ScenarioModel):
 
     @property
     def path(self) -> Path | None:
-        """The file it was loaded from."""
+        """The file from which it was loaded."""
         return self._path
 
     @property
     def base_dir(self) -> Path:
-        """Folder that relative file names are relative to: the scenario file's, or the working folder."""
+        """Base folder of relative file names: that of the scenario file, or the working folder."""
         return self._path.parent if self._path else Path()
 
     @property
     def source_name(self) -> str:
-        """What to give the command line to load it again: the file, or the name where there is none."""
+        """Argument with which the command line loads it again: the file, or the name if there is none."""
         return str(self._path) if self._path else self.name
 
     @property
     def unphysical(self) -> tuple[str, ...]:
-        """What cannot be and was let pass by ``allow_unphysical``, as "key: reason"."""
+        """Unphysical values permitted by ``allow_unphysical``, as "key: reason"."""
         return tuple(f"{v.key}: {v.message}" for v in self._violations() if v.overridable)
 
     def resolved(self) -> dict[str, Any]:
-        """Every key with its value, as nested plain dictionaries that JSON can hold."""
+        """Every key with its value, as nested dictionaries that can be written as JSON."""
         return self.model_dump(mode="json")
 
     def to_yaml(self, comments: bool = True) -> str:
-        """Every key with its value as YAML that loads to an equal scenario; each key's meaning as a comment."""
+        """Every key with its value as YAML that loads to an equal scenario, with descriptions as comments."""
         from simulator.scenario.output import scenario_yaml
 
         return scenario_yaml(self, comments)
@@ -162,13 +184,13 @@ class Scenario(ScenarioModel):
         return hashlib.sha256(self.to_yaml(comments=False).encode()).hexdigest()
 
     def files(self) -> dict[str, Path]:
-        """Files that its values name, by dotted key."""
+        """Files named by its values, by dotted key."""
         flat = flatten(self)
         named = {key: self.base_dir / value for key in FILE_KEYS if isinstance(value := flat[key], str)}
         return {key: file for key, file in named.items() if file.is_file()}
 
     def with_values(self, *, trials: int | None = None, seed: int | None = None) -> Scenario:
-        """The same with another number of trials or another seed; ScenarioError where it may not be."""
+        """The same scenario with another number of trials or another seed; `ScenarioError` for invalid values."""
         problems: list[Problem] = []
         changed: dict[str, Any] = {}
         for option, key, value in (("trials", "study.trials", trials), ("seed", "seed", seed)):
@@ -180,12 +202,16 @@ class Scenario(ScenarioModel):
         return self.changed(changed)
 
     def noiseless(self) -> Scenario:
-        """The same without background, noise, saturation, digitisation and flaws of the detector."""
+        """The same scenario without background, noise, saturation, digitisation and detector defects."""
         return self.changed(_NOISELESS)
 
     def changed(self, values: Mapping[str, Any]) -> Scenario:
-        """The same with other values of keys, by dotted path, checked anew; files it names are still found."""
-        scenario = type(self).model_validate(nest(flatten(self) | dict(values)))
+        """The same scenario with other values by dotted path, checked again; its files are still found.
+
+        Values may be astropy quantities, as in `load`.
+        """
+        written = {path: as_written(path, value, _KEYS) for path, value in values.items()}
+        scenario = type(self).model_validate(nest(flatten(self) | written))
         scenario._path = self._path
         return scenario
 
@@ -196,7 +222,7 @@ _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
 def _build(
     cls: type[Scenario],
     tree: Table,
-    overrides: Iterable[str],
+    overrides: Iterable[str] | Mapping[str, Any],
     problems: list[Problem],
     *,
     names: NameChecks | None,
@@ -204,7 +230,10 @@ def _build(
     trials: int | None = None,
 ) -> Scenario:
     top = tree.location
-    options = apply_overrides(Table(top), overrides, problems)
+    if isinstance(overrides, Mapping):
+        options = set_values(Table(top), overrides, _KEYS, problems)
+    else:
+        options = apply_overrides(Table(top), overrides, problems)
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
@@ -225,10 +254,10 @@ def _build(
 
 
 def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:
-    """What is asked of the identification, other than its defaults, and not read by the identifier."""
+    """Settings of the identification that differ from their defaults but are not used by the identifier."""
     identifier = flat["tracker.identifier"]
     keys = (f"tracker.identification.{name}" for name in unread_keys(identifier))
-    message = f"the identifier '{identifier}' does not read it"
+    message = f"not used by the identifier '{identifier}'"
     return [Problem(_location_of(tree, key), key, message) for key in keys if flat[key] != _KEYS[key].default]
 
 
@@ -239,7 +268,7 @@ def _advice(violation: Violation) -> str:
 def _check_table(
     table: Table, section: type, prefix: str, location: Location, problems: list[Problem]
 ) -> dict[str, Any]:
-    """Valid values of a section and its subsections by dotted path, defaults filled in; mistakes are appended."""
+    """Valid values of a section and its subsections by dotted path, including defaults; errors are appended."""
     flat: dict[str, Any] = {}
     keys = keys_of(section, prefix)
     misspelt = set()
@@ -267,9 +296,9 @@ def _check_table(
                 flat |= _check_table(found.node, key.section, key.path, found.location, problems)
             else:
                 what = show_value(found.node.data)
-                message = f"must be a section with keys of its own, not {what}"
+                message = f"must be a section with keys, not {what}"
                 if found.node.data is None:
-                    message += "; take the line out to keep the defaults"
+                    message += "; remove the line to use the defaults"
                 problems.append(Problem(found.location, key.path, message))
         elif found is not None:
             data = found.node.plain() if isinstance(found.node, Table) else found.node.data
@@ -279,7 +308,7 @@ def _check_table(
             else:
                 flat[key.path] = value
         elif key.default is MISSING:
-            if name in misspelt:  # reported already, as what was written instead of it
+            if name in misspelt:  # already reported as the misspelt key
                 continue
             problems.append(Problem(location, key.path, "required key is missing"))
         else:
@@ -288,7 +317,7 @@ def _check_table(
 
 
 def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> str:
-    """What to say of a key that is not in its section."""
+    """Message for a key that is not in its section."""
     homes = [k.path.rpartition(".")[0] for k in all_keys() if k.name == name]
     if name == "base":
         return "unknown key; base belongs to the top level of the file"
@@ -304,7 +333,7 @@ def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> s
 
 
 def _location_of(tree: Table, path: str) -> Location:
-    """Where a key was written, or its section, or the file where it was not."""
+    """Location of a key, otherwise that of its section, otherwise the file."""
     location, node = Location(tree.location.source), tree
     for part in path.split("."):
         entry = node.entries.get(part)

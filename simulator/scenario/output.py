@@ -1,4 +1,4 @@
-"""A scenario as YAML with every default spelled out, and the schema as JSON schema for editors."""
+"""A scenario as YAML including all defaults, and the schema as JSON schema for editors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ _RESERVED = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 
 
 def scenario_yaml(scenario: ScenarioModel, comments: bool = True) -> str:
-    """Every key with its value, in the schema's order; above each, where asked for, its meaning and unit."""
+    """Every key with its value, in the order of the schema, optionally with its description and unit as a comment
+    above."""
     lines: list[str] = []
     _write(scenario, "", 0, comments, lines)
     return "\n".join(lines) + "\n"
@@ -45,7 +46,7 @@ def _comment(key: Key) -> str:
 
 
 def yaml_value(value: Any) -> str:
-    """One value as YAML 1.2 that reads back as the very same."""
+    """A value as YAML 1.2 that is read back unchanged."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -80,19 +81,19 @@ def _escaped(character: str) -> str:
 def json_schema() -> dict[str, Any]:
     """JSON schema of a scenario file: titles with units, descriptions, limits, defaults.
 
-    Required keys are asked for only in files without ``base``, which may take them from there.
+    Keys are required only in files without ``base``.
     """
     needed: dict[str, Any] = {"required": [], "properties": {}}
     schema = _object_schema(ScenarioModel, "", needed)
     base = {
         "type": "string",
         "title": "Base",
-        "description": "Another scenario, relative to this file, that this one overrides key by key.",
+        "description": "Another scenario, relative to this file, whose keys this one overrides.",
     }
     return {
         "$schema": SCHEMA_ID,
         "title": "boresight scenario",
-        "description": "A star camera in orbit, its star tracker, and the Monte Carlo study of both.",
+        "description": "A star camera in orbit, its star tracker, and a Monte Carlo study of both.",
         **schema,
         "properties": {"base": base, **schema["properties"]},
         "if": {"not": {"required": ["base"]}},
@@ -126,7 +127,7 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
 
 
 def _list_schema(key: Key) -> dict[str, Any] | None:
-    """Schema of a list of sections, written out in place; None for any other key."""
+    """Schema of a list of sections; None for any other key."""
     section = item_section(key.annotation)
     if section is None:
         return None

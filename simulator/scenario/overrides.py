@@ -1,15 +1,30 @@
-"""Options of the command line that set keys: ``--set optics.aperture_mm=25``, ``--seed 2``, ``--trials 100``."""
+"""Values that override those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from simulator.scenario.document import Entry, Table, Value, parse_value
 from simulator.scenario.errors import Location, Problem
+from simulator.scenario.fields import Key
+from simulator.scenario.quantities import as_written
+from startracker.errors import InputError
+
+
+def set_values(tree: Table, values: Mapping[str, Any], keys: Mapping[str, Key], problems: list[Problem]) -> Table:
+    """The tree with values put in by dotted path, each as `as_written` converts it."""
+    for path, value in values.items():
+        location = Location(path, key=path)
+        try:
+            tree = merge(tree, _nest(path, Value(as_written(path, value, keys), location), location))
+        except InputError as error:
+            problems.append(Problem(location, path, str(error).removeprefix(f"{path} ")))
+    return tree
 
 
 def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Problem]) -> Table:
-    """The tree with every ``path=value`` put in; the value is read as YAML. The later of two wins."""
+    """The tree with every ``path=value`` applied; values are parsed as YAML. The last one takes precedence."""
     for text in overrides:
         path, equals, written = text.partition("=")
         path = path.strip()
@@ -17,7 +32,7 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
         if not equals or not path or not all(path.split(".")):
             problems.append(Problem(Location(f"--set {text}"), "", "must look like section.key=value"))
         elif path == "base":
-            problems.append(Problem(location, "base", "can only be written in a file; load another scenario instead"))
+            problems.append(Problem(location, "base", "can only be set in a file; load another scenario instead"))
         else:
             value = parse_value(written.strip(), location, problems)
             if value is not None:
@@ -26,20 +41,20 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
 
 
 def set_option(tree: Table, option: str, path: str, value: object) -> Table:
-    """The tree with the key of an option such as ``--seed`` put in."""
+    """The tree with the key of an option such as ``--seed`` set."""
     location = Location(option, key=path)
     return merge(tree, _nest(path, Value(value, location), location))
 
 
 def merge(below: Table, above: Table) -> Table:
-    """A new table: sections merge key by key, anything else above replaces what is below."""
+    """A new table: sections are merged key by key, other values of `above` replace those of `below`."""
     merged = Table(below.location, dict(below.entries))
     for key, entry in above.entries.items():
         old = merged.entries.get(key)
         if old and isinstance(old.node, Table) and isinstance(entry.node, Table):
             location = (
                 old.location if entry.location.key else entry.location
-            )  # an option sets one key, the section stays the file's
+            )  # an option sets one key and keeps the location of the section
             merged.entries[key] = Entry(location, merge(old.node, entry.node))
         else:
             merged.entries[key] = entry

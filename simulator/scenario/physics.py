@@ -1,8 +1,8 @@
-"""What cannot be: contradictions between keys, which nothing allows, and unphysical values, which
-``allow_unphysical: true`` lets pass and the report then repeats.
+"""Physical plausibility: contradictions between keys, which are always errors, and unphysical values, which
+``allow_unphysical: true`` permits and the report repeats.
 
-Each rule reads the values it needs and names the key at fault. A rule whose values are themselves wrong is skipped, so
-that physics is checked, and reported, together with every other mistake.
+Each rule reads the values that it needs and names the offending key. A rule with invalid input values is skipped, so
+that physics is checked and reported together with all other errors.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ MIN_F_NUMBER = 0.5
 """Limit of an aplanatic lens in air: N = 1 / (2 sin θ) with θ = 90° (Born & Wolf 1999, sine condition)."""
 
 MIN_ORBIT_KM = 150.0
-"""Below this, drag brings a satellite down within a turn or so (Vallado 2013, chapter 8)."""
+"""Below this altitude, drag causes re-entry within about one orbit (Vallado 2013, chapter 8)."""
 
 SUN_RATE_RAD_S = 2.0 * math.pi / (365.2422 * 86400.0)
-"""Mean motion of the Sun in right ascension: a turn a tropical year."""
+"""Mean motion of the Sun in right ascension: one revolution per tropical year."""
 
 SILICON_C = (-230.0, 150.0)
-"""Below, the dopants freeze out; above, silicon conducts by itself (Janesick 2001; Sze & Ng 2007, chapter 1)."""
+"""Below, the dopants freeze out; above, silicon is an intrinsic conductor (Janesick 2001; Sze & Ng 2007, chapter 1)."""
 
 MIN_PIXEL_UM = 0.4
-"""About a wavelength of light; the smallest pixels made are 0.5 µm."""
+"""About a wavelength of light; the smallest existing pixels are 0.5 µm."""
 
 GAUSSIAN_SIGMA = 0.42
-"""Standard deviation of the Gaussian nearest to an Airy pattern, in λN (Zhang, Zerubia & Olivo-Marin 2007)."""
+"""Standard deviation of the Gaussian closest to an Airy pattern, in λN (Zhang, Zerubia & Olivo-Marin 2007)."""
 
 MAX_FIELD_DEG = 170.0
-"""Across the diagonal: r = f tan θ has no room for more."""
+"""Maximum diagonal field of a pinhole, r = f tan θ."""
 
 
 Values = Mapping[str, Any]
@@ -46,30 +46,30 @@ Rule = Callable[[Values], Iterator[Violation]]
 
 
 def violations(values: Values) -> list[Violation]:
-    """All rules that do not hold.
+    """All violated rules.
 
     Parameters
     ----------
     values : mapping
-        Dotted path to value, defaults included; keys whose value is wrong are left out, and so is what depends on them.
+        Dotted path to value, including defaults; invalid values are omitted, and rules that depend on them skipped.
     """
     found: list[Violation] = []
     for rule in RULES:
         try:
             found.extend(rule(values))
-        except KeyError:  # a value that is wrong in itself, which is reported elsewhere
+        except KeyError:  # an invalid value, reported elsewhere
             continue
     return found
 
 
 def _node(v: Values) -> Iterator[Violation]:
     if v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
-        message = "the node is already given by orbit.ltan_h; give one of them, and set the other to null"
+        message = "the node is already defined by orbit.ltan_h; set one of them to null"
         yield impossible("orbit.raan_deg", message)
 
 
 def sun_synchronous_limit_km() -> float:
-    """Greatest altitude of a circular sun-synchronous orbit, where J2 turns the node just fast enough at i = 180°.
+    """Maximum altitude of a circular sun-synchronous orbit, at which the nodal precession by J2 suffices at i = 180°.
 
     From dΩ/dt = −(3/2) J2 (R/a)² n cos i (Vallado 2013, chapter 9): a^(7/2) = (3/2) J2 R² √GM / (dΩ/dt).
     """
@@ -80,15 +80,15 @@ def sun_synchronous_limit_km() -> float:
 def _altitude(v: Values) -> Iterator[Violation]:
     altitude_km = v["orbit.altitude_km"]
     if altitude_km <= -EARTH_RADIUS_KM:
-        yield impossible("orbit.altitude_km", f"{altitude_km:g} km lies beyond the Earth's centre; use 150 km or more")
+        yield impossible("orbit.altitude_km", f"{altitude_km:g} km is below the Earth's centre; use 150 km or more")
     elif altitude_km < 0:
         message = f"{altitude_km:g} km is inside the Earth; use {MIN_ORBIT_KM:g} km or more"
         if v["orbit.propagator"] == "sgp4":
-            yield impossible("orbit.altitude_km", message + " (sgp4 knows no such orbit)")
+            yield impossible("orbit.altitude_km", message + " (not supported by sgp4)")
         else:
             yield unphysical("orbit.altitude_km", message)
     elif altitude_km < MIN_ORBIT_KM:
-        message = f"{altitude_km:g} km is within the atmosphere, where no orbit lasts; use {MIN_ORBIT_KM:g} km or more"
+        message = f"{altitude_km:g} km is within the atmosphere, where orbits decay; use {MIN_ORBIT_KM:g} km or more"
         yield unphysical("orbit.altitude_km", message)
 
 
@@ -113,12 +113,16 @@ def _epoch(v: Values) -> Iterator[Violation]:
 def _mounting(v: Values) -> Iterator[Violation]:
     mounting = v["pointing.mounting"]
     if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
-        yield impossible("pointing.mounting", "a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all")
+        yield impossible(
+            "pointing.mounting", "a quaternion of zeros is not a rotation; use [0, 0, 0, 1] for no rotation"
+        )
 
 
 def _spin(v: Values) -> Iterator[Violation]:
     if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
-        yield impossible("pointing.spin.rate_deg_s", "a body that spins freely holds no pointing.target; remove one")
+        yield impossible(
+            "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
+        )
 
 
 def _tether(v: Values) -> Iterator[Violation]:
@@ -127,11 +131,13 @@ def _tether(v: Values) -> Iterator[Violation]:
     near, far = v["tether.near_m"], v["tether.far_m"]
     for key, end in (("near_m", near), ("far_m", far)):
         if end[2] <= 0.0:
-            yield impossible(f"tether.{key}", f"{end[2]:g} m ahead of the lens; both ends must be before it")
+            yield impossible(
+                f"tether.{key}", f"{end[2]:g} m along the boresight; both ends must be in front of the lens"
+            )
             return
     turn = math.hypot(*(near[i] / near[2] - far[i] / far[2] for i in range(2)))
     if turn < 1e-6:
-        yield impossible("tether.far_m", "seen from the lens the tether is a point; move an end off the line of sight")
+        yield impossible("tether.far_m", "the tether is collinear with the lens; move one end sideways")
 
 
 def _f_number(v: Values) -> Iterator[Violation]:
@@ -151,8 +157,8 @@ def _field(v: Values) -> Iterator[Violation]:
     field_deg = 2.0 * math.degrees(math.atan2(diagonal_mm / 2.0, focal_mm))
     if field_deg > MAX_FIELD_DEG and v["optics.projection"] == "pinhole":
         message = (
-            f"{focal_mm:g} mm before a detector of {diagonal_mm:.3g} mm diagonal sees {field_deg:.4g}°, "
-            f"more than the {MAX_FIELD_DEG:g}° a flat image holds; use a longer one"
+            f"{focal_mm:g} mm with a detector of {diagonal_mm:.3g} mm diagonal has a field of {field_deg:.4g}°, "
+            f"more than the {MAX_FIELD_DEG:g}° of a pinhole; use a longer focal length"
         )
         yield unphysical("optics.focal_length_mm", message)
 
@@ -173,10 +179,12 @@ def _lens_coefficients(v: Values) -> Iterator[Violation]:
 def _vignetting(v: Values) -> Iterator[Violation]:
     start, end = v["optics.vignetting.mechanical_start_deg"], v["optics.vignetting.mechanical_end_deg"]
     if end is not None and end <= start:
-        message = f"{end:g}° is not beyond mechanical_start_deg ({start:g}°)"
+        message = f"{end:g}° is not greater than mechanical_start_deg ({start:g}°)"
         yield impossible("optics.vignetting.mechanical_end_deg", message)
     elif end is not None and end >= 90 and v["optics.projection"] == "pinhole":
-        yield impossible("optics.vignetting.mechanical_end_deg", f"a pinhole sees less than 90°, not {end:g}°")
+        yield impossible(
+            "optics.vignetting.mechanical_end_deg", f"the half field of a pinhole is below 90°, not {end:g}°"
+        )
 
 
 def _jitter(v: Values) -> Iterator[Violation]:
@@ -192,17 +200,17 @@ def _pitch_um(v: Values) -> tuple[float, float]:
 def _pixel(v: Values) -> Iterator[Violation]:
     smallest = min(_pitch_um(v))
     if smallest < MIN_PIXEL_UM:
-        message = f"{smallest:g} µm is smaller than a wavelength of light; use {MIN_PIXEL_UM:g} µm or more"
+        message = f"{smallest:g} µm is less than a wavelength of light; use {MIN_PIXEL_UM:g} µm or more"
         yield unphysical("detector.pixel_pitch_um", message)
 
 
 def _psf_keys(v: Values) -> Iterator[Violation]:
     sigma, ring = v["optics.psf.sigma_px"], v["optics.psf.first_dark_ring_px"]
     if sigma is not None and v["optics.psf.model"] == "airy":
-        message = "an airy image has no sigma_px; use first_dark_ring_px, or model: gaussian"
+        message = "model: airy does not use sigma_px; use first_dark_ring_px, or model: gaussian"
         yield impossible("optics.psf.sigma_px", message)
     elif sigma is not None and ring is not None:
-        message = "the width is already given by first_dark_ring_px; give one of them, and set the other to null"
+        message = "the width is already defined by first_dark_ring_px; set one of them to null"
         yield impossible("optics.psf.sigma_px", message)
 
 
@@ -211,10 +219,10 @@ def _diffraction(v: Values) -> Iterator[Violation]:
     scale_px = v["optics.psf.wavelength_nm"] * 1e-3 * number / _pitch_um(v)[0]  # λN
     for name, factor in (("sigma_px", GAUSSIAN_SIGMA), ("first_dark_ring_px", 1.22)):
         given, least = v[f"optics.psf.{name}"], factor * scale_px
-        if given is not None and given < 0.95 * least:  # 5 % for the roundness of the factors
+        if given is not None and given < 0.95 * least:  # 5 % for rounded factors
             message = (
-                f"{given:g} px is sharper than diffraction at f/{number:.3g} and "
-                f"{v['optics.psf.wavelength_nm']:g} nm allows; use {least:.3g} px or more"
+                f"{given:g} px is narrower than the diffraction limit at f/{number:.3g} and "
+                f"{v['optics.psf.wavelength_nm']:g} nm; use {least:.3g} px or more"
             )
             yield unphysical(f"optics.psf.{name}", message)
 
@@ -222,7 +230,7 @@ def _diffraction(v: Values) -> Iterator[Violation]:
 def _full_well(v: Values) -> Iterator[Violation]:
     if v["detector.full_well_e"] < v["detector.read_noise_e"]:
         message = f"{v['detector.full_well_e']:g} e⁻ is less than the read noise of {v['detector.read_noise_e']:g} e⁻"
-        yield unphysical("detector.full_well_e", message + "; no signal could be distinguished from it")
+        yield unphysical("detector.full_well_e", message + "; no signal could be detected")
 
 
 def _temperature(v: Values) -> Iterator[Violation]:
@@ -237,18 +245,21 @@ def _dark_signal(v: Values) -> Iterator[Violation]:
     dark_e = v["detector.dark_current_e_s"] * v["detector.exposure_s"] * 2.0 ** min(doublings, 900.0)
     if dark_e > v["detector.full_well_e"]:
         message = (
-            f"within {v['detector.exposure_s']:g} s at {v['detector.temperature_c']:g} °C the dark current alone gives "
-            f"{dark_e:.3g} e⁻ and fills the well of {v['detector.full_well_e']:g} e⁻; shorten it, or cool the detector"
+            f"in {v['detector.exposure_s']:g} s at {v['detector.temperature_c']:g} °C the dark current alone generates "
+            f"{dark_e:.3g} e⁻ and fills the well of {v['detector.full_well_e']:g} e⁻; "
+            "shorten the exposure or cool the detector"
         )
         yield unphysical("detector.exposure_s", message)
 
 
 def _exposure(v: Values) -> Iterator[Violation]:
     a_km = EARTH_RADIUS_KM + v["orbit.altitude_km"]
-    if 0 < a_km < 1e100:  # the cube of more is no number
+    if 0 < a_km < 1e100:  # the cube of larger values overflows
         period_s = 2.0 * math.pi * math.sqrt(a_km**3 / EARTH_GM_KM3_S2)
         if v["detector.exposure_s"] > period_s:
-            message = f"{v['detector.exposure_s']:g} s is longer than the orbit of {period_s:.0f} s; shorten it"
+            message = (
+                f"{v['detector.exposure_s']:g} s is longer than the orbit of {period_s:.0f} s; use a shorter exposure"
+            )
             yield unphysical("detector.exposure_s", message)
 
 
@@ -256,19 +267,19 @@ def _converter(v: Values) -> Iterator[Violation]:
     bits, gain = v["detector.adc_bits"], v["detector.gain_e_per_dn"]
     top_dn = math.inf if bits is None else 2**bits - 1
     if v["detector.offset_dn"] >= top_dn:
-        message = f"{v['detector.offset_dn']:g} DN leaves nothing of the converter's {top_dn} DN ({bits} bits)"
-        yield impossible("detector.offset_dn", message + "; lower it, or raise adc_bits")
+        message = f"{v['detector.offset_dn']:g} DN uses the full range of the converter, {top_dn} DN ({bits} bits)"
+        yield impossible("detector.offset_dn", message + "; decrease it or increase adc_bits")
     elif gain != "auto":
         span_e = gain * (top_dn - v["detector.offset_dn"])
         if span_e < v["detector.read_noise_e"]:
             message = (
-                f"{gain:g} e⁻/DN puts the converter's top at {span_e:.3g} e⁻, "
-                f"below the read noise of {v['detector.read_noise_e']:g} e⁻; raise it, or adc_bits"
+                f"{gain:g} e⁻/DN limits the range of the converter to {span_e:.3g} e⁻, "
+                f"below the read noise of {v['detector.read_noise_e']:g} e⁻; increase it or adc_bits"
             )
             yield unphysical("detector.gain_e_per_dn", message)
         if bits is not None and gain > v["detector.full_well_e"]:
-            message = f"{gain:g} e⁻/DN makes less than one DN of a full well of {v['detector.full_well_e']:g} e⁻"
-            yield unphysical("detector.gain_e_per_dn", message + "; lower it")
+            message = f"{gain:g} e⁻/DN gives less than one DN for a full well of {v['detector.full_well_e']:g} e⁻"
+            yield unphysical("detector.gain_e_per_dn", message + "; decrease it")
 
 
 def _guide_stars(v: Values) -> Iterator[Violation]:
@@ -288,7 +299,7 @@ def _least_and_most(low: str, high: str) -> Rule:
 def _window(v: Values) -> Iterator[Violation]:
     size = v["tracker.centroid.window_px"]
     if size % 2 == 0:
-        message = f"must be odd, so that it has a middle pixel, not {size}; use {size - 1} or {size + 1}"
+        message = f"must be odd, so that a pixel is at the centre, not {size}; use {size - 1} or {size + 1}"
         yield impossible("tracker.centroid.window_px", message)
 
 

@@ -1,7 +1,7 @@
 """The scenario: every key a user may write, with unit, default and limits. A loaded scenario is frozen.
 
-Sections that are parameters of the physics or settings of the tracker are those classes themselves, which know no
-limits; theirs are in `LIMITS`.
+Sections that are parameters of the physics or settings of the tracker are those classes themselves; their limits are in
+`LIMITS`.
 """
 
 from __future__ import annotations
@@ -47,13 +47,14 @@ class TrackerSection(Section):
     estimator: str = "svd"
     """``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
     prior: bool = True
-    """Give the tracker the attitude of the other sensors, good to `pointing.error_deg`; false: lost in space."""
+    """Give the tracker the attitude of the other sensors, with an error of up to `pointing.error_deg`; false: lost in
+    space."""
     detection: DetectionSettings = DetectionSettings()
     """Settings of the detection."""
     centroid: CentroidSettings = CentroidSettings()
     """Settings of the centroiding."""
     identification: AnyIdentificationSettings = AnyIdentificationSettings()
-    """Settings of the identification; those that the `identifier` does not read are named when a scenario is loaded."""
+    """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
 
 
 class StudySection(Section):
@@ -62,35 +63,35 @@ class StudySection(Section):
     trials: Count = 500
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
-    """``mission_year``: times spread over a year; ``orbit``: over one orbit, or one turn of a body that spins; ``sky``:
-    random attitudes at the epoch."""
+    """``mission_year``: times distributed over a year; ``orbit``: over one orbit, or one rotation of a spinning body;
+    ``sky``: random attitudes at the epoch."""
     sky_without_earth: bool = True
-    """With `sampling: sky` and no `pointing.target`: leave the Earth out, which would hide a third of the sky; it then
-    neither hides nor shines. False: as `sky.earth` says."""
+    """With `sampling: sky` and no `pointing.target`: omit the Earth, which would occult a third of the sky; it then
+    neither occults stars nor emits light. False: as set by `sky.earth`."""
 
 
 class SpecificationSection(Section):
     """Required 3σ accuracy about the body axes."""
 
     roll_deg: Positive = 0.025
-    """About X."""
+    """About X (roll)."""
     yaw_deg: Positive = 0.025
-    """About Z."""
+    """About Z (yaw)."""
     pitch_deg: Positive = 0.286
-    """About Y."""
+    """About Y (pitch)."""
 
 
 class ScenarioModel(Section):
-    """A whole scenario."""
+    """A complete scenario."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-    """Name; also that of the default output folder."""
+    """Name; also the name of the default output folder."""
     description: str = ""
-    """A sentence for the report."""
+    """Short description for the report."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
-    """Seed of every random stream."""
+    """Seed of all random streams."""
     epoch: Annotated[datetime, AfterValidator(_utc)]
-    """UTC, ISO 8601."""
+    """Start of the mission, UTC, ISO 8601."""
     orbit: OrbitParameters = OrbitParameters()
     """The orbit."""
     pointing: PointingParameters = PointingParameters()
@@ -98,7 +99,7 @@ class ScenarioModel(Section):
     sky: Sky = Sky()
     """The sky."""
     tether: Tether = Tether()
-    """A tether before the camera; none without its diameter."""
+    """A tether in front of the camera; none without a diameter."""
     optics: OpticsSection
     """The lens."""
     detector: DetectorSection
@@ -110,9 +111,9 @@ class ScenarioModel(Section):
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
     specification: SpecificationSection = SpecificationSection()
-    """The accuracy asked for."""
+    """Required accuracy."""
     allow_unphysical: bool = False
-    """Let physics pass that cannot be; the report repeats it."""
+    """Permit unphysical values; the report lists them."""
 
 
 LIMITS: dict[type, dict[str, Any]] = {
@@ -209,4 +210,4 @@ LIMITS: dict[type, dict[str, Any]] = {
         "blemish_shift_px": Positive,
     },
 }
-"""Type with its limits of the keys of classes that know no pydantic, where it is not the type alone."""
+"""Types with limits of the keys of plain classes, where they differ from the annotation."""

@@ -20,23 +20,23 @@ class ThermalSection(Section):
     expansion_ppm_k: FiniteFloat = 0.0
     """Relative change of the focal length; 0: none."""
     reference_c: FiniteFloat = 20.0
-    """Temperature at which `focal_length_mm` holds and the tracker's camera was calibrated."""
+    """Temperature for which `focal_length_mm` is given and at which the tracker's camera was calibrated."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
     """Temperature of the lens."""
 
 
 class BaffleSection(Section):
-    """The baffle before the lens: what it lets through of the Sun, the Moon and the Earth beside the field."""
+    """The baffle in front of the lens: attenuation of the Sun, the Moon and the Earth outside the field."""
 
     pst: str | None = None
     """Point-source transmittance over the angle from the boresight: ``vane``, a model that reaches 1e-9 at the Sun's
     exclusion angle, or a CSV file (angle_deg, pst); null: no stray light."""
     sun_exclusion_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = 35.0
-    """Nearest the Sun may come to the boresight."""
+    """Exclusion angle of the Sun from the boresight."""
     moon_exclusion_deg: Annotated[FiniteFloat, Field(ge=0, lt=90)] = 20.0
-    """Nearest the Moon may come to the boresight."""
+    """Exclusion angle of the Moon."""
     earth_exclusion_deg: Annotated[FiniteFloat, Field(ge=0, lt=90)] = 25.0
-    """Nearest the lit Earth may come to the boresight."""
+    """Exclusion angle of the lit Earth."""
 
 
 class OpticsSection(Section):
@@ -47,13 +47,13 @@ class OpticsSection(Section):
     aperture_mm: Positive
     """Diameter of the entrance pupil."""
     transmission: str | Fraction = 0.9
-    """One number, the name of a curve that ships with boresight, or a CSV file (wavelength_nm, transmission)."""
+    """A number, the name of an included curve, or a CSV file (wavelength_nm, transmission)."""
     obscuration: Annotated[FiniteFloat, Field(ge=0, lt=0.9)] = 0.0
-    """Diameter of a central obscuration over that of the aperture; 0: none."""
+    """Diameter of a central obscuration relative to the aperture; 0: none."""
     psf: PsfModel = PsfModel()
     """Image of a star."""
     distortion: Distortion = Distortion()
-    """Coefficients, OpenCV's names: Brown–Conrady's for a pinhole, k1 to k4 of its fisheye model for a fisheye."""
+    """Coefficients with OpenCV's names: Brown–Conrady for a pinhole, k1 to k4 of its fisheye model for a fisheye."""
     projection: Literal["pinhole", "fisheye", "equidistant", "equisolid"] = "pinhole"
     """``pinhole``: r = f tan θ; ``fisheye``: r = f θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸); or ideal, without
     coefficients: ``equidistant``, r = f θ; ``equisolid``, r = 2 f sin(θ/2)."""
@@ -73,7 +73,7 @@ class DetectorSection(Section):
     """The detector and its readout."""
 
     kind: Literal["cmos", "ccd_full_frame", "ccd_frame_transfer"] = "cmos"
-    """Which effects make sense: charge blooms and is transferred in CCDs alone."""
+    """Kind of detector, which determines the possible effects: only CCDs bloom and transfer charge."""
     width: Annotated[int, Field(ge=16, le=16384)]
     """Columns."""
     height: Annotated[int, Field(ge=16, le=16384)]
@@ -83,42 +83,43 @@ class DetectorSection(Section):
     exposure_s: Positive
     """Exposure time."""
     shutter: Literal["global", "rolling", "frame_transfer"] = "global"
-    """``rolling``: rows are exposed one after another; ``frame_transfer``: charge is moved through the image under
-    light."""
+    """``rolling``: rows are exposed one after the other; ``frame_transfer``: charge is transferred through the image
+    under light."""
     line_time_us: NonNegative = 10.0
-    """From row to row: of a rolling shutter, or of the transfer."""
+    """Delay from row to row, of a rolling shutter or of the transfer."""
     transfer_smear: Literal["both", "after"] = "both"
-    """Light falls on moving charge before (clearing) and after the exposure, or after it alone."""
+    """Transfer under light before (clearing) and after the exposure, or only after it."""
     quantum_efficiency: str | Fraction = 0.5
-    """One number, the name of a detector that ships with boresight, or a CSV file (wavelength_nm, qe)."""
+    """A number, the name of an included detector, or a CSV file (wavelength_nm, qe)."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
     """Temperature of the detector."""
     charge_diffusion_um: NonNegative = 0.0
-    """Standard deviation of the Gaussian by which charge spreads in the silicon before it is gathered."""
+    """Standard deviation of the Gaussian spreading of charge in the silicon before collection."""
     intensifier: Intensifier = Intensifier()
-    """The image intensifier; without its `gain` there is none."""
+    """Image intensifier; none without a `gain`."""
     shot_noise: bool = True
-    """Poisson statistics of the light and of the dark current; off: their means."""
+    """Poisson statistics of the light and of the dark current; false: mean values."""
     dark_current_e_s: NonNegative = 0.0
-    """Mean dark current a pixel at `dark_reference_c`."""
+    """Mean dark current per pixel at `dark_reference_c`."""
     dark_reference_c: FiniteFloat = 25.0
-    """Temperature at which the dark current is given."""
+    """Reference temperature of the dark current."""
     dark_doubling_c: Positive = 8.0
-    """Temperature rise that doubles the dark current."""
+    """Temperature increase that doubles the dark current."""
     dsnu: NonNegative = 0.0
-    """Dark signal non-uniformity: standard deviation of the dark current over the pixels, relative to its mean."""
+    """Dark signal non-uniformity: standard deviation of the dark current relative to its mean."""
     prnu: NonNegative = 0.0
     """Photo response non-uniformity: relative standard deviation."""
     hot_pixel_fraction: Fraction = 0.0
-    """Share of hot pixels."""
+    """Fraction of hot pixels."""
     hot_pixel_dark_e_s: NonNegative = 0.0
-    """Mean dark current of a hot pixel at `dark_reference_c`, exponentially distributed, on top of the ordinary one."""
+    """Mean dark current of a hot pixel at `dark_reference_c`, exponentially distributed, in addition to the normal
+    one."""
     hot_columns: Annotated[int, Field(ge=0)] = 0
     """Number of hot columns."""
     hot_column_dark_e_s: NonNegative = 0.0
     """Mean dark current of a pixel of a hot column at `dark_reference_c`, exponentially distributed over columns."""
     dead_pixel_fraction: Fraction = 0.0
-    """Share of dead pixels, which collect neither light nor dark current."""
+    """Fraction of dead pixels, which collect neither light nor dark current."""
     dead_columns: Annotated[int, Field(ge=0)] = 0
     """Number of dead columns."""
     cosmic_rays: CosmicRays = CosmicRays()
@@ -126,27 +127,28 @@ class DetectorSection(Section):
     full_well_e: Positive = 30000.0
     """Full well; charge above it drains or blooms (`antiblooming`)."""
     antiblooming: Fraction = 1.0
-    """Share of the charge above the full well that is drained; the rest spills along the column (CCD). 1: none."""
+    """Fraction of the charge above the full well that is drained; the rest blooms along the column (CCD). 1: no
+    blooming."""
     cti_parallel: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
-    """Share of the charge left behind in each transfer along a column (CCD)."""
+    """Fraction of the charge left behind in each transfer along a column (CCD)."""
     cti_serial: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
-    """Share of the charge left behind in each transfer along the serial register (CCD)."""
+    """Fraction of the charge left behind in each transfer along the serial register (CCD)."""
     readout_corner: Literal["top_left", "top_right", "bottom_left", "bottom_right"] = "top_left"
-    """Corner of the output node, to which charge is transferred; ``top_left`` is pixel (0, 0)."""
+    """Corner of the output node; ``top_left`` is pixel (0, 0)."""
     read_noise_e: NonNegative = 0.0
-    """Read noise, standard deviation."""
+    """Standard deviation of the read noise."""
     reset_capacitance_ff: NonNegative = 0.0
     """Capacitance of the output node, whose reset (kTC) noise stays in the frame; 0: correlated double sampling."""
     nonlinearity: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    """Relative departure from a straight line at the full well, of second and of third order: (c2, c3)."""
+    """Relative deviation from linearity at the full well, of second and third order: (c2, c3)."""
     gain_e_per_dn: Positive | Literal["auto"] = "auto"
-    """Electrons a digital number; ``auto`` puts the full well at the top of the converter."""
+    """Electrons per DN; ``auto``: the full well corresponds to the maximum of the converter."""
     offset_dn: NonNegative = 0.0
-    """Digital offset, so that noise is not cut off at zero."""
+    """Digital offset, so that noise is not clipped at zero."""
     video: Video = Video()
     """The analogue video signal."""
     adc_bits: Annotated[int, Field(ge=1, le=16)] | None = 12
-    """Resolution of the converter; null: none, the frame stays in fractions of a DN."""
+    """Resolution of the converter; null: no rounding, pixel values are fractions of a DN."""
 
     @property
     def pitch_um(self) -> tuple[float, float]:

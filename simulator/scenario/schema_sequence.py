@@ -1,4 +1,4 @@
-"""The scenario's ``sequence`` section: frames one after the other in tracking mode, the motion meanwhile, the gyro."""
+"""The scenario's ``sequence`` section: successive frames in tracking mode, motion, gyro."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from startracker.settings import OperationSettings
 
 
 class DropoutSection(Section):
-    """A time in which no frame comes."""
+    """An interval without frames."""
 
     start_s: NonNegative
-    """Its beginning, after the first frame."""
+    """Start, after the first frame."""
     duration_s: Positive
-    """Its length."""
+    """Duration."""
 
 
 class SequenceSection(Section):
@@ -26,22 +26,23 @@ class SequenceSection(Section):
     frames: Count = 120
     """Number of frames."""
     step_s: Positive = 0.5
-    """Time from one to the next."""
+    """Time between frames."""
     start_s: FiniteFloat = 0.0
-    """Mid-exposure of the first, after the epoch."""
+    """Mid-exposure of the first frame, after the epoch."""
     rates: tuple[RatePoint, ...] = ()
-    """Rate of the body against what it holds, on top of `pointing.rate_deg_s`: a list of {at_s, roll_deg_s,
-    pitch_deg_s, yaw_deg_s} in order of time, straight lines between, held before the first and after the last."""
+    """Rate of the body relative to its reference, in addition to `pointing.rate_deg_s`: a list of {at_s, roll_deg_s,
+    pitch_deg_s, yaw_deg_s} in order of time, linear between points, constant before the first and after the last."""
     slew: Slew = Slew()
-    """A turn on top of that."""
+    """A slew in addition to these rates."""
     dropouts: tuple[DropoutSection, ...] = ()
-    """Times without a frame: a list of {start_s, duration_s}."""
+    """Intervals without frames: a list of {start_s, duration_s}."""
     gyro: Gyro = Gyro()
     """The gyro."""
     rate_walk_deg_s_sqrt_s: Positive | Literal["auto"] = "auto"
-    """What the filter without a gyro allows the rate to change in a second; ``auto``: 3 times the largest angular
-    acceleration of the sequence times the root of the step, or what jitter takes, 5.7e-5 at least."""
+    """Process noise of the rate in a filter without a gyro; ``auto``: 3 times the largest angular acceleration of the
+    sequence times the square root of the step, or the value required by jitter, at least 5.7e-5."""
     rate_sigma_deg_s: Positive = 2.0
-    """What it takes for the standard deviation of the rate, each axis, before it has seen two frames."""
+    """Standard deviation of the rate about each axis that the filter assumes before the second frame."""
     operation: OperationSettings = OperationSettings()
-    """Rules by which the sensor sets its exposure, stands by under the Sun, clears the Moon, maps defective pixels."""
+    """Rules for setting the exposure, suspending operation with the Sun in the field, removing the Moon, and mapping
+    defective pixels."""

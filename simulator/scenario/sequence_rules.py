@@ -12,19 +12,19 @@ from simulator.scenario.errors import Violation, impossible
 
 MOST_FRAMES = 1_000_000
 LARGEST_STEP_DEG = 170.0
-"""Turn from one frame to the next; beyond half a turn the two attitudes do not determine its direction."""
+"""Maximum rotation between frames; beyond half a turn two attitudes do not determine its direction."""
 
 
 EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
-"""Span of DE421 as it ships (Folkner et al. 2009), a day inside its ends."""
+"""Range of DE421 (Folkner et al. 2009), less one day at each end."""
 
 
 def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Rules of the ``sequence`` section that do not hold."""
+    """Violated rules of the ``sequence`` section."""
     points = v["sequence.rates"]
     for before, after in pairwise(points):
         if after.at_s <= before.at_s:
-            message = f"points must come in order of time; {after.at_s:g} s comes after {before.at_s:g} s"
+            message = f"points must be in order of time; {after.at_s:g} s comes after {before.at_s:g} s"
             yield impossible("sequence.rates", message)
             break
     step_s = v["sequence.step_s"]
@@ -32,14 +32,16 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     fastest += max((math.hypot(p.roll_deg_s, p.pitch_deg_s, p.yaw_deg_s) for p in points), default=0.0)
     if any(v["sequence.slew.turn_deg"]):
         fastest += v["sequence.slew.max_rate_deg_s"]
-    # plain Monte Carlo scenarios may turn as fast as they like: only what the section itself asks for is refused
+    # scenarios without a sequence may rotate at any rate: only values of the section itself are checked
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
         message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° per step; use a shorter step"
         yield impossible("sequence.step_s", message)
     yield from _operation_contradictions(v)
     frames, start_s = v["sequence.frames"], v["sequence.start_s"]
     if frames > MOST_FRAMES:
-        yield impossible("sequence.frames", f"{frames} is more than {MOST_FRAMES}, which is what fits in memory")
+        yield impossible(
+            "sequence.frames", f"{frames} exceeds the maximum of {MOST_FRAMES}, which is limited by memory"
+        )
         return
     first, last = EPHEMERIS
     epoch = v["epoch"]
@@ -51,16 +53,20 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 
 def _operation_contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Rules of operation that would never come to rest, or never to act."""
+    """Rules of operation that would oscillate or never act."""
     if not v["sequence.operation.use"]:
         return
     lengthen, shorten = v["sequence.operation.lengthen_below"], v["sequence.operation.shorten"]
     if lengthen > shorten:
         message = f"{lengthen:g} is above shorten = {shorten:g}: a lengthened exposure could saturate and be shortened"
-        yield impossible("sequence.operation.lengthen_below", message + f" again without end; use {shorten:g} or less")
+        yield impossible(
+            "sequence.operation.lengthen_below", message + f" again in an endless cycle; use {shorten:g} or less"
+        )
     exposure_s = v["detector.exposure_s"]
     for key in ("shortest_exposure_s", "exposure_step_s"):
         value = v[f"sequence.operation.{key}"]
         if value > exposure_s:
-            message = f"{value:g} s is longer than detector.exposure_s = {exposure_s:g} s, the longest; use less"
+            message = (
+                f"{value:g} s is longer than detector.exposure_s = {exposure_s:g} s, the maximum; use a shorter one"
+            )
             yield impossible(f"sequence.operation.{key}", message)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from startracker.display import changed_fields
+
 
 @dataclass(frozen=True)
 class Sky:
@@ -38,3 +40,5 @@ class Sky:
     """Lambert albedo of the Earth's surface and clouds."""
     phases: bool = True
     """Render the phases of the Moon and planets; false: uniform full disks."""
+
+    __repr__ = changed_fields

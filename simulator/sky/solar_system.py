@@ -13,6 +13,7 @@ from simulator.sky.ephemeris import DE421_NAME, barycentric, barycentric_positio
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import PLANETS, moon_v, planet_v, sun_v
 from startracker.constants import AU_KM
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
 
@@ -79,6 +80,8 @@ class Bodies:
     """(N,): Illuminated fraction of the disk, 0 to 1."""
     b_v: FloatArray
     """(N,): B − V."""
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.name)
@@ -174,17 +177,8 @@ def bodies_seen_from(
     lit = np.ones(distance.shape)
     lit[..., :-1] = (1.0 + cosine) / 2.0
     if sky.light_deflection:
-        away = position_au - sun
-        to_sun = np.linalg.norm(away, axis=-1, keepdims=True)[..., None]
-        bent = erfa.ufunc.ld(
-            1.0,
-            direction[..., :-1, :],
-            from_sun / sun_distance[..., None],
-            away[..., None, :] / to_sun,
-            to_sun[..., 0],
-            _DEFLECTION_LIMIT,
-        )
-        direction[..., :-1, :] = bent / np.linalg.norm(bent, axis=-1, keepdims=True)
+        unit = from_sun / sun_distance[..., None]
+        direction[..., :-1, :] = _deflected(direction[..., :-1, :], unit, position_au - sun)
     if sky.aberration and velocity_km_s is not None:
         direction = aberrated(direction, velocity_km_s[..., None, :])
     columns = [planet_v(name, from_sun[..., k, :], seen[..., k, :], clock.jyear(t_s)) for k, name in enumerate(PLANETS)]
@@ -195,6 +189,15 @@ def bodies_seen_from(
     for array in arrays:  # used for a block of frames
         array.flags.writeable = False
     return Bodies(_NAMES, *arrays, _COLOURS)
+
+
+def _deflected(direction: FloatArray, from_sun: FloatArray, observer_au: FloatArray) -> FloatArray:
+    """Directions (..., N, 3) of bodies deflected by the Sun, from their directions (..., N, 3) as seen from the Sun and
+    the position (..., 3) of the observer relative to it."""
+    distance = np.linalg.norm(observer_au, axis=-1, keepdims=True)[..., None]
+    away = observer_au[..., None, :] / distance
+    bent = erfa.ufunc.ld(1.0, direction, from_sun, away, distance[..., 0], _DEFLECTION_LIMIT)
+    return np.asarray(bent / np.linalg.norm(bent, axis=-1, keepdims=True))
 
 
 def _astrometric_au(time: Any, position_au: FloatArray) -> FloatArray:

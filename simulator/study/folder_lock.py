@@ -1,4 +1,4 @@
-"""One run at a time in a folder of results: a lock file with the owner's process and host."""
+"""Lock of a results folder for one run at a time: a file with the process and host of the owner."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ class Owner:
     """A process that holds a lock."""
 
     pid: int
-    """Its number."""
+    """Process ID."""
     host: str
-    """Machine it runs on."""
+    """Host name."""
     started: str
-    """When it was started, in the system's own clock; distinguishes it from a later process of the same number. Empty
-    where the system does not say."""
+    """Start time in the system's clock, which distinguishes it from a later process with the same ID. Empty if not
+    available."""
 
     @classmethod
     def this_process(cls) -> Owner:
-        """The running process."""
+        """The current process."""
         return cls(os.getpid(), platform.node(), _start_of(os.getpid()))
 
     @property
     def is_gone(self) -> bool:
-        """Whether it ran on this machine and has ended; False where that cannot be known."""
+        """Whether it ran on this machine and has ended; False if unknown."""
         if self.host != platform.node() or sys.platform == "win32":
             return False
         try:
             os.kill(self.pid, 0)
         except ProcessLookupError:
             return True
-        except OSError:  # another user's
+        except OSError:  # of another user
             pass
         return bool(self.started) and _start_of(self.pid) != self.started
 
 
 @contextlib.contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold a folder for this process; the lock of a process of this machine that has ended is taken over.
+    """Lock a folder for this process; the lock of an ended process of this machine is taken over.
 
     Raises
     ------
     InputError
-        When another process holds it, with its number, its host and how to remove its lock; or where the folder cannot
-        be written.
+        If another process holds the lock (with its ID, its host and how to remove the lock), or the folder cannot be
+        written.
     """
     path, owner = folder / LOCK_FILE, Owner.this_process()
     with _opened(path) as stream:
@@ -76,16 +76,16 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 def _held(folder: Path, path: Path, other: Owner, owner: Owner) -> str:
     if other.host == owner.host:
-        end = "wait for its end, or choose another --out"
-        return f"{folder}: in use by process {other.pid} of this machine, which writes its results there; {end}"
+        end = "wait until it has finished, or choose another --out"
+        return f"{folder}: in use by process {other.pid} on this machine; {end}"
     return (
-        f"{folder}: in use by process {other.pid} on host '{other.host}', which writes its results there; wait for its "
-        f"end, choose another --out, or, if that process has ended, remove {path}"
+        f"{folder}: in use by process {other.pid} on host '{other.host}'; wait until it has "
+        f"finished or choose another --out; if that process has ended, remove {path}"
     )
 
 
 def _read(stream: IO[str]) -> Owner | None:
-    """Owner that a lock file names; None for one that was just made, or left half written by a kill."""
+    """Owner in a lock file; None if the file is new or incomplete."""
     stream.seek(0)
     try:
         found = json.load(stream)
@@ -96,12 +96,12 @@ def _read(stream: IO[str]) -> Owner | None:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[IO[str]]:
-    """The lock file, for this process alone while the block runs: what it reads there is still so when it writes."""
+    """The lock file, opened exclusively by this process during the block."""
     try:
         while True:
             with path.open("a+", encoding="utf-8") as stream:
                 _wait_for(stream)
-                # its owner may have removed it meanwhile
+                # its owner may have removed it in the meantime
                 if _is_same(stream, path):
                     yield stream
                     return
@@ -117,7 +117,7 @@ def _is_same(stream: IO[str], path: Path) -> bool:
 
 
 def _wait_for(stream: IO[str]) -> None:
-    """Wait until no other process has the file open here; a file system without locks does without."""
+    """Wait until no other process has the file open here; ignored on file systems without locks."""
     if sys.platform != "win32":
         import fcntl
 
@@ -126,7 +126,7 @@ def _wait_for(stream: IO[str]) -> None:
 
 
 def _start_of(pid: int) -> str:
-    """Start of a process in ticks after boot, from Linux' ``/proc``; empty elsewhere."""
+    """Start time of a process in ticks after boot, from ``/proc`` of Linux; empty on other systems."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
         return text.rpartition(")")[2].split()[19]

@@ -1,4 +1,4 @@
-"""Intervals of 95 % confidence: of moments by bootstrap, of percentiles exactly, and of rates and ratios."""
+"""95 % confidence intervals: of moments by bootstrap, of percentiles by order statistics, of rates and ratios."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import bdtr, gammaincinv, ndtr, ndtri  # scipy.stats would take 17 MB and 0.2 s to load
+from scipy.special import bdtr, gammaincinv, ndtr, ndtri  # scipy.stats takes 17 MB and 0.2 s to load
 
 from simulator.randomness import stream
 
@@ -18,17 +18,17 @@ FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 RESAMPLES = 1000
-"""Bootstrap samples: the ends of a 95 % interval are then good to a tenth of its half width."""
+"""Number of bootstrap samples, for which the limits of a 95 % interval are accurate to a tenth of its half width."""
 
 LARGE = 5_000
-"""Above this many trials intervals come from moments, not from resampling, which would take seconds: there the two
-differ by less than the resampling's own scatter."""
+"""Above this number of trials intervals are computed from moments, since resampling would take seconds; the difference
+is less than the scatter of the resampling."""
 
 FEWEST = 5
-"""Fewer trials than this say nothing of their own spread: no interval."""
+"""Minimum number of trials for an interval."""
 
 _TAILS = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
-"""Shares of the distribution below the two ends of a 95 % interval."""
+"""Probabilities of the two limits of a 95 % interval."""
 
 Moment = Callable[[FloatArray, FloatArray, int], FloatArray]
 
@@ -52,7 +52,7 @@ MOMENTS: dict[str, Moment] = {"mean": _mean, "std": _std, "rms": _rms}
 def wilson_interval(successes: int, trials: int) -> Interval:
     """Wilson's score interval of a proportion (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) for no trials.
 
-    Right near 0 and 1, where the normal approximation gives intervals of no width.
+    Valid near 0 and 1, where the normal approximation gives intervals of zero width.
     """
     if trials == 0:
         return 0.0, 1.0
@@ -60,28 +60,28 @@ def wilson_interval(successes: int, trials: int) -> Interval:
     p = successes / trials
     middle = (p + z * z / (2 * trials)) / (1 + z * z / trials)
     half = z / (1 + z * z / trials) * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
-    # at the ends the two terms are equal; their difference would leave rounding behind
+    # at the ends the two terms are equal, and their difference would be rounding error
     return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
 def moment_intervals(values: ArrayLike, seed: int = 0) -> dict[str, FloatArray | None]:
     """Intervals of mean, standard deviation (n − 1) and rms of every column.
 
-    Bootstrap, bias-corrected and accelerated (BCa; Efron 1987, J. Am. Stat. Assoc. 82, 171): rows are drawn with
-    replacement, all columns together, `RESAMPLES` times; the acceleration comes from the jackknife. Above `LARGE` rows
-    the normal interval of the mean and those of `spread_interval` stand in, which use the same moments.
+    Bootstrap, bias-corrected and accelerated (BCa; Efron 1987, J. Am. Stat. Assoc. 82, 171): rows are resampled with
+    replacement, all columns together, `RESAMPLES` times; the acceleration is estimated by the jackknife. Above `LARGE`
+    rows the normal interval of the mean and those of `spread_interval` are used, based on the same moments.
 
     Parameters
     ----------
     values : array_like, shape (n, columns)
         Finite; rows are independent trials.
     seed : int
-        Of the resampling (stream ``bootstrap``): the same values and seed give the same intervals.
+        Seed of the resampling (stream ``bootstrap``): the same values and seed give the same intervals.
 
     Returns
     -------
     dict
-        By the names of `MOMENTS`: (columns, 2) low and high; None below `FEWEST` rows.
+        By the names of `MOMENTS`: lower and upper limits (columns, 2); None below `FEWEST` rows.
     """
     x = np.asarray(values, dtype=float)
     n = len(x)
@@ -90,7 +90,7 @@ def moment_intervals(values: ArrayLike, seed: int = 0) -> dict[str, FloatArray |
     if n > LARGE:
         return _from_moments(x)
     scale = np.sqrt(np.mean(x * x, axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)  # arcseconds in degrees: keep their squares away from rounding
+    scale = np.where(scale > 0.0, scale, 1.0)  # scaled, so that squares of small angles keep their precision
     x = x / scale
     squares = x * x
     both = np.concatenate([x, squares], axis=1)
@@ -106,7 +106,8 @@ def moment_intervals(values: ArrayLike, seed: int = 0) -> dict[str, FloatArray |
 
 
 def _resampled(x: FloatArray, seed: int) -> FloatArray:
-    """Column sums (B, columns) of rows (n, columns) drawn with replacement, by how often each row is drawn."""
+    """Column sums (B, columns) of rows (n, columns) drawn with replacement, from the number of times each row is
+    drawn."""
     n = len(x)
     rng = stream(seed, "bootstrap")
     drawn = np.empty((RESAMPLES, x.shape[1]))
@@ -148,8 +149,8 @@ def spread_interval(values: ArrayLike) -> Interval:
     """Interval of the rms about zero from the second and fourth moments.
 
     n m₂ / σ² has a χ² distribution of ν degrees of freedom scaled by n / ν, with ν = 2 n m₂² / (m₄ − m₂²) chosen to
-    match the variance of m₂ (Box 1953, Biometrika 40, 318): n for a normal distribution, fewer for longer tails. ν is
-    not let rise above n, so that few values never look more certain than normal ones are.
+    match the variance of m₂ (Box 1953, Biometrika 40, 318): n for a normal distribution, fewer for heavier tails. ν is
+    limited to n, so that a small sample is not assigned a narrower interval than a normal one.
 
     Returns
     -------
@@ -173,19 +174,19 @@ def spread_interval(values: ArrayLike) -> Interval:
 def percentile_interval(
     ordered: FloatArray, percent: float, confidence: float = 0.95
 ) -> tuple[float | None, float | None]:
-    """Interval of a percentile between two order statistics, whatever the distribution.
+    """Distribution-free interval of a percentile between two order statistics.
 
     P(x₍ₖ₎ ≤ q) = P(Bin(n, p) ≥ k): the bootstrap of a percentile needs no resampling, as the number of values below it
-    is binomial (Conover 1999, *Practical Nonparametric Statistics*, section 3.2). The share held is at least
-    95 %. An end is None where no value of the sample reaches that far: the 99.7th percentile has an upper bound
-    of 97.5 % only from 1,228 values on.
+    is binomial (Conover 1999, *Practical Nonparametric Statistics*, section 3.2). The coverage is at least 95 %. A
+    limit is None if it is outside the sample: the 99.7th percentile has an upper limit of 97.5 % only from 1,228 values
+    on.
 
     Parameters
     ----------
     ordered : (n,) array
-        Values, rising.
+        Values, ascending.
     percent : float
-        Of the percentile, 0 to 100.
+        Percentile, 0 to 100.
     """
     n, p, tail = len(ordered), percent / 100.0, _TAILS[0]
     if n == 0:
@@ -217,7 +218,7 @@ def ratios_of_rms(errors: ArrayLike, bounds: ArrayLike, seed: int = 0) -> tuple[
 
 
 def mean_chi_square_bounds(trials: int, freedom: int) -> Interval | None:
-    """Bounds of the mean of `trials` χ² numbers of `freedom` degrees: χ²(freedom × trials) / trials.
+    """95 % bounds of the mean of `trials` χ² variables of `freedom` degrees of freedom: χ²(freedom × trials) / trials.
 
     The mean normalised error squared of a consistent filter lies within (Bar-Shalom, Li & Kirubarajan 2001,
     *Estimation with Applications to Tracking and Navigation*, section 5.4.2). None for no trials.
@@ -229,7 +230,7 @@ def mean_chi_square_bounds(trials: int, freedom: int) -> Interval | None:
 
 
 def _central_chi_square(freedom: float) -> Interval:
-    """Quantiles that leave as much of χ² below as above."""
+    """Central 95 % interval of χ²."""
     low, high = 2.0 * gammaincinv(freedom / 2.0, _TAILS)
     return float(low), float(high)
 
@@ -240,7 +241,7 @@ def _binomial_quantile(q: float, n: int, p: float) -> int:
 
 
 def plain(interval: Any) -> list[float | None]:
-    """An interval as JSON holds it; what is not finite or not there becomes null."""
+    """An interval for JSON; missing and non-finite values become null."""
     if interval is None:
         return [None, None]
     return [float(v) if v is not None and math.isfinite(v) else None for v in interval]

@@ -1,4 +1,4 @@
-"""What a point of a sweep, or a run that is compared with others, comes to: rates and errors with their intervals."""
+"""Statistics of a point of a sweep or of a compared run: rates and errors with their intervals."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ TRIAL_COLUMNS = (
     "render_ms",
     "solve_ms",
 )
-"""Columns of the trials that `point_statistics` reads."""
+"""Columns of the trials used by `point_statistics`."""
 
 TIMINGS = ("median_render_ms", "median_solve_ms")
-"""The only statistics that differ between two runs of the same points."""
+"""Timings, the only statistics that differ between runs of the same point."""
 
 
 def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str, Any]:
-    """Rates and errors of a set of trials, by flat names that a table's columns can have.
+    """Rates and errors of a set of trials, by flat names suitable as column names.
 
-    For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (the magnitude below which
-    99.7 % stay), and the 95 % bootstrap interval of the rms as `rms_low_deg` and `rms_high_deg`. Errors are of the
-    solved trials. The identification rate counts those solved and not wrong, with Wilson's 95 % interval.
+    For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (99.7th percentile of the
+    magnitude), and the 95 % bootstrap interval of the rms as `rms_low_deg` and `rms_high_deg`. Errors are those of the
+    solved trials. The identification rate is the fraction of trials solved and not wrong, with Wilson's 95 % interval.
 
     Parameters
     ----------
     columns : mapping of arrays
         Those of `TRIAL_COLUMNS`.
     seed : int
-        Of the bootstrap.
+        Seed of the bootstrap.
 
     Returns
     -------
     dict
-        None stands for what too few trials cannot say.
+        None for statistics that need more trials.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)

@@ -1,7 +1,7 @@
-"""Whose results stand in a folder, and what may replace them.
+"""Identity of the results in a folder, and what may replace them.
 
-The JSON file of every kind of results says under ``identity`` what it was made from. Results of the same scenario,
-seed, version and input files may be replaced by as many or more trials; anything else only on request (``--force``).
+The JSON file of every kind of results states its inputs under ``identity``. Results of the same scenario, seed, version
+and input files may be replaced by an equal or larger number of trials; others only on request (``--force``).
 """
 
 from __future__ import annotations
@@ -29,44 +29,43 @@ FILES = {
     "design": "design.json",
     "budget": "budget.json",
 }
-"""Kinds of results, and the file of each that says what they are."""
+"""Kinds of results, and the file with their identity."""
 
 IDENTITY_FILE = "identity.json"
-"""In a folder of finished parts: what they belong to."""
+"""File with the identity of finished parts."""
 
 _TOGETHER = ("run", "sequence")
-"""Kinds that both write ``scenario.resolved.yaml``."""
+"""Kinds that write ``scenario.resolved.yaml``."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What results are made from."""
+    """Inputs of results."""
 
     kind: str
-    """A key of `FILES`."""
+    """Kind of results, a key of `FILES`."""
     scenario: str
-    """Its name."""
+    """Name of the scenario."""
     seed: int
-    """Its seed."""
+    """Seed of the scenario."""
     sha256: str
-    """Of the version, the scenario's values, the contents of the files it names, and the options that change
-    results."""
+    """Hash of the version, the scenario's values, the contents of its files, and the options that change results."""
     amounts: Mapping[str, int] = field(default_factory=dict)
-    """How much was computed, such as ``{"trials": 400}``: more of the same may replace less."""
+    """Amount of results, such as ``{"trials": 400}``: larger amounts may replace smaller ones."""
     version: str = field(default_factory=lambda: __version__)
-    """Of boresight."""
+    """Version of boresight."""
 
     def __str__(self) -> str:
         amounts = "".join(f", {number} {name}" for name, number in self.amounts.items() if number)
         return f"scenario '{self.scenario}', seed {self.seed}{amounts}, boresight {self.version}"
 
     def to_dict(self) -> dict[str, Any]:
-        """As the results' JSON holds it."""
+        """As in the JSON file of the results."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, kind: str, found: Any) -> Identity:
-        """Identity of results from what their JSON holds; "unknown" for what is not there.
+        """Identity from the JSON file of results; "unknown" for missing entries.
 
         Raises
         ------
@@ -82,13 +81,13 @@ class Identity:
 
 
 def scenario_sha256(scenario: Scenario, **options: object) -> str:
-    """SHA-256 of what results depend on: version, values, contents of the files that the scenario names, `options`.
+    """SHA-256 of the inputs of results: version, values, contents of the scenario's files, `options`.
 
-    The number of trials is not part of it, as more trials of the same scenario may join those that are there.
+    The number of trials is not included, as trials may be added to existing ones.
     """
     digest = hashlib.sha256(f"{__version__}\n{scenario.with_values(trials=1).fingerprint()}\n".encode())
     for key, file in scenario.files().items():
-        with contextlib.suppress(OSError):  # a file that cannot be read is reported by what needs it
+        with contextlib.suppress(OSError):  # unreadable files are reported by their readers
             digest.update(f"{key} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
     for name, value in sorted(options.items()):
         digest.update(f"{name}={value!r}\n".encode())
@@ -96,44 +95,43 @@ def scenario_sha256(scenario: Scenario, **options: object) -> str:
 
 
 def refuse_other_files(scenario: Scenario, sha256: str) -> None:
-    """Refuse to run trials where the scenario's files are not those that the run began with.
+    """Refuse to run trials if the scenario's files differ from those at the start of the run.
 
     Raises
     ------
     InputError
-        Says which files to look at.
+        States the files.
     """
     if scenario_sha256(scenario) != sha256:
         files = ", ".join(map(str, scenario.files().values()))
         raise InputError(
-            f"{scenario.name}: files that it names ({files or 'none found'}) were changed during the run, or differ "
-            f"on {platform.node()}; make them the same and run again"
+            f"{scenario.name}: its files ({files or 'none found'}) were changed during the run, or differ "
+            f"on {platform.node()}; restore identical files and run again"
         )
 
 
 @contextlib.contextmanager
 def results_folder(path: Path, new: Identity, *, resume: bool = False, force: bool = False) -> Iterator[Path]:
-    """The folder of new results, made where it is missing and held while they are computed and written.
+    """The folder of new results, created if missing, and locked until they are written.
 
     Parameters
     ----------
     path : Path
         The folder.
     new : Identity
-        What will be written there.
+        Identity of the new results.
     resume : bool
-        Finished trials are to be taken over.
+        Reuse finished trials.
     force : bool
-        Whatever stands there may be replaced.
+        Replace any existing results.
 
     Raises
     ------
     InputError
-        Where results stand that the new ones may not replace, another process is at work there, or the folder cannot be
-        written.
+        If the new results may not replace the existing ones, another process uses the folder, or it cannot be written.
     """
     if resume and force:
-        raise InputError("--resume and --force: give one of the two; --force computes everything again")
+        raise InputError("--resume and --force: use only one of them; --force computes everything again")
     folder = make_folder(path)
     with folder_lock(folder):
         if not force:
@@ -142,12 +140,12 @@ def results_folder(path: Path, new: Identity, *, resume: bool = False, force: bo
 
 
 def standing(folder: Path, kind: str) -> Identity | None:
-    """Identity of the results of a kind in a folder; None where there are none.
+    """Identity of the results of a kind in a folder; None if there are none.
 
     Raises
     ------
     InputError
-        For results that cannot be identified.
+        For unidentifiable results.
     """
     file = folder / FILES[kind]
     try:
@@ -156,18 +154,18 @@ def standing(folder: Path, kind: str) -> Identity | None:
         return None
     except (OSError, ValueError, TypeError):
         raise InputError(
-            f"{file}: results that cannot be identified (not written by this version of boresight, or damaged); "
+            f"{file}: unidentifiable results (of another version of boresight, or damaged); "
             "choose another --out, or replace them with --force"
         ) from None
 
 
 def unfinished_identity(folder: Path, kind: str) -> Identity | None:
-    """Identity of what an unfinished run left in a folder of parts; None where there are none.
+    """Identity of an unfinished run in a folder of parts; None if there is none.
 
     Raises
     ------
     InputError
-        For parts that cannot be identified.
+        For unidentifiable parts.
     """
     try:
         return Identity.from_dict(kind, json.loads((folder / IDENTITY_FILE).read_text(encoding="utf-8")))
@@ -177,7 +175,7 @@ def unfinished_identity(folder: Path, kind: str) -> Identity | None:
     except (OSError, ValueError, TypeError):
         pass
     raise InputError(
-        f"{folder}: unfinished trials that cannot be identified (of another version, or damaged); "
+        f"{folder}: unidentifiable unfinished trials (of another version, or damaged); "
         "choose another --out, or discard them with --force"
     )
 
@@ -189,27 +187,27 @@ def _refuse_loss(folder: Path, new: Identity) -> None:
 
 
 def refuse_other(folder: Path, old: Identity, new: Identity, what: str) -> None:
-    """Refuse to replace results, or unfinished trials (`what`), that the new ones would lose.
+    """Refuse to replace results or unfinished trials (`what`) that would be lost.
 
     Raises
     ------
     InputError
-        Says what is there and what can be done.
+        States the existing results and the options.
     """
     either = "choose another --out, or replace them with --force"
     if old.kind != new.kind:
-        raise InputError(f"{folder}: holds {what} of a {old.kind} ({old}); {either}")
+        raise InputError(f"{folder}: contains {what} of a {old.kind} ({old}); {either}")
     if old.sha256 != new.sha256:
         pairs = [(old.scenario, new.scenario), (old.seed, new.seed), (old.version, new.version)]
         if any(a != b for a, b in pairs):
-            raise InputError(f"{folder}: holds {what} of another {new.kind} ({old}); {either}")
+            raise InputError(f"{folder}: contains {what} of another {new.kind} ({old}); {either}")
         raise InputError(
-            f"{folder}: holds {what} of a {new.kind} with other values, options or input files ({old}); {either}"
+            f"{folder}: contains {what} of a {new.kind} with other values, options or input files ({old}); {either}"
         )
     less = {name: number for name, number in old.amounts.items() if number > new.amounts.get(name, 0)}
     if less:
         asked = ", ".join(f"{new.amounts.get(name, 0)} {name}" for name in less)
         raise InputError(
-            f"{folder}: holds {what} of a longer {new.kind} ({old}), and {asked} were asked for; ask for as many, "
+            f"{folder}: contains {what} of a longer {new.kind} ({old}) than the requested {asked}; request as many, "
             "choose another --out, or replace them with --force"
         )

@@ -1,8 +1,9 @@
-"""A whole study: trials, statistics, and the files that ``boresight run`` leaves."""
+"""A complete study: trials, statistics, and the files of ``boresight run``."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import platform
 from dataclasses import dataclass
@@ -14,13 +15,15 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from simulator.scenario import Scenario
-from simulator.study.result_files import json_text, write_files
+from simulator.study.data_frames import Rows
+from simulator.study.result_files import json_text, now_utc, write_files
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
 from startracker._version import __version__
+from startracker.display import angle_text, described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
@@ -44,24 +47,44 @@ _VERSIONED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Rows):
     """Result of a study."""
 
     scenario: Scenario
-    """What was run, seed and all."""
+    """The scenario, including the seed."""
     columns: Columns
-    """Columns of the trials by name, each read when it is asked for."""
+    """Columns of the trials by name, read on demand."""
     summary: dict[str, Any]
     """What ``summary.json`` holds."""
     folder: Path | None = None
-    """Where the files are."""
+    """Folder of the files."""
     notes: tuple[str, ...] = ()
-    """Sentences on finished trials that were found damaged and computed again."""
+    """Messages on damaged finished trials that were computed again."""
 
     @cached_property
     def trials(self) -> pa.Table:
-        """A row a trial, in memory."""
+        """One row per trial, in memory."""
         return self.columns.table()
+
+    def _table(self) -> pa.Table:
+        return self.trials
+
+    def _meta(self) -> dict[str, Any]:
+        return {name: self.summary[name] for name in ("name", "seed", "version")}
+
+    def __repr__(self) -> str:
+        summary = self.summary
+        counts = f"{summary['trials']} trials, {summary['solved']} solved, {summary['wrong']} wrong"
+        rms_deg = {axis: summary["errors_deg"][axis]["rms"] for axis in BODY_AXES}
+        known = [f"{axis} {angle_text(math.radians(rms))}" for axis, rms in rms_deg.items() if rms is not None]
+        accuracy = f"rms {', '.join(known)}" if known else ""
+        return described("Study", summary["name"], counts, accuracy, str(self.folder or ""))
+
+    def _repr_html_(self) -> str:
+        """The answer of the study with a chart of its errors, for notebooks."""
+        from simulator.study.notebook import study_card
+
+        return study_card(self.summary, self.columns)
 
 
 def run(
@@ -83,31 +106,31 @@ def run(
     scenario : Scenario
         The scenario.
     trials, seed : int, optional
-        In place of the scenario's own.
+        Replace those of the scenario.
     workers : int
         Processes on this machine; the rows do not depend on their number.
     dask : str, optional
         Address of a dask.distributed scheduler, to run on its workers instead; the rows are the same.
     out : path, optional
-        Folder for ``summary.json``, ``trials.parquet``, ``report.html`` and ``scenario.resolved.yaml``; none: nothing
-        is written. Trials that an interrupted run of the same scenario, seed and version left there are taken over.
+        Folder for ``summary.json``, ``trials.parquet``, ``report.html`` and ``scenario.resolved.yaml``; None: nothing
+        is written. Finished trials of an interrupted run of the same scenario, seed and version are reused.
     resume : bool
-        Take over the trials of a finished run too, to make it longer.
+        Also reuse the trials of a finished run, to extend it.
     force : bool
-        Compute everything again, and replace what stands in `out`, whatever it is.
+        Compute everything again, and replace any results in `out`.
     progress : callable, optional
-        Called with (finished, all).
+        Called with (finished, total).
 
     Raises
     ------
     InputError
-        For numbers below 1, an unwritable folder, a full disk, no cluster; where `out` holds results of another
-        scenario, seed, version or longer run; or where another process is at work there.
+        For numbers below 1, an unwritable folder, a full disk, or no cluster; if `out` contains results of another
+        scenario, seed, version or longer run; or if another process uses it.
 
     Notes
     -----
-    A run that is interrupted with fewer trials than an earlier one of the same scenario left in `out` does not replace
-    the results of that one: the study's `folder` is then None, and its trials are kept for the next run.
+    An interrupted run with fewer trials than an earlier one of the same scenario in `out` does not replace its results:
+    the study's `folder` is then None, and its trials are kept for the next run.
     """
     scenario = scenario.with_values(trials=trials, seed=seed)
     holder: contextlib.AbstractContextManager[Path | None] = contextlib.nullcontext()
@@ -127,7 +150,7 @@ def run(
         )
         elapsed_s = clock() - started
         if done.finished == 0:
-            raise BoresightError("interrupted before the first trial was finished: nothing to report")
+            raise BoresightError("interrupted before the first trial was finished: no results")
         if folder is None or (done.interrupted and not force and done.finished < _trials_standing(folder)):
             columns = Columns(done.table)
             summary = _summary(scenario, done, columns, elapsed_s)
@@ -136,7 +159,7 @@ def run(
 
 
 def _written(scenario: Scenario, done: Trials, folder: Path, elapsed_s: float) -> Study:
-    """The study whose files are in a folder now: they replace those of an earlier run when all of them are written."""
+    """The study after writing its files, which replace those of an earlier run once all are written."""
     staging = folder / PARTS_FOLDER
     with nothing_lost():
         checksum = done.store.write(staging / TRIALS_FILE, done.requested)
@@ -154,7 +177,7 @@ def _written(scenario: Scenario, done: Trials, folder: Path, elapsed_s: float) -
 
 
 def _trials_standing(folder: Path) -> int:
-    """Trials of the results that stand in a folder."""
+    """Number of trials of the results in a folder."""
     old = standing(folder, "run")
     return old.amounts["trials"] if old else 0
 
@@ -165,6 +188,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "name": scenario.name,
         "seed": scenario.seed,
         "version": __version__,
+        "finished_utc": now_utc(),
         "identity": run_identity(scenario, done.finished).to_dict(),
         "requested": done.requested,
         "interrupted": done.interrupted,

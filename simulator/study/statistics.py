@@ -1,4 +1,4 @@
-"""Statistics of a study: rates with their intervals, errors about every axis."""
+"""Statistics of a study: rates with their intervals, errors about each axis."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ PERCENTILES = {"p50": 50.0, "p95": 95.0, "p997": 99.7}
 """Percentiles of an error's magnitude."""
 
 OUTLIER_SIGMAS = 5.0
-"""An error beyond this many robust standard deviations of all errors about an axis is an outlier."""
+"""Number of robust standard deviations of all errors about an axis beyond which an error is an outlier."""
 
 MOST_OUTLIERS_LISTED = 200
-"""Outliers beyond this many are counted, and not listed in ``summary.json``; ``trials.parquet`` has them all."""
+"""Maximum number of outliers listed in ``summary.json``; others are counted, and all are in ``trials.parquet``."""
 
 _MAD_TO_SIGMA = 1.482602218505602
 
@@ -54,13 +54,13 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
     """Mean, standard deviation (n − 1), rms, and the percentiles of the magnitude of one axis' errors, degrees.
 
     ``p997`` is the smallest magnitude that at least 99.7 % of the errors do not exceed, ``three_sigma`` three times the
-    rms: the two meet for a normal distribution about zero. None where there are too few errors.
+    rms; both agree for a normal distribution about zero. None for too few errors.
     """
     n = len(errors_deg)
     if n == 0:
         return dict.fromkeys(("mean", "std", "rms", "three_sigma", "p50", "p95", "p997", "max"))
     magnitude = np.abs(errors_deg)
-    # an error of the sample, so that it lies within its interval between two others
+    # an error of the sample, so that it is within its interval between two others
     p50, p95, p997 = np.percentile(magnitude, list(PERCENTILES.values()), method="inverted_cdf").tolist()
     rms = math.sqrt(float(np.mean(errors_deg**2)))
     return {
@@ -76,7 +76,7 @@ def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
 
 
 def median(values: ArrayLike) -> float | None:
-    """Median of the finite values; None where there are none."""
+    """Median of the finite values; None if there are none."""
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
     return float(np.median(finite)) if len(finite) else None
@@ -85,8 +85,8 @@ def median(values: ArrayLike) -> float | None:
 def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: ArrayLike) -> bool:
     """Whether an accepted attitude is wrong.
 
-    It is when a star is misidentified, or when the error contradicts the stated covariance (`WRONG_NEES`) and is larger
-    than noise explains (`WRONG_BOUNDS`). The second condition alone would call a noisy attitude with a correct
+    It is wrong if a star is misidentified, or if the error contradicts the stated covariance (`WRONG_NEES`) and is not
+    explained by noise (`WRONG_BOUNDS`). The second condition alone would call a noisy attitude with a correct
     covariance wrong, the first one alone an accurate attitude whose covariance is a little too small.
 
     Parameters
@@ -94,14 +94,14 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     misidentified : int
         Number of misidentified stars.
     nees : float
-        Error squared, normalised by the stated covariance; NaN where there is none.
+        Error squared, normalised by the stated covariance; NaN without one.
     error_deg, bound_deg : array_like, shape (3,)
-        Error and Cramér–Rao bound about the camera's axes. An axis without a bound (NaN) has no noise to explain an
-        error with.
+        Error and Cramér–Rao bound about the camera's axes. For an axis without a bound (NaN) no error is explained by
+        noise.
     """
     if misidentified > 0:
         return True
-    explained = np.abs(np.asarray(error_deg)) <= WRONG_BOUNDS * np.asarray(bound_deg)  # False where the bound is NaN
+    explained = np.abs(np.asarray(error_deg)) <= WRONG_BOUNDS * np.asarray(bound_deg)  # False for a bound of NaN
     return bool(nees > WRONG_NEES and not explained.all())
 
 
@@ -111,8 +111,8 @@ def beyond_specification(error_deg: Mapping[str, float], specification_deg: Mapp
 
 
 def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[str, dict[str, list[float | None]]]:
-    """95 % intervals of what `axis_statistics` gives, degrees: by axis, then ``<statistic>_interval95`` with low and
-    high; an end that the trials do not determine is None.
+    """95 % intervals of the values of `axis_statistics`, degrees: by axis, then ``<statistic>_interval95`` with lower
+    and upper limit; None for a limit that the trials do not determine.
 
     Mean, std, rms and three_sigma by the bootstrap (`simulator.study.intervals.moment_intervals`), percentiles by
     order statistics (`percentile_interval`).
@@ -120,9 +120,9 @@ def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[st
     Parameters
     ----------
     errors_deg : dict of (n,) arrays
-        By axis, a value a trial.
+        By axis, one value per trial.
     seed : int
-        Of the resampling.
+        Seed of the resampling.
     """
     axes = list(errors_deg)
     moments = moment_intervals(np.stack([errors_deg[axis] for axis in axes], axis=1), seed)
@@ -138,21 +138,21 @@ def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[st
 
 @dataclass(frozen=True, eq=False)
 class Binned:
-    """Errors about one axis, sorted into bins of another column; arrays of one entry a bin."""
+    """Errors about one axis in bins of another column; arrays with one entry per bin."""
 
     name: str
     axis: str
-    """The column, and the axis."""
+    """Names of the column and the axis."""
     edges: FloatArray
-    """(bins + 1,): Limits of the bins, rising; a bin holds its lower limit, the last its upper one too."""
+    """(bins + 1,): Limits of the bins, ascending; a bin includes its lower limit, the last one also its upper limit."""
     centre: FloatArray
-    """Mean of the column over the trials of the bin; the middle of a bin without any."""
+    """Mean of the column over the trials of the bin; the centre of an empty bin."""
     count: NDArray[np.int64]
     """Trials that are solved, and not wrong."""
     trials: NDArray[np.int64]
-    """All trials, the unsolved ones too, where the column has a value for them."""
+    """All trials, including unsolved ones for which the column has a value."""
     rms_deg: FloatArray
-    """NaN where there are no trials."""
+    """NaN for an empty bin."""
     low_deg: FloatArray
     high_deg: FloatArray
     """Its 95 % interval (`simulator.study.intervals.spread_interval`)."""
@@ -162,7 +162,7 @@ def error_against(
     columns: Columns, name: str, bins: int | Sequence[float] | FloatArray = 8, *, axis: str = "cross_x"
 ) -> Binned:
     """Rms error about an axis against a column: ``stars_matched``, ``limit_mag``, ``orbit_argument_deg``,
-    ``galactic_latitude_deg``, ``rate_deg_s``, ``temperature_c``, or any other that holds numbers.
+    ``galactic_latitude_deg``, ``rate_deg_s``, ``temperature_c``, or any other numerical column.
 
     Parameters
     ----------
@@ -171,14 +171,14 @@ def error_against(
     name : str
         The column.
     bins : int or sequence of float
-        Number of bins that hold equally many trials (fewer where values repeat), or their limits.
+        Number of bins with equal numbers of trials (fewer for repeated values), or their limits.
     axis : str
         One of `AXES`.
 
     Raises
     ------
     KeyError
-        For a column that is not there.
+        For a missing column.
     """
     value = np.asarray(columns[name], dtype=float)
     error = np.asarray(columns[f"error_{axis}_deg"], dtype=float)
@@ -187,7 +187,7 @@ def error_against(
     if isinstance(bins, int):
         known = value[finite & right] if (finite & right).any() else value[finite]
         edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, bins + 1))) if len(known) else np.array([0.0])
-        if len(edges) == 1:  # one value: a bin about it
+        if len(edges) == 1:  # a single value: a bin around it
             edges = edges[0] + np.array([-0.5, 0.5])
     else:
         edges = np.asarray(bins, dtype=float)
@@ -212,10 +212,10 @@ def error_against(
 
 
 def against_bound(columns: Columns, seed: int = 0) -> dict[str, Any] | None:
-    """Measured errors beside the Cramér–Rao bound, by camera axis: ``trials``, both rms in degrees (``rms_deg``,
+    """Measured errors and Cramér–Rao bound by camera axis: ``trials``, both rms in degrees (``rms_deg``,
     ``bound_rms_deg``), their ``ratio`` and its ``interval95``.
 
-    Over the trials that are solved, not wrong, and have a bound; None where there are none, or the columns are not.
+    Over the trials that are solved, not wrong, and have a bound; None if there are none or the columns are missing.
     """
     if not all(f"bound_{axis}_deg" in columns for axis in CAMERA_AXES):
         return None
@@ -239,11 +239,11 @@ def against_bound(columns: Columns, seed: int = 0) -> dict[str, Any] | None:
 
 
 def consistency(columns: Columns) -> dict[str, Any] | None:
-    """Whether the tracker's covariance agrees with its errors: mean normalised error squared and its 95 % bounds.
+    """Consistency of the stated covariance with the errors: mean normalised error squared and its 95 % bounds.
 
-    ``inside`` is True where the mean lies within the bounds. A mean below them says that the tracker is better than it
-    believes, one above that it is worse. Over all solved trials, also wrong ones: what contradicts the covariance must
-    not be left out of its test. None where there are none.
+    ``inside`` is True if the mean is within the bounds. A mean below them indicates that the stated covariance is too
+    large, above that it is too small. Over all solved trials including wrong ones, as errors that contradict the
+    covariance must not be excluded from its test. None if there are none.
     """
     if "nees" not in columns:
         return None
@@ -263,11 +263,11 @@ def consistency(columns: Columns) -> dict[str, Any] | None:
 
 
 def outliers(columns: Columns) -> list[dict[str, Any]]:
-    """Trials that are wrong, have a misidentified star, or err beyond `OUTLIER_SIGMAS` robust standard deviations (1.48
-    times the median magnitude about the median) about an axis of the camera.
+    """Trials that are wrong, have a misidentified star, or have an error about a camera axis beyond `OUTLIER_SIGMAS`
+    robust standard deviations (1.48 times the median absolute deviation).
 
-    Each has its ``index``, ``why``, the error about every axis in degrees, ``stars_matched`` and, where there is one,
-    ``nees``; ``boresight render --index`` shows it again. In the order of their indices.
+    Each has its ``index``, ``why``, the error about every axis in degrees, ``stars_matched`` and ``nees`` if available;
+    ``boresight render --index`` renders it again. In order of their indices.
     """
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
     wrong = np.asarray(columns["wrong"], dtype=bool)
@@ -282,7 +282,7 @@ def outliers(columns: Columns) -> list[dict[str, Any]]:
         if sigma > 0.0:
             off = np.abs(error - middle) / sigma
             for k in good[off[good] > OUTLIER_SIGMAS]:
-                why.setdefault(int(k), []).append(f"{axis} off by {off[k]:.1f} robust sigma")
+                why.setdefault(int(k), []).append(f"{axis} error {off[k]:.1f} robust sigma")
     listed = []
     for i in sorted(why, key=lambda row: int(columns["index"][row])):
         entry: dict[str, Any] = {"index": int(columns["index"][i]), "why": "; ".join(why[i])}
@@ -309,7 +309,7 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
     specification : dict
         Degrees for roll, pitch and yaw.
     seed : int
-        Of the bootstrap: that of the scenario.
+        Seed of the bootstrap: that of the scenario.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
@@ -352,7 +352,7 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
 
 
 def deg_text(value_deg: float | None) -> str:
-    """Angle for people: degrees, and arcseconds where these read better."""
+    """Angle for display, in degrees, and in arcseconds for small values."""
     if value_deg is None or not math.isfinite(value_deg):
         return "–"
     return f"{value_deg:.4f}°" if abs(value_deg) >= 0.1 else f"{value_deg * 3600:.2f}″"

@@ -1,9 +1,9 @@
-"""How the figures of the report look, and how one figure serves the light page, the dark page and print.
+"""Style of the figures of reports; one figure serves the light page, the dark page and print.
 
-A panel is drawn once, in the light colours below. In the page it stands as inline SVG in which every one of these
-colours is replaced by a variable of the page's style sheet, so that the reader's own choice of light or dark recolours
-lines and text alike; in the PDF it stands as drawn. Hues are those of Okabe & Ito (2008), distinguished by the
-colour-blind; every curve differs in marker or line style as well.
+A panel is drawn once, in the light colours below. In the page it is inline SVG in which each of these colours is
+replaced by a variable of the style sheet, so that the light or dark theme applies to lines and text alike; in the PDF
+it is unchanged. The colours are those of Okabe & Ito (2008), distinguishable with colour-blindness; curves also differ
+in marker or line style.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ COLOURS = {
     "green": (GREEN, "#3cc79a"),
     "vermilion": (VERMILION, "#ff9166"),
 }
-"""Variable of the style sheet: its colour on a light and on a dark page. Each is at least 4.5 : 1 against its page
-(WCAG 2.1, 1.4.3), but for ``line``, which carries no meaning."""
+"""Variable of the style sheet: its colour on a light and on a dark page. The contrast with the page is at least 4.5 : 1
+(WCAG 2.1, 1.4.3), except for ``line``, which carries no information."""
 
 STYLE: dict[RcKeyType, Any] = {
     "font.size": 9,
@@ -59,8 +59,8 @@ STYLE: dict[RcKeyType, Any] = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
-    "svg.fonttype": "none",  # text stays text: small, sharp, to be searched
-    "svg.hashsalt": "boresight",  # the same figure is the same file
+    "svg.fonttype": "none",  # text remains text: small, sharp and searchable
+    "svg.hashsalt": "boresight",  # the same figure gives the same file
     "pdf.fonttype": 42,
     "path.simplify": True,
 }
@@ -71,7 +71,7 @@ STUDY_STYLE: dict[RcKeyType, Any] = STYLE | {
     "savefig.facecolor": "white",
     "lines.linewidth": 1.3,
 }
-"""The report's style on white, as for print."""
+"""Style of the report on white, for print."""
 
 PICTURE_STYLE: dict[RcKeyType, Any] = {
     "font.size": 9,
@@ -84,10 +84,10 @@ PICTURE_STYLE: dict[RcKeyType, Any] = {
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "boresight",
 }
-"""Of pictures that stand alone, as PNG."""
+"""Style of separate figures (PNG)."""
 
 NARROW_IN, WIDE_IN = 4.2, 7.6
-"""Widths in inches. A narrow panel still reads at 9 points when a phone shows it 360 px wide."""
+"""Widths in inches. The text of a narrow panel is 9 points high on a phone with a width of 360 px."""
 
 
 @dataclass(frozen=True)
@@ -96,17 +96,17 @@ class Panel:
 
     title: str
     note: str
-    """Heading, and what the reader has to know to read it."""
+    """Heading and caption."""
     draw: Callable[[Axes], None]
-    """Draws it into the axes that it is given."""
+    """Draws the panel into the given axes."""
     height_in: float = 3.0
     """Height in inches."""
     wide: bool = False
-    """Across the page, rather than two or three beside each other."""
+    """Full width of the page, instead of two or three per row."""
 
 
 def figure_of(panel: Panel, narrow: bool = False) -> Figure:
-    """The panel alone in a figure of its own, a wide one as a phone wants it where `narrow`; call within `style`."""
+    """The panel as a separate figure, with `narrow` in the width of a phone; call within `style`."""
     from matplotlib.figure import Figure
 
     width = WIDE_IN if panel.wide and not narrow else NARROW_IN
@@ -116,7 +116,7 @@ def figure_of(panel: Panel, narrow: bool = False) -> Figure:
 
 
 def style() -> Any:
-    """Context in which the report's figures are both drawn and written."""
+    """Context in which figures of the report are drawn and written."""
     from matplotlib import rc_context
 
     return rc_context(STYLE)
@@ -125,7 +125,7 @@ def style() -> Any:
 def new_figure(
     look: dict[RcKeyType, Any], rows: int, columns: int, size: tuple[float, float], **axes: Any
 ) -> tuple[Figure, Any]:
-    """Figure of `size` inches that belongs to no window, and its axes as matplotlib's ``subplots`` gives them."""
+    """Figure of `size` inches without a window, and its axes as from matplotlib's ``subplots``."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -137,16 +137,16 @@ def new_figure(
 
 
 def inline_svg(panel: Panel, key: str, narrow: bool = False) -> str:
-    """The panel as SVG to stand in a page: no declaration, fluid width, colours as variables, ids of its own.
+    """The panel as inline SVG: no declaration, fluid width, colours as variables, unique ids.
 
     Parameters
     ----------
     panel : Panel
-        What to draw.
+        The panel.
     key : str
-        Prefix that keeps its ids apart from those of the page's other figures.
+        Prefix that makes its ids unique in the page.
     narrow : bool
-        A wide panel in the width of the others, for a phone.
+        Draw a wide panel in the width of the others, for a phone.
     """
     stream = io.StringIO()
     with style():
@@ -155,14 +155,14 @@ def inline_svg(panel: Panel, key: str, narrow: bool = False) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     head, rest = text.split(">", 1)
-    text = re.sub(r' (width|height)="[^"]*"', "", head) + ">" + rest  # as wide as the page lets it, by its viewBox
+    text = re.sub(r' (width|height)="[^"]*"', "", head) + ">" + rest  # fluid width, by its viewBox
     text = re.sub(r'\bid="([^"]+)"', rf'id="{key}-\1"', text)
     text = re.sub(r'href="#([^"]+)"', rf'href="#{key}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{key}-\1)", text)
     text = text.replace("'DejaVu Sans'", "system-ui, 'DejaVu Sans'")
     for name, (light, _) in COLOURS.items():
         text = text.replace(light, f"var(--{name})")
-    for fixed, name in (("#ffffff", "back"), ("#e69f00", "orange"), ("#777777", "soft")):  # of frames, drawn elsewhere
+    for fixed, name in (("#ffffff", "back"), ("#e69f00", "orange"), ("#777777", "soft")):  # of frames
         text = text.replace(fixed, f"var(--{name})")
     return text.replace("<svg ", f'<svg role="img" aria-label="{panel.title.replace(chr(34), "")}" ', 1)
 

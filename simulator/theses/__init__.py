@@ -1,1 +1,1 @@
-"""Two theses computed again, each printed value beside ours."""
+"""Two theses recomputed, with printed and computed values side by side."""

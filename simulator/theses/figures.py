@@ -1,24 +1,24 @@
-"""Figures as YAML files: what is drawn into which panel, from values by name.
+"""Figures as YAML files: content of each panel, from values by name.
 
 A file holds figures by name. A figure has ``size`` (inches), ``grid`` (rows and columns of panels), ``axes`` (keywords
-of ``subplots``), ``suptitle``, ``panels``, and ``every``, a panel whose entries come after those of each of them. A
-figure of one panel has the panel's own keys instead:
+of ``subplots``), ``suptitle``, ``panels``, and ``every``, a panel whose entries are appended to those of each panel. A
+figure with one panel has the keys of the panel instead:
 
 ``draw``
-    A list of calls of the axes' methods: the first key is the method, its value the positional arguments, the other
-    keys are keywords, such as ``{plot: [$x, $y, "--"], color: BLUE, label: "{count} stars"}``.
+    A list of calls of methods of the axes: the first key is the method, its value the positional arguments, and the
+    other keys are keywords, such as ``{plot: [$x, $y, "--"], color: BLUE, label: "{count} stars"}``.
 ``set``, ``legend``
     Keywords of ``axes.set`` and ``axes.legend``.
 ``projection``
-    Of the panel, such as ``3d``.
+    Projection of the panel, such as ``3d``.
 ``with``
-    Of the figure: a value whose own entries join the values.
+    In a figure: a value whose entries are added to the values.
 
-A text with ``$`` in front is a value by name, braces in a text are filled in, and BLUE or INK is a colour of
-`simulator.study.style`. A call or a panel with ``each: NAME`` stands once for every mapping of that list, whose entries
-join the values, and takes the keywords of ``styles`` in turn. Beside the axes' own methods there are ``circle`` and
-``rectangle``; ``then`` in a call has the keywords of a ``colorbar`` or a ``bar_label`` for what it has drawn, and
-``figure_legend`` of a figure those of one legend for all panels.
+A text that starts with ``$`` is a value by name, braces in a text are replaced by values, and BLUE or INK is a colour
+of `simulator.study.style`. A call or a panel with ``each: NAME`` is repeated for every mapping of that list, whose
+entries are added to the values, with the keywords of ``styles`` in turn. In addition to the methods of axes there are
+``circle`` and ``rectangle``; ``then`` in a call has the keywords of a ``colorbar`` or a ``bar_label`` of its result,
+and ``figure_legend`` of a figure those of a common legend of all panels.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _COLOURS = {name: getattr(style, name) for name in ("INK", "SOFT", "BLUE", "ORAN
 
 
 def section_of(name: str, title: str, values: Mapping[str, Any], tables: Sequence[str] = ()) -> Section:
-    """A section from its values: the rows of its tables and the figures of its file, both of its name by default."""
+    """A section from its values: the rows of its tables and the figures of its file, by default those of its name."""
     rows = [row for table in tables or (name,) for row in table_rows(table, values)]
     return Section(title, rows, figures(name, values))
 
@@ -58,7 +58,7 @@ def draw(name: str, values: Mapping[str, Any]) -> Figure:
     Raises
     ------
     KeyError
-        When it names a value that is not among them, or there is no such figure.
+        For an unknown value or figure.
     """
     folder, file, key = name.split("/")
     plan = _plans(f"{folder}/{file}")[key]
@@ -85,7 +85,7 @@ def _plans(name: str) -> dict[str, dict[str, Any]]:
 
 
 def _projected(axes: Axes, projection: str) -> Axes:
-    """Axes of another projection in place of a panel."""
+    """Axes of another projection instead of a panel."""
     figure: Any = axes.figure
     cell = axes.get_subplotspec()
     axes.remove()
@@ -120,14 +120,14 @@ def _call(axes: Axes, method: str, positional: Any, keywords: dict[str, Any], th
 
 
 def _each(entry: Mapping[str, Any], values: Mapping[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """For every time that a call or a panel stands: the keywords of its turn, and the values that it knows."""
+    """Keywords and values of each repetition of a call or a panel."""
     items = value_of(entry["each"], values) if "each" in entry else [{}]
     for item, turn in zip(items, cycle(entry.get("styles", [{}]))):
         yield turn, {**values, **item}
 
 
 def _filled(cell: Any, values: Mapping[str, Any]) -> Any:
-    """A cell of the file with its values in place of their names."""
+    """A cell of the file with names replaced by values."""
     if isinstance(cell, dict):
         return {key: _filled(value, values) for key, value in cell.items()}
     if isinstance(cell, list):

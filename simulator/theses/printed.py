@@ -1,8 +1,8 @@
-"""A published work beside what comes out here: rows of printed against computed values, sections, table, JSON, figures.
+"""Comparison of a published work with our results: rows of printed and computed values, sections, table, JSON, figures.
 
-A study of a published work is a registry of section functions; each computes its values with the product's own physics
-and returns a `Section`: rows that compare, and figures that are drawn on request. `run_sections` calls them,
-`PrintedStudy` prints and writes what they return.
+A study of a published work is a registry of section functions; each computes its values with the product's physics and
+returns a `Section`: rows with comparisons, and figures drawn on request. `run_sections` calls them, `PrintedStudy`
+prints and writes their results.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.study import style as report_style
 from simulator.study.style import STUDY_STYLE
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,10 +50,10 @@ MARKS: dict[Verdict, str] = {
     "input missing": "magenta",
     "open": "blue",
 }
-"""Verdict to its colour in the printed table."""
+"""Colour of each verdict in the printed table."""
 
 NOTHING = "–"
-"""In the column `printed` where the work prints nothing to compare with."""
+"""Content of the column `printed` if the work has no value for comparison."""
 
 COLUMNS: dict[str, dict[str, Any]] = {
     "where": {"min_width": 7},
@@ -69,48 +70,45 @@ COLUMNS: dict[str, dict[str, Any]] = {
 class Row:
     """One printed value and the one computed here.
 
-    Parameters
-    ----------
-    where : str
-        Figure, table, equation or section of the work, such as ``"Table 3.3"``.
-    quantity : str
-        What it is.
-    printed, computed : str
-        Both with their unit; `NOTHING` where the work prints nothing. What is computed never fills `printed`.
-    verdict : str
-        What was compared: ``"exact"``, every printed digit; ``"close"``, within what is explained by rounding,
-        catalogue or an unprinted setting; ``"differs"``, neither. What cannot be compared: ``"not printed"``, a result
-        beside which the work prints none; ``"input missing"``, a printed number whose input (a picture, a setting, a
-        device) is not to be had; ``"open"``, a question that the work leaves open.
-    why : str
-        How it was computed, and the reason of a difference.
-
     Raises
     ------
     ValueError
-        When a row without a printed value is given a verdict of comparison, or the reverse.
+        If a row without a printed value has a verdict of comparison, or the reverse.
     """
 
     where: str
+    """Figure, table, equation or section of the work, such as ``"Table 3.3"``."""
     quantity: str
+    """Compared quantity."""
     printed: str
     computed: str
+    """Both with their unit; `NOTHING` if the work has no value. Computed values never appear as `printed`."""
     verdict: Verdict
+    """Result of the comparison: ``"exact"``, agreement in every printed digit; ``"close"``, differences explained by
+    rounding, catalogue or an unprinted setting; ``"differs"``, neither. Without comparison: ``"not printed"``, a result
+    without a printed value; ``"input missing"``, a printed value whose input (a picture, a setting, a device) is not
+    available; ``"open"``, an open question of the work."""
     why: str = ""
+    """Method of computation, and reason for a difference."""
 
     def __post_init__(self) -> None:
         if (self.printed in ("", NOTHING)) != (self.verdict == "not printed"):
-            raise ValueError(f"{self.where}, {self.quantity}: {self.printed!r} is printed, but {self.verdict!r}")
+            raise ValueError(
+                f"{self.where}, {self.quantity}: {self.printed!r} is inconsistent with verdict {self.verdict!r}"
+            )
 
 
 @dataclass(frozen=True)
 class Section:
-    """Rows and figures of one part of a work, in its order; a figure by its file name without ending, such as
-    ``"fig_3_3_path"``, is a function of no arguments that draws it."""
+    """Rows and figures of one part of a work, in its order; figures are functions without arguments that draw them, by
+    file name without suffix, such as ``"fig_3_3_path"``."""
 
     title: str
     rows: Sequence[Row]
     figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return described("Section", self.title, f"{len(self.rows)} rows", f"{len(self.figures)} figures")
 
     def figure(self, name: str) -> Figure:
         """One figure, drawn in the study's style."""
@@ -120,7 +118,7 @@ class Section:
             return self.figures[name]()
 
     def _repr_html_(self) -> str:
-        """The table as a notebook shows it."""
+        """The table for notebooks."""
         from html import escape
 
         heads = "".join(f"<th style='text-align:left'>{head}</th>" for head in COLUMNS)
@@ -132,15 +130,16 @@ class Section:
 
 
 def verdict_of(printed: str, computed: float, close: float = 0.05) -> Verdict:
-    """Verdict of a computed number against the text of a printed one, in the same unit.
+    """Verdict on a computed number and the text of a printed one, in the same unit.
 
-    The printed digits say its precision ("5.50" is ± 0.005, "1,266" is ± 0.5, "2.1e-14" is ± 0.05e-14): ``"exact"``
-    when the computed value rounds to every one, ``"close"`` within the relative difference `close`, else ``"differs"``.
+    The printed digits define its precision ("5.50" is ± 0.005, "1,266" is ± 0.5, "2.1e-14" is ± 0.05e-14): ``"exact"``
+    if the computed value rounds to the printed digits, ``"close"`` within the relative difference `close`, otherwise
+    ``"differs"``.
 
     Raises
     ------
     ValueError
-        When `printed` is no number.
+        If `printed` is not a number.
     """
     number = _number(printed)
     exponent = int(number.as_tuple().exponent)
@@ -151,15 +150,15 @@ def verdict_of(printed: str, computed: float, close: float = 0.05) -> Verdict:
 
 
 def _number(printed: str) -> Decimal:
-    """A number as printed, its digits kept; `ValueError` when it is none."""
+    """A number as printed, with its digits; `ValueError` if it is not a number."""
     try:
         return Decimal(printed.replace(",", "").replace("\N{MINUS SIGN}", "-"))
     except InvalidOperation:
-        raise ValueError(f"{printed!r} is no number; give a Row of its own with a verdict") from None
+        raise ValueError(f"{printed!r} is not a number; use a Row with a verdict") from None
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Numbers with their unit behind them; signs of an angle stand without a space."""
+    """Numbers followed by their unit; without a space before signs of angles."""
     return f"{text} {unit}" if unit and unit not in "°″′" else text + unit
 
 
@@ -174,9 +173,9 @@ def compare(
     form: str | None = None,
     why: str = "",
 ) -> Row:
-    """Row of two numbers of one unit whose verdict follows from the printed digits (`verdict_of`).
+    """Row of two numbers in the same unit with the verdict by `verdict_of`.
 
-    Without a format specification the computed value is given to two digits more than the printed one.
+    Without a format specification the computed value has two more digits than the printed one.
     """
     _sign, digits, exponent = _number(printed).as_tuple()
     if form is None:
@@ -192,17 +191,17 @@ def compare(
 
 @dataclass(frozen=True)
 class PrintedStudy:
-    """The sections of one work, computed: its name on the command line and of its JSON file; author, year and title of
-    the work; sections by name in its order."""
+    """The computed sections of a work: name on the command line and of the JSON file; author, year and title of the
+    work; sections by name in order."""
 
     name: str
     title: str
     sections: Mapping[str, Section]
 
     def counts(self) -> dict[str, int]:
-        """How many rows have each verdict."""
+        """Number of rows by verdict."""
         found = Counter(row.verdict for section in self.sections.values() for row in section.rows)
-        return {verdict: found[verdict] for verdict in MARKS}  # the order of MARKS, those not found too
+        return {verdict: found[verdict] for verdict in MARKS}  # in the order of MARKS, including zero counts
 
     def to_dict(self) -> dict[str, Any]:
         """All rows as plain values, for JSON."""
@@ -246,7 +245,7 @@ class PrintedStudy:
         Raises
         ------
         InputError
-            When the folder cannot be written; says why.
+            If the folder cannot be written, with the reason.
         """
         from matplotlib import rc_context
 
@@ -277,10 +276,10 @@ def run_sections(
     Raises
     ------
     InputError
-        When there is no section of that name; says which there are.
+        For an unknown section, with the list of sections.
     """
     if only is not None and only not in registry:
-        raise InputError(f"--section: there is no section {only!r}; there are {', '.join(registry)}")
+        raise InputError(f"--section: unknown section {only!r}; use one of {', '.join(registry)}")
     sections = {}
     for key, function in registry.items():
         if only in (None, key):
@@ -293,5 +292,5 @@ def run_sections(
 def new_figure(
     rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.2), **axes: Any
 ) -> tuple[Figure, Any]:
-    """A figure of `size` inches in the study's style, and its axes: one, or an array of them, as ``subplots`` gives."""
+    """A figure of `size` inches in the study's style, and its axes: one, or an array of them, as from ``subplots``."""
     return report_style.new_figure(STUDY_STYLE, rows, columns, size, **axes)

@@ -1,17 +1,17 @@
-"""Tables of printed values as YAML files, filled in with what was computed.
+"""Tables of printed values as YAML files, completed with computed values.
 
 A file is a list of rows. ``where``, ``quantity``, ``printed``, ``computed``, ``verdict`` and ``why`` are the columns of
-`Row`, each a format string over the section's values by name (``{disk_um:.2f}``). In place of ``computed`` and
-``verdict`` a row may name one value:
+`Row`, each a format string over the section's values by name (``{disk_um:.2f}``). Instead of ``computed`` and
+``verdict`` a row may have one value:
 
 ``value``
-    A number, or a list of numbers beside a list of printed ones, judged by the printed digits (`verdict_of`), with
-    ``unit``, ``form`` and ``close`` as in `compare`. ``cut: true``: exact as well where the printed digits are those of
-    the computed number cut off, as Matlab prints them.
+    A number, or a list of numbers for a list of printed ones, compared by `verdict_of`, with ``unit``, ``form`` and
+    ``close`` as in `compare`. ``cut: true``: also exact if the printed digits are those of the truncated computed
+    number, as printed by Matlab.
 
-``verdict: exact if NAME else differs`` depends on a value. A row with ``each: NAME`` stands once for every mapping of
-that list, whose entries join the values; ``rows`` under it repeats several together. A row with
-``when: NAME`` is left out where that value is empty.
+``verdict: exact if NAME else differs`` depends on a value. A row with ``each: NAME`` is repeated for every mapping of
+that list, whose entries are added to the values; ``rows`` repeats several rows together. A row with ``when: NAME`` is
+omitted if that value is empty.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _ORDER: tuple[Verdict, ...] = ("exact", "close", "differs")
-_CUT_OFF = "printed digits cut off, not rounded"
+_CUT_OFF = "printed digits truncated, not rounded"
 
 
 def table_rows(name: str, values: Mapping[str, Any]) -> list[Row]:
@@ -48,12 +48,12 @@ def table_rows(name: str, values: Mapping[str, Any]) -> list[Row]:
     name : str
         Folder and name of the file, such as ``"greyling1995/path"``.
     values : dict
-        What its rows name.
+        Values used by its rows.
 
     Raises
     ------
     KeyError
-        When a row names a value that is not among them.
+        If a row uses an unknown value.
     """
     rows = []
     for entry in _entries(name):
@@ -95,7 +95,7 @@ def _row(cells: Mapping[str, Any], values: Mapping[str, Any]) -> Row:
 
 
 def value_of(name: str, values: Mapping[str, Any]) -> Any:
-    """A value by name, or a part of one, such as ``curve.at_deg`` or ``found[0]``; a function is called for it."""
+    """A value by name, or a part of one, such as ``curve.at_deg`` or ``found[0]``; functions are called."""
     found = Formatter().get_field(name, (), values)[0]
     return found() if callable(found) else found
 
@@ -109,7 +109,7 @@ def _verdict(text: str, values: Mapping[str, Any]) -> Any:
 
 
 def exact_when_cut(row: Row, printed: str, computed: float) -> Row:
-    """The row, and exact as well where the printed digits are those of the computed number, cut off."""
+    """The row, with verdict exact if the printed digits are those of the truncated computed number."""
     step = 10.0 ** int(Decimal(printed).as_tuple().exponent)
     if row.verdict == "exact" or math.floor(computed / step + 1e-9) != round(float(printed) / step):
         return row
@@ -125,7 +125,7 @@ def _several(
     where: str, quantity: str, printed: Sequence[str], computed: Sequence[float], *, unit: str = "",
     close: float = 0.05, why: str = "",
 ) -> Row:  # fmt: skip
-    """Row of several numbers of one unit; its verdict is the worst of theirs, each by its printed digits."""
+    """Row of several numbers in the same unit; its verdict is the worst of their verdicts."""
     pairs = list(zip(printed, computed, strict=True))
     verdict = worst([verdict_of(text, float(value), close) for text, value in pairs])
     shown = [f"{value:.{max(-int(Decimal(text).as_tuple().exponent), 0)}f}" for text, value in pairs]

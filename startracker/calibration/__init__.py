@@ -7,3 +7,7 @@ from startracker.calibration.procedure import calibrate
 from startracker.calibration.result import CalibratedField, Calibration
 
 __all__ = ["CalibratedField", "Calibration", "StarField", "calibrate"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

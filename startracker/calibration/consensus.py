@@ -35,16 +35,12 @@ _SAME_SHARE = 0.9
 
 
 class FocalLengths(NamedTuple):
-    """Focal length of each image alone, relative to a camera's.
-
-    Parameters
-    ----------
-    log_factor, sigma : (I,)
-        Natural logarithm of the factor, and its standard error with the image's own residuals; inf where it has no fit.
-    """
+    """Focal length of each image alone, relative to a camera's."""
 
     log_factor: FloatArray
     sigma: FloatArray
+    """Natural logarithm of the factor, and its standard error with the image's own residuals, (I,); inf without a
+    fit."""
 
 
 def focal_lengths(camera: Camera, matrices: Sequence[FloatArray], matches: Sequence[Matches]) -> FocalLengths:

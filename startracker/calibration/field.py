@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
-from startracker.identification.hypothesis import nearest_unique
+from startracker.display import described
+from startracker.identification.verification import nearest_unique
 from startracker.observer import Observer, aberrate
 
 __all__ = ["SkyPart", "StarField", "pair_up", "sky_part"]
@@ -50,6 +51,9 @@ class StarField:
     flux: FloatArray | None = None
     variance_px2: FloatArray | None = None
     observer: Observer | None = None
+
+    def __repr__(self) -> str:
+        return described("StarField", self.name, f"{len(self.xy)} centroids", f"{self.width}×{self.height} px")
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,33 +26,26 @@ _STATED_PX = 0.1
 
 @dataclass(frozen=True, eq=False)
 class KnownField:
-    """An identified image.
-
-    Parameters
-    ----------
-    field, camera, matrix
-        Its centroids, the camera fitted to it alone, and the attitude that goes with that.
-    sky : SkyPart
-        Catalogue stars that it could show.
-    pairs : (M, 2)
-        Row of the centroid, row in `sky`.
-    """
+    """An identified image."""
 
     field: StarField
     camera: Camera
     matrix: FloatArray
+    """Its centroids, the camera fitted to it alone, and the corresponding attitude."""
     sky: SkyPart
+    """Catalogue stars in its field."""
     pairs: IntArray
+    """Row of the centroid, row in `sky`, (M, 2)."""
 
     def sigma(self, floor_px: float = 0.0) -> FloatArray:
-        """Standard error (N,) of each centroid on one axis, px, the catalogue's and a floor included."""
+        """Standard error (N,) of each centroid on one axis, px, including catalogue errors and a floor."""
         variance = self.field.variance_px2
         own = np.full(len(self.field.xy), _STATED_PX**2) if variance is None else variance
         catalogue = (self.sky.catalog.position_sigma_rad / self.camera.pixel_rad) ** 2
         return np.asarray(np.sqrt(own + catalogue + floor_px**2))
 
     def matches(self, pairs: IntArray | None = None, floor_px: float = 0.0) -> Matches:
-        """Stars as the fit takes them: those identified, or of other pairs."""
+        """Stars for the fit: the identified ones, or other pairs."""
         p = self.pairs if pairs is None else pairs
         return Matches(self.field.xy[p[:, 0]], self.sky.directions[p[:, 1]], self.sigma(floor_px)[p[:, 0]])
 
@@ -64,7 +57,7 @@ def identify_all(
     catalog: str | StarCatalog,
     table: StarCatalog,
 ) -> tuple[list[KnownField], dict[str, str]]:
-    """Identified images, and why each of the others is not, by name; the first one's camera helps with the next."""
+    """Identified images, and reasons for the others by name; the first camera is used for the next images."""
     known: list[KnownField] = []
     unsolved: dict[str, str] = {}
     parity = None
@@ -95,7 +88,7 @@ def identify_all(
             if int(number) in row_of
         ]
         known.append(KnownField(one, solution.camera, matrix, sky, np.array(pairs, dtype=np.int64).reshape(-1, 2)))
-        rough, parity = solution.camera, solution.camera.parity  # the same camera: it helps with the next image
+        rough, parity = solution.camera, solution.camera.parity  # the same camera: used for the next image
     return known, unsolved
 
 

@@ -1,4 +1,4 @@
-"""Residuals of a calibration as a figure: over the image, against the radius before and after, and their distribution.
+"""Residuals of a calibration as a figure: over the image, by radius before and after, and their distribution.
 
 Colours are those of Okabe & Ito (2008), which colour-blind readers can distinguish; markers differ as well. Matplotlib
 is imported when the figure is drawn.
@@ -34,7 +34,7 @@ def residual_picture(calibration: Calibration, form: str = "png") -> bytes:
 
 
 def residual_figure(calibration: Calibration) -> Figure:
-    """Three panels: arrows of the residuals, their length against the radius, and both axes over their own errors."""
+    """Three panels: arrows of the residuals, radial residuals by radius, and normalised residuals of both axes."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -85,7 +85,7 @@ def _draw_radius(ax: Axes, calibration: Calibration) -> None:
     weight = calibration.sigma_px**-2.0
     edges = np.quantile(radius, np.linspace(0.0, 1.0, _BINS + 1))
     for residual, colour, marker, label in (
-        (np.concatenate(calibration.plain_residual_px), _ORANGE, "s", "one focal length alone"),
+        (np.concatenate(calibration.plain_residual_px), _ORANGE, "s", "focal length only"),
         (calibration.residual_px, _BLUE, "o", "calibrated"),
     ):
         radial = np.sum(residual * outward, axis=1) * scale
@@ -97,7 +97,7 @@ def _draw_radius(ax: Axes, calibration: Calibration) -> None:
         middle = np.bincount(bins, weight * radius, _BINS)[used] / total[used]
         error = scale / np.sqrt(total[used])
         ax.errorbar(middle, mean, error, fmt=f"-{marker}", color=colour, capsize=2, markersize=5, label=label)
-    # the noise of the faintest stars need not set the scale
+    # the noise of the faintest stars is not to determine the scale
     reach = 1.3 * float(np.quantile(np.abs(calibration.residual_px) * scale, 0.97)) + 1e-9
     plain = np.concatenate(calibration.plain_residual_px)
     reach = max(reach, 1.1 * float(np.quantile(np.abs(np.sum(plain * outward, axis=1)), 0.95)) * scale)
@@ -106,7 +106,7 @@ def _draw_radius(ax: Axes, calibration: Calibration) -> None:
         ylim=(-reach, reach),
         xlabel="distance from the principal point (px)",
         ylabel="radial residual, outward positive (arcsec)",
-        title="before and after, weighted means",
+        title="before and after calibration, weighted means",
     )
     ax.legend(fontsize=8, frameon=False)
 
@@ -120,7 +120,7 @@ def _draw_histogram(ax: Axes, calibration: Calibration) -> None:
     outside = int(np.sum(np.abs(normal) > 5.0))
     note = f"; {outside} beyond ±5" if outside else ""
     ax.set(
-        xlabel="residual / its standard error",
+        xlabel="residual / standard error",
         ylabel="density (1)",
         title=f"{calibration.stars} stars, {calibration.rejected} rejected{note}",
     )
@@ -128,6 +128,6 @@ def _draw_histogram(ax: Axes, calibration: Calibration) -> None:
 
 
 def _round_down(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above `value`."""
+    """Largest number of the form 1, 2, 5 times a power of ten that does not exceed `value`."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= value * (1.0 + 1e-9)))

@@ -1,12 +1,12 @@
-"""A camera from photographs of the sky: identify, match every star, fit all images together, keep what is significant.
+"""A camera from photographs of the sky: identify, match all stars, fit all images jointly, keep significant terms.
 
 1. Each image is identified with the focal length free (`startracker.blind`).
-2. Camera and attitudes are fitted to the matched stars of all images (`startracker.lens_fit`). Which of principal
-   point, aspect, radial and tangential terms are kept is decided by the Bayesian information criterion (Schwarz 1978)
-   over all combinations: a term must lower χ² by more than ln(number of observations) for each coefficient.
-3. All catalogue stars are projected and matched anew within 3.7 robust standard errors; until nothing changes.
-4. Images whose own focal length is not that of the majority are left out (`startracker.calibration.consensus`), and
-   the rest is fitted again. An image given twice counts once.
+2. Camera and attitudes are fitted to the matched stars of all images (`startracker.lens_fit`). Principal point, aspect,
+radial and tangential terms are selected by the Bayesian information criterion (Schwarz 1978) over all combinations: a
+term must reduce χ² by more than ln(number of observations) per coefficient.
+3. All catalogue stars are projected and matched again within 3.7 robust standard errors, until convergence.
+4. Images with a focal length different from that of the majority are excluded (`startracker.calibration.consensus`),
+and the others are fitted again. Duplicate images are used once.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MOST_MAG = 3.0
 _FEWEST = 8
 _ROUNDS = 4
 _VAGUE = 4.0
-"""A centroid whose stated error is this many times the image's median is a blend or no star: it is left out."""
+"""Maximum ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
 
 
 def calibrate(
@@ -55,25 +55,26 @@ def calibrate(
     refraction: bool = False,
     parameters: Sequence[str] | None = None,
 ) -> Calibration:
-    """The camera that took these images.
+    """Calibrate the camera of these images.
 
     Parameters
     ----------
     fields : sequence of StarField
         Centroids of one or several images by the same camera at the same focus and zoom.
     camera : Camera, optional
-        What is known roughly: focal length to 5 %, projection, parity.
+        Approximate camera: focal length to 5 %, projection, parity.
     fov_deg : float, optional
-        Field across the width to 5 %, instead.
+        Field across the width to 5 %, instead of `camera`.
     catalog : str or StarCatalog
     projection : str
-        ``pinhole``, ``fisheye``, or ``auto``: that of `camera`; without one, the better of both for fields beyond 40°.
+        ``pinhole``, ``fisheye``, or ``auto``: that of `camera`, or the better of both for fields beyond 40° without a
+        camera.
     refraction : bool
-        Whether the images were taken through air: a stretch of each field is fitted along, which is no part of the
-        camera. Left out, a camera that always stands level has it in its aspect.
+        Whether the images were taken through the atmosphere: a stretch of each field is fitted, which is not part of
+        the camera. Without it, the aspect of a camera that is always level includes it.
     parameters : sequence of str, optional
-        What to fit, of `startracker.lens.PARAMETERS`, in place of the choice by significance; the focal length always
-        is.
+        Parameters to fit, of `startracker.lens.PARAMETERS`, instead of the selection by significance; the focal length
+        is always fitted.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def calibrate(
     Raises
     ------
     InputError
-        When there are no images, their sizes differ, none is identified, or stars are too few for a fit.
+        If there are no images, their sizes differ, none is identified, or there are too few stars for a fit.
     """
     if not fields:
         raise InputError("a calibration needs at least one image")
@@ -93,16 +94,16 @@ def calibrate(
         if (one.width, one.height) != (width, height):
             raise InputError(
                 f"{one.name}: has {one.width}×{one.height} pixels, {fields[0].name} {width}×{height}: "
-                "images of one camera have one size"
+                "images of one camera must have the same size"
             )
     if camera is not None and (camera.width, camera.height) != (width, height):
         raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the images {width}×{height}")
     allowed = {name for names in PARAMETERS.values() for name in names}
     if parameters is not None and (unknown := [name for name in parameters if name not in allowed]):
-        raise InputError(f"there is no parameter {unknown[0]!r} to fit; there are {', '.join(sorted(allowed))}")
+        raise InputError(f"unknown parameter {unknown[0]!r}; use {', '.join(sorted(allowed))}")
     table = load_catalog(catalog) if isinstance(catalog, str) else catalog
     copies = repeated(fields)
-    left_out = {fields[k].name: f"the same image as {fields[first].name}" for k, first in copies.items()}
+    left_out = {fields[k].name: f"duplicate of {fields[first].name}" for k, first in copies.items()}
     single = [one for k, one in enumerate(fields) if k not in copies]
     known, unsolved = identify_all(single, camera, fov_deg, catalog, table)
     if not known:
@@ -123,12 +124,12 @@ def calibrate(
 def _largest_agreeing(
     known: list[KnownField], kind: str, refraction: bool, wanted: Sequence[str] | None
 ) -> tuple[_Bench | None, dict[str, str]]:
-    """Fit of the images that agree on the focal length, and why each of the others is left out.
+    """Fit of the images with a common focal length, and reasons why others are excluded.
 
     Raises
     ------
     InputError
-        Where not even half of the images agree.
+        If less than half of the images agree.
     """
     matches = [k.matches() for k in known]
     matrices = [k.matrix for k in known]
@@ -151,10 +152,10 @@ def _largest_agreeing(
         listed = ", ".join(f"{k.field.name} {f:.4f}" for k, f in zip(known, factor, strict=True))
         raise InputError(
             f"the images were not taken at one focal length (relative to their median: {listed}); "
-            "give images of one zoom and focus, three or more of them where one may differ"
+            "use images with the same zoom and focus, at least three if one may differ"
         )
     return bench, {
-        k.field.name: f"its focal length is {f:.4f} times that of the others; give images of one zoom and focus"
+        k.field.name: f"its focal length is {f:.4f} times that of the others; use images with the same zoom and focus"
         for k, f, keep in zip(known, factor, kept, strict=True)
         if not keep
     }
@@ -170,7 +171,7 @@ def _projections(projection: str, camera: Camera | None, fitted: Camera) -> tupl
 
 @dataclass(eq=False)
 class _Bench:
-    """The state between the rounds of matching and fitting."""
+    """State between iterations of matching and fitting."""
 
     known: list[KnownField]
     kind: str
@@ -183,7 +184,8 @@ class _Bench:
 
     @classmethod
     def begin(cls, known: list[KnownField], kind: str, refraction: bool, wanted: Sequence[str] | None) -> _Bench | None:
-        """Match and fit from the identified stars until the pairs stay the same; None where no lens fits."""
+        """Match and fit, starting from the identified stars, until the pairs are unchanged; None if no lens model
+        fits."""
         pairs = [k.pairs for k in known]
         if sum(map(len, pairs)) < _FEWEST:
             return None
@@ -206,15 +208,15 @@ class _Bench:
         return bench if bench.refit() else None
 
     def sigma(self, image: int) -> FloatArray:
-        """Standard error of each centroid on one axis, px, floor included."""
+        """Standard error of each centroid on one axis, px, including the floor."""
         return self.known[image].sigma(self.floor_px)
 
     def matches(self) -> list[Matches]:
-        """Stars of each image as the fit takes them."""
+        """Stars of each image for the fit."""
         return [k.matches(p, self.floor_px) for k, p in zip(self.known, self.pairs, strict=True)]
 
     def refit(self) -> bool:
-        """Noise floor from the residuals, fit with everything, then with what is significant alone."""
+        """Noise floor from the residuals, fit with all parameters, then with the significant ones only."""
         self.floor_px = self._floor()
         full = self._fit(self.fixed or PARAMETERS[self.kind])
         if full is None or full.freedom < _FEWEST:
@@ -233,27 +235,27 @@ class _Bench:
         return fit_jointly(start, self.fit.matrices, self.matches(), names, with_refraction=self.refraction)
 
     def _floor(self) -> float:
-        """Noise beside the centroids' own that makes the median of the normalised residuals what it should be."""
+        """Additional noise for which the median normalised residual has its expected value."""
         self.floor_px = 0.0
         variance = np.concatenate([self.sigma(i)[p[:, 0]] ** 2 for i, p in enumerate(self.pairs)])
         return noise_floor(np.concatenate(self._residuals()), variance, len(self.fit.covariance))
 
     def _predicted(self, image: int) -> FloatArray:
-        """Pixels (K, 2) of the catalogue stars in the present fit; NaN outside the field."""
+        """Pixels (K, 2) of the catalogue stars in the current fit; NaN outside the field."""
         vectors = stretch(self.known[image].sky.directions @ self.fit.matrices[image].T, self.fit.stretches[image])
         pixels = self.fit.camera.project(vectors)
         pixels[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
         return pixels
 
     def _residuals(self) -> list[FloatArray]:
-        """Measured minus predicted of the present pairs."""
+        """Measured minus predicted of the current pairs."""
         return [
             k.field.xy[p[:, 0]] - self._predicted(i)[p[:, 1]]
             for i, (k, p) in enumerate(zip(self.known, self.pairs, strict=True))
         ]
 
     def match(self, *, wide: bool) -> None:
-        """All catalogue stars against all centroids, as the present fit predicts them."""
+        """Match all catalogue stars, as predicted by the current fit, with all centroids."""
         normal = np.concatenate(
             [
                 np.hypot(*(r / self.sigma(i)[p[:, 0], None]).T)
@@ -276,7 +278,7 @@ class _Bench:
             self.rejected[i] = int(np.sum(~fits)) + other
 
     def score(self) -> float:
-        """Bayesian information criterion, for comparing projections on nearly the same stars: per observation."""
+        """Bayesian information criterion per observation, for comparison of projections with nearly the same stars."""
         count = 2 * self.fit.stars
         squares = sum(float(np.sum(r**2)) for r in self.fit.residuals)
         return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
@@ -329,17 +331,15 @@ def _unfitted(camera: Camera, known: list[KnownField]) -> JointFit:
 def _notes(result: Calibration) -> tuple[str, ...]:
     notes = []
     if "cx" not in result.names:
-        notes.append(
-            "principal point held at the image centre: these stars cannot distinguish its shift from a rotation"
-        )
+        notes.append("principal point held at the image centre: for these stars its shift is equivalent to a rotation")
     else:
         held = [n for n in result.held_by_prior() if n in ("cx", "cy")]
         if held:
-            notes.append(f"{' and '.join(held)}: determined by the prior (3 % of the width) more than by the stars")
+            notes.append(f"{' and '.join(held)}: determined mainly by the prior (3 % of the width), not by the stars")
     stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
     if any(stretches):
         # κ tan²z / 2
         zenith = [math.degrees(math.atan(math.sqrt(2.0 * s / (58.3 / 206_264.8)))) for s in stretches]
         says = ", ".join(f"{90 - z:.0f}°" for z in zenith)
-        notes.append(f"differential refraction fitted and taken off; it is that of altitudes of about {says}")
+        notes.append(f"differential refraction fitted and removed; it corresponds to altitudes of about {says}")
     return tuple(notes)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
+from startracker.display import described
 from startracker.lens import prior_of
 
 __all__ = ["CalibratedField", "Calibration"]
@@ -21,46 +22,39 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CalibratedField:
-    """One image of a calibration.
-
-    Parameters
-    ----------
-    name : str
-    attitude : Attitude
-        ICRS to camera.
-    covariance : (3, 3)
-        Of the rotation-vector error in camera axes, rad², the camera's errors marginalised.
-    xy : (M, 2)
-        Measured centroids, pixels.
-    catalog_id : int (M,)
-    v_mag : (M,)
-    residual_px : (M, 2)
-        Measured minus predicted.
-    sigma_px : (M,)
-        Standard error on one axis that the fit weighed with.
-    rejected : int
-        Centroids with a catalogue star in the widest gate that disagrees by more than 3.7 robust σ, or in brightness.
-    centroids : int
-        All centroids of the image.
-    refraction : (2,)
-        Fitted stretch (`startracker.lens_fit.stretch`); zero where not fitted.
-    """
+    """One image of a calibration."""
 
     name: str
     attitude: Attitude
+    """ICRS to camera."""
     covariance: FloatArray
+    """Covariance of the rotation-vector error in camera axes, rad², marginalised over the camera's parameters, (3,
+    3)."""
     xy: FloatArray
+    """Measured centroids, pixels, (M, 2)."""
     catalog_id: NDArray[np.int64]
+    """Shape (M,)."""
     v_mag: FloatArray
+    """Shape (M,)."""
     residual_px: FloatArray
+    """Measured minus predicted, (M, 2)."""
     sigma_px: FloatArray
+    """Standard error on one axis used in the fit, (M,)."""
     rejected: int
+    """Number of centroids with a catalogue star in the widest gate that differs by more than 3.7 robust σ, or in
+    brightness."""
     centroids: int
+    """Number of all centroids of the image."""
     refraction: FloatArray
+    """Fitted stretch (`startracker.lens_fit.stretch`), (2,); zero if not fitted."""
+
+    def __repr__(self) -> str:
+        stars = f"{len(self.xy)} stars, {self.rejected} rejected"
+        return described("CalibratedField", self.name, repr(self.attitude), stars, f"residual {self.rms_px:.3f} px rms")
 
     @property
     def rms_px(self) -> float:
-        """√(mean(dx² + dy²)): both axes together, as tetra3 and its kin report."""
+        """√(mean(dx² + dy²)): both axes together, as reported by tetra3."""
         return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
 
 
@@ -72,22 +66,23 @@ class Calibration:
     ----------
     camera : Camera
     names : tuple of str
-        Fitted ones of `startracker.lens.PARAMETERS`; the others were not significant and stand at their plain values.
+        Fitted parameters, of `startracker.lens.PARAMETERS`; the others were not significant and have their values of
+        `startracker.lens.plain`.
     covariance : (P, P)
-        Of these, errors scaled with √(χ²/ν).
+        Covariance of these, with errors scaled by √(χ²/ν).
     fields : tuple of CalibratedField
     plain_residual_px : list of (M, 2)
-        What one focal length without distortion leaves of the same stars.
+        Residuals of the same stars with a single focal length and no distortion.
     floor_px : float
-        Noise on one axis beyond the centroids' own errors that the residuals show (model, blends, air).
+        Noise on one axis in addition to the centroid errors, estimated from the residuals (model, blends, atmosphere).
     chi2, freedom : float, int
-        With that floor.
+        χ² including this floor, and degrees of freedom.
     epoch_jyear : float
         Epoch of the star positions.
     unsolved : mapping of str to str
-        Images left out, and why.
+        Reasons of unused images, by name.
     notes : tuple of str
-        What the user should know.
+        Notes for the user.
     """
 
     camera: Camera
@@ -103,6 +98,11 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
     WELL_MEASURED_PX: ClassVar[float] = 0.2
+
+    def __repr__(self) -> str:
+        fields = f"{len(self.fields)} images" if len(self.fields) != 1 else "1 image"
+        fit = f"{fields}, {self.stars} stars, residual {self.rms_px:.3f} px rms", f"fitted {' '.join(self.names)}"
+        return described("Calibration", repr(self.camera), *fit)
 
     @property
     def residual_px(self) -> FloatArray:
@@ -121,31 +121,31 @@ class Calibration:
 
     @property
     def sigma_px(self) -> FloatArray:
-        """Standard errors (M,) on one axis that the fit weighed with."""
+        """Standard errors (M,) on one axis used in the fit."""
         return np.concatenate([f.sigma_px for f in self.fields])
 
     @property
     def weighted_rms_px(self) -> float:
-        """`rms_px` with each star weighed as in the fit: faint stars' noise does not hide what the camera does."""
+        """`rms_px` with the weights of the fit, which is not dominated by the noise of faint stars."""
         weight = self.sigma_px**-2.0
         return float(np.sqrt(np.sum(weight * np.sum(self.residual_px**2, axis=1)) / np.sum(weight)))
 
     def well_measured(self) -> NDArray[np.bool_]:
-        """Stars (M,) whose own stated error is at most `WELL_MEASURED_PX`, whatever their residual."""
+        """Stars (M,) with a stated error of at most `WELL_MEASURED_PX`, independent of their residual."""
         return np.asarray(self.sigma_px <= self.WELL_MEASURED_PX)
 
     @property
     def stars(self) -> int:
-        """Stars used, all images together."""
+        """Number of stars used in all images."""
         return sum(len(f.xy) for f in self.fields)
 
     @property
     def rejected(self) -> int:
-        """Stars rejected, all images together."""
+        """Number of stars rejected in all images."""
         return sum(f.rejected for f in self.fields)
 
     def values(self) -> dict[str, tuple[float, float, str]]:
-        """Value, standard error and unit of each number of the camera file; the error is 0 where it was held."""
+        """Value, standard error and unit of each parameter of the camera file; the error is 0 if it was held."""
         camera, names = self.camera, list(self.names)
         table: dict[str, tuple[float, float, str]] = {}
         stretch = np.zeros(len(names))
@@ -166,7 +166,7 @@ class Calibration:
         return table
 
     def held_by_prior(self) -> list[str]:
-        """Fitted parameters that are determined more by the prior than by the stars."""
+        """Fitted parameters that are determined mainly by the prior."""
         variance = np.diag(self.covariance)
         sigma = [prior_of(name, self.camera)[1] for name in self.names]
         return [n for n, v, s in zip(self.names, variance, sigma, strict=True) if math.isfinite(s) and v > 0.5 * s * s]

@@ -32,3 +32,7 @@ def load_catalog(name: str) -> StarCatalog:
         For an unknown catalogue, or if its file is missing or damaged.
     """
     return lookup("catalogs", CATALOGS, name)()
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

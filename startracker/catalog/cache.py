@@ -63,7 +63,7 @@ def load_arrays(key: str) -> dict[str, NDArray[Any]] | None:
 
 
 def store_arrays(key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Store arrays under `key`, atomically: a temporary file is renamed. Where that fails nothing is kept."""
+    """Store arrays under `key`, atomically: a temporary file is renamed. Failures are ignored."""
     temporary = ""
     try:
         folder().mkdir(parents=True, exist_ok=True)

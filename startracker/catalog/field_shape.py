@@ -23,20 +23,14 @@ class FieldShape(NamedTuple):
     """Outline of an image on the unit sphere: the minimum cosine of the angle from the image centre at each azimuth.
 
     Valid for outlines that every ray from the centre crosses once, as that of a whole image does.
-
-    Parameters
-    ----------
-    axes : (3, 3)
-        Rows: two transverse directions and the image centre, in the camera frame.
-    least_cosine : (720,)
-        At azimuths from −π, in steps of half a degree.
-    widest_cosine : float
-        Minimum of `least_cosine`.
     """
 
     axes: FloatArray
+    """Rows, (3, 3): two transverse directions and the image centre, in the camera frame."""
     least_cosine: FloatArray
+    """At azimuths from −π, in steps of half a degree, (720,)."""
     widest_cosine: float
+    """Minimum of `least_cosine`."""
 
 
 def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:

@@ -12,18 +12,12 @@ from startracker.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class FixedWidth:
-    """Rows of bytes of equal length.
-
-    Parameters
-    ----------
-    cells : uint8 array, shape (rows, width)
-        Characters.
-    where : str
-        Name of the table, for error messages.
-    """
+    """Rows of bytes of equal length."""
 
     cells: NDArray[np.uint8]
+    """Characters, (rows, width)."""
     where: str
+    """Name of the table, for error messages."""
 
     @classmethod
     def from_bytes(cls, data: bytes, width: int, where: str) -> FixedWidth:

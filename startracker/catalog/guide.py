@@ -22,6 +22,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image, voxel_grid
 from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.display import described
 from startracker.errors import InputError
 from startracker.observer import Observer
 from startracker.settings import IdentificationSettings
@@ -38,19 +39,13 @@ _PAIR_EPOCH_STEP = 5.0  # years; the fastest naked-eye star moves 18″ in half 
 
 @dataclass(frozen=True, eq=False)
 class PairList:
-    """Pairs of stars sorted by separation.
-
-    Parameters
-    ----------
-    first, second : int32 (P,)
-        Indices into a table of stars.
-    separation_rad : float32 (P,)
-        Ascending; relative precision 6e-8.
-    """
+    """Pairs of stars sorted by separation."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
+    """Indices into a table of stars, (P,)."""
     separation_rad: NDArray[np.float32]
+    """Ascending, (P,); relative precision 6e-8."""
 
     def __len__(self) -> int:
         return len(self.separation_rad)
@@ -114,27 +109,18 @@ def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) 
 
 @dataclass(frozen=True, eq=False)
 class GuideDatabase:
-    """Guide stars of one camera at one epoch, in the apparent directions for one observer.
-
-    Parameters
-    ----------
-    camera : Camera
-        Defines size and shape of the field.
-    catalog : StarCatalog
-        Guide stars, unresolved doubles merged, brightest first.
-    directions : array, shape (G, 3)
-        Apparent unit vectors, ICRS axes.
-    pattern : bool array, shape (G,)
-        Stars used in patterns; the others are only used for verification.
-    epoch_jyear : float
-        Epoch of `directions`.
-    """
+    """Guide stars of one camera at one epoch, in the apparent directions for one observer."""
 
     camera: Camera
+    """Defines size and shape of the field."""
     catalog: StarCatalog
+    """Guide stars, unresolved doubles merged, brightest first."""
     directions: FloatArray
+    """Apparent unit vectors, ICRS axes, (G, 3)."""
     pattern: NDArray[np.bool_]
+    """Stars used in patterns, (G,); the others are only used for verification."""
     epoch_jyear: float
+    """Epoch of `directions`."""
     _field: tuple[float, float]
     _motion: list[FloatArray] = field(default_factory=list)
     _pairs: dict[tuple[float, float], PairList] = field(default_factory=dict)
@@ -142,6 +128,10 @@ class GuideDatabase:
     _shape: list[FieldShape] = field(default_factory=list)
 
     # ------------------------------------------------------------------ construction
+    def __repr__(self) -> str:
+        limit, epoch = f"to V {self.v_mag[-1]:.1f}" if len(self) else "", f"epoch {self.epoch_jyear:.2f}"
+        return described("GuideDatabase", self.catalog.name, f"{len(self):,} guide stars {limit}", epoch)
+
     @classmethod
     def build(
         cls,

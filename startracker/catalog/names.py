@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog
 
-__all__ = ["constellation_lines", "designation", "designation_rows", "proper_name", "proper_names"]
+__all__ = ["constellation_lines", "data_lines", "designation", "designation_rows", "proper_name", "proper_names"]
 
 _LETTERS = (
     "Alp=α Bet=β Gam=γ Del=δ Eps=ε Zet=ζ Eta=η The=θ Iot=ι Kap=κ Lam=λ Mu=μ Nu=ν Xi=ξ Omi=ο Pi=π Rho=ρ Sig=σ Tau=τ "
@@ -43,7 +43,7 @@ def proper_name(star_name: str) -> str:
 @functools.cache
 def proper_names() -> dict[str, str]:
     """Proper names by designation."""
-    entries = (entry.split("=") for line in _lines("star_names.txt") for entry in line.split(";"))
+    entries = (entry.split("=") for line in data_lines("star_names.txt") for entry in line.split(";"))
     return {star.strip(): name.strip() for star, name in entries}
 
 
@@ -60,7 +60,7 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
     row = designation_rows(catalog)
     pairs: list[tuple[int, int]] = []
     names: list[str] = []
-    for line in _lines("constellations.txt"):
+    for line in data_lines("constellations.txt"):
         own, chains = line.split(":")
         for chain in chains.split(";"):
             stars = [star.strip() if " " in star.strip() else f"{star.strip()} {own}" for star in chain.split(",")]
@@ -83,6 +83,7 @@ def designation_rows(catalog: StarCatalog) -> dict[str, int]:
     return rows
 
 
-def _lines(file: str) -> list[str]:
+def data_lines(file: str) -> list[str]:
+    """Lines of a text file of ``catalog/data``, without its comments."""
     text = (files("startracker.catalog") / "data" / file).read_text(encoding="utf-8")
     return [line for line in text.splitlines() if line and not line.startswith("#")]

@@ -16,21 +16,13 @@ FloatArray = NDArray[np.float64]
 
 
 class SkyView(NamedTuple):
-    """Guide stars and the camera's field, as kernels take them.
-
-    Parameters
-    ----------
-    directions : (G, 3)
-        Unit vectors, brightest first.
-    v_mag : (G,)
-    grid : VoxelGrid
-    shape : FieldShape
-    area : float
-        Solid angle of the image, sr.
-    """
+    """Guide stars and the camera's field, as kernels take them."""
 
     directions: FloatArray
+    """Unit vectors, brightest first, (G, 3)."""
     v_mag: FloatArray
+    """Shape (G,)."""
     grid: VoxelGrid
     shape: FieldShape
     area: float
+    """Solid angle of the image, sr."""

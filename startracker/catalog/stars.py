@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import direction_to_radec, radec_to_direction
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
+from startracker.display import described, quantity_range
 from startracker.errors import InputError
+from startracker.interop import julian_year
 
 FloatArray = NDArray[np.float64]
 
@@ -67,6 +69,10 @@ class StarCatalog:
     position_sigma_rad: float = 0.1 * ARCSEC_RAD
     variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: no known variables
 
+    def __repr__(self) -> str:
+        magnitudes = quantity_range("V", self.v_mag)
+        return described("StarCatalog", self.name, f"{len(self):,} stars", magnitudes, f"epoch {self.epoch_jyear:g}")
+
     def __post_init__(self) -> None:
         n = len(self.id)
         if cast("object", self.variable) is None:
@@ -108,28 +114,29 @@ class StarCatalog:
         return u, motion
 
     def directions(self, epoch_jyear: float, observer_au: FloatArray | None = None) -> FloatArray:
-        """ICRS unit vectors (N, 3) at a Julian epoch, from the barycentre or from `observer_au`.
+        """ICRS unit vectors (N, 3) at an epoch, from the barycentre or from `observer_au`.
 
         Parameters
         ----------
-        epoch_jyear : float
-            For example 2026.22; linear space motion is accurate to a milliarcsecond over centuries.
+        epoch_jyear : float or astropy Time
+            Julian epoch (TT), for example 2026.22; linear space motion is accurate to a milliarcsecond over centuries.
         observer_au : float array, shape (3,), optional
             Observer's barycentric position in au (ICRS); adds the annual parallax.
         """
         u, motion = self.space_motion()
-        u = u + (epoch_jyear - self.epoch_jyear) * motion
+        u = u + (julian_year(epoch_jyear) - self.epoch_jyear) * motion
         if observer_au is not None:
             u = u - self.parallax_rad[:, None] * np.asarray(observer_au, dtype=float)
         return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True), dtype=np.float64)
 
     def at_epoch(self, epoch_jyear: float) -> StarCatalog:
-        """The same stars with position, motion and distance at another Julian epoch.
+        """The same stars with position, motion and distance at another epoch (Julian year, TT, or astropy Time).
 
         For a star without parallax the change of the radial motion is lost: an error of (μ τ)² in the position, 4 mas
         for 1″ per year over 30 years.
         """
         u, motion = self.space_motion()
+        epoch_jyear = julian_year(epoch_jyear)
         moved = u + (epoch_jyear - self.epoch_jyear) * motion
         distance = np.linalg.norm(moved, axis=1)
         ra, dec = direction_to_radec(moved)

@@ -31,21 +31,14 @@ _LARGEST_DRIFT = 2e-3
 
 
 class VoxelGrid(NamedTuple):
-    """Stars sorted into cubes.
-
-    Parameters
-    ----------
-    per_axis : int
-        Number of cubes along each axis of the box from −1 to 1.
-    start : int32 (per_axis³ + 1,)
-        Index in `members` of the first star of each cube.
-    members : int32 (N,)
-        Stars sorted by cube, ascending within each.
-    """
+    """Stars sorted into cubes."""
 
     per_axis: int
+    """Number of cubes along each axis of the box from −1 to 1."""
     start: NDArray[np.int32]
+    """Index in `members` of the first star of each cube, (per_axis³ + 1,)."""
     members: NDArray[np.int32]
+    """Stars sorted by cube, ascending within each, (N,)."""
 
 
 def voxel_grid(directions: FloatArray) -> VoxelGrid:

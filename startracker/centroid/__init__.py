@@ -34,3 +34,7 @@ METHODS: dict[str, Centroider] = {
     "maximum_likelihood": maximum_likelihood,
 }
 """Centroiders by name; packages add theirs in the entry-point group ``boresight.centroiders``."""
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -141,7 +141,7 @@ def collect(
     order = np.argsort(np.where(finite, -table[:, 2], np.inf), kind="stable")[: np.count_nonzero(finite)]
     rows = table[order]
     covariance = _covariances(rows, sigmas, half, order if together is None else together[order], systematic_px)
-    return Centroids(rows[:, :2], rows[:, 2], covariance, spots.saturated[order])
+    return Centroids(np.ascontiguousarray(rows[:, :2]), rows[:, 2], covariance, spots.saturated[order])
 
 
 @kernel

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.kernels import kernel
 
@@ -65,6 +66,8 @@ class PsfModel:
     oversampling: int
     shape: tuple[float, float, float]
     axes: FloatArray = field(default_factory=lambda: _NO_AXES)
+
+    __repr__ = fields_repr
 
     @property
     def radius_px(self) -> float:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
+
+from startracker.display import fields_repr
 
 __all__ = ["Centroids", "misfit_of_brightest"]
 
@@ -44,6 +47,8 @@ class Centroids:
     common_px2: FloatArray | None = None
     misfit: float | None = None
 
+    __repr__ = fields_repr
+
     def __len__(self) -> int:
         return len(self.flux)
 
@@ -63,8 +68,10 @@ def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
     excess : (N,)
         χ² of each fit minus its degrees of freedom, in standard deviations; not finite: left out.
     """
-    fitted = np.flatnonzero(np.isfinite(excess))
-    brightest = fitted[np.argsort(-flux[fitted], kind="stable")[:_BRIGHTEST]]
-    if len(brightest) < _FEWEST:
+    fitted = [(-f, e) for f, e in zip(flux.tolist(), excess.tolist(), strict=True) if math.isfinite(e)]
+    brightest = sorted(e for _, e in sorted(fitted, key=itemgetter(0))[:_BRIGHTEST])
+    count = len(brightest)
+    if count < _FEWEST:
         return None
-    return float(np.median(excess[brightest])) * math.sqrt(len(brightest)) / _MEDIAN_ERROR
+    median: float = 0.5 * (brightest[(count - 1) // 2] + brightest[count // 2])
+    return median * math.sqrt(count) / _MEDIAN_ERROR

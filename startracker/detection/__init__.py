@@ -49,3 +49,7 @@ DETECTORS: dict[str, Detector] = {
     "first_regions": find_first_regions,
 }
 """`METHODS`, and those with the rules of Greyling 1995 alone, which leave hot pixels and streaks in."""
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

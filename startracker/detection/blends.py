@@ -39,9 +39,9 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
 
 @kernel
 def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> float:
-    """Least signal on the straight way from one pixel to another.
+    """Least signal on the straight line from one pixel to another.
 
-    Between pixels of equal value, as on a saturated top, the way may step aside by one pixel: its stair-shaped border
+    Between pixels of equal value, as on a saturated top, the line may step aside by one pixel: its stair-shaped border
     is no valley.
     """
     height, width = image.shape
@@ -58,50 +58,59 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
     return least
 
 
+@kernel
 def part_blends(
     runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, noise: Plane,
     saturation: float,
 ) -> tuple[Sources, int]:  # fmt: skip
-    """Table of objects in which those with several peaks are replaced by one object a peak, and how many were.
+    """Table of objects in which those with several peaks are replaced by one object per peak, and how many were.
 
-    A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight way
+    A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight line
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
     than six or more than `most_pixels` pixels stay whole.
     """
-    most_peaks = int(np.sum(runs[:, 2] - runs[:, 1])) + 1
-    peaks, heights = np.empty((most_peaks, 3), np.int64), np.empty((most_peaks, 2))
-    size, seen = np.ascontiguousarray(table["pixels"]), np.full(len(table), -1)
-    found = _find_peaks(runs, number, size, most_pixels, image, peaks, seen)
-    if not found:
+    peaks = _find_peaks(runs, number, table, most_pixels, image)
+    if not len(peaks):
         return table, 0
-    peaks, heights = peaks[:found], heights[:found]
-    _measure_peaks(peaks, image, level, noise, heights)
+    heights = np.empty(len(peaks))
+    for peak in range(len(peaks)):
+        x, y = peaks[peak, 0], peaks[peak, 1]
+        heights[peak] = np.float64(image[y, x]) - np.float64(level[y, x])
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
-    head, following = np.full(len(table), -1), np.full(found, -1)
-    order = np.argsort(-heights[:, 0], kind="stable")
-    if not _chain_peaks(peaks, heights, order, image, level, head, following):
+    head, following = np.full(len(table), -1), np.full(len(peaks), -1)
+    parted = _chain_peaks(peaks, heights, image, level, noise, head, following)
+    if not parted:
         return table, 0
-    several = head >= 0
-    several[several] = following[head[several]] >= 0
-    parts, shared = np.zeros(found, SOURCE), several[number]
-    _share_pixels(runs[shared], head[number[shared]], following, peaks, image, level, np.float32(saturation), parts)
-    # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
-    kept = parts[(parts["pixels"] > 0) & (parts["peak_residual"] <= heights[:, 0])]
-    return np.concatenate((table[~several], kept)), int(np.count_nonzero(several))
+    parts = _share_pixels(runs, number, head, following, peaks, image, level, np.float32(saturation))
+    out, count = np.empty(len(table) + len(parts), SOURCE), 0
+    for n in range(len(table)):
+        if not _has_several(head[n], following):
+            out[count] = table[n]
+            count += 1
+    for n in range(len(parts)):
+        # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
+        if parts[n]["pixels"] > 0 and parts[n]["peak_residual"] <= heights[n]:
+            out[count] = parts[n]
+            count += 1
+    return out[:count], parted
 
 
 @kernel
-def _find_peaks(
-    runs: IntArray, number: IntArray, size: IntArray, most_pixels: int, image: Image, peaks: IntArray, seen: IntArray
-) -> int:
-    """Fill `peaks` with x, y and object of the highest pixels of their neighbourhoods, and how many these are.
+def _has_several(head: int, following: IntArray) -> bool:
+    """Whether a chain has more than one peak."""
+    return head >= 0 and following[head] >= 0
 
-    A peak that is its object's only one parts nothing, and is left out. `seen` (objects,) begins with −1 and counts.
-    """
-    last = np.uint64(0)
+
+@kernel
+def _find_peaks(runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image) -> IntArray:
+    """x, y and object (P, 3) of the highest pixels of their neighbourhoods in objects that have several."""
+    pixels = 1
+    for index in range(len(runs)):
+        pixels += runs[index, 2] - runs[index, 1]
+    peaks, last, seen = np.empty((pixels, 3), np.int64), np.uint64(0), np.zeros(len(table), np.int64)
     for index in range(len(runs)):
         of, y = number[index], np.uint64(runs[index, 0])
-        if size[of] < BLEND_PIXELS or size[of] > most_pixels:
+        if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
             # written for every pixel, kept for peaks
@@ -111,59 +120,65 @@ def _find_peaks(
             seen[of] += np.int64(peak)
     kept = 0
     for peak in range(np.int64(last)):
-        if seen[peaks[peak, 2]] > 0:
+        if seen[peaks[peak, 2]] > 1:
             peaks[kept, 0], peaks[kept, 1], peaks[kept, 2] = peaks[peak, 0], peaks[peak, 1], peaks[peak, 2]
             kept += 1
-    return kept
-
-
-@kernel
-def _measure_peaks(peaks: IntArray, image: Image, level: Plane, noise: Plane, heights: FloatArray) -> None:
-    """Fill `heights` with the signal of the peaks, and the depth that a valley beside them must have, DN."""
-    for peak in range(len(peaks)):
-        x, y = peaks[peak, 0], peaks[peak, 1]
-        heights[peak, 0] = np.float64(image[y, x]) - np.float64(level[y, x])
-        heights[peak, 1] = VALLEY_SIGMA * noise[y, x]
+    return peaks[:kept]
 
 
 @kernel
 def _chain_peaks(
-    peaks: IntArray, heights: FloatArray, order: IntArray, image: Image, level: Plane, head: IntArray,
+    peaks: IntArray, heights: FloatArray, image: Image, level: Plane, noise: Plane, head: IntArray,
     following: IntArray,
-) -> bool:  # fmt: skip
-    """Chain the peaks of each object, in `order`, that a valley separates from those before; whether there are any."""
-    several = False
-    for candidate in order:
-        x, y, of = peaks[candidate, 0], peaks[candidate, 1], peaks[candidate, 2]
-        separate, other, height = True, head[of], heights[candidate, 0]
-        while other >= 0 and separate:
-            dx, dy = x - peaks[other, 0], y - peaks[other, 1]
-            least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
-            separate = (
-                dx * dx + dy * dy >= BLEND_LEAST_PX2
-                and height > RING_SHARE * heights[other, 0]
-                and least < VALLEY_SHARE * height
-                and height - least > heights[candidate, 1]
-            )
-            other = following[other]
-        if separate:
-            several |= head[of] >= 0
-            following[candidate] = head[of]
-            head[of] = candidate
-    return several
+) -> int:  # fmt: skip
+    """Chain the peaks of each object, by falling height, that a valley separates from those before; the number of
+    objects that have several."""
+    first, after, parted = np.full(len(head), -1), np.full(len(peaks), -1), 0
+    for peak in range(len(peaks)):
+        of = peaks[peak, 2]
+        before, other = -1, first[of]
+        while other >= 0 and heights[other] >= heights[peak]:
+            before, other = other, after[other]
+        after[peak] = other
+        if before < 0:
+            first[of] = peak
+        else:
+            after[before] = peak
+    for of in range(len(first)):
+        candidate = first[of]
+        while candidate >= 0:
+            x, y = peaks[candidate, 0], peaks[candidate, 1]
+            separate, other, height, depth = True, head[of], heights[candidate], VALLEY_SIGMA * noise[y, x]
+            while other >= 0 and separate:
+                dx, dy = x - peaks[other, 0], y - peaks[other, 1]
+                least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
+                separate = (
+                    dx * dx + dy * dy >= BLEND_LEAST_PX2
+                    and height > RING_SHARE * heights[other]
+                    and least < VALLEY_SHARE * height
+                    and height - least > depth
+                )
+                other = following[other]
+            if separate:
+                following[candidate], head[of] = head[of], candidate
+            candidate = after[candidate]
+        parted += _has_several(head[of], following)
+    return parted
 
 
 @kernel
 def _share_pixels(
-    runs: IntArray, heads: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
-    saturation: float, parts: Sources,
-) -> None:  # fmt: skip
-    """Add each pixel of the runs to the part of the nearest peak in its chain."""
-    height, width = image.shape
+    runs: IntArray, number: IntArray, head: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
+    saturation: float,
+) -> Sources:  # fmt: skip
+    """Table of the peaks: the pixels of the objects that have several, each given to the nearest peak of its chain."""
+    parts, (height, width) = np.zeros(len(peaks), SOURCE), image.shape
     for index in range(len(runs)):
-        y = runs[index, 0]
+        y, first = runs[index, 0], head[number[index]]
+        if not _has_several(first, following):
+            continue
         for x in range(runs[index, 1], runs[index, 2]):
-            nearest, best, other = -1, _FAR_PX2, heads[index]
+            nearest, best, other = -1, _FAR_PX2, first
             while other >= 0:
                 dx, dy = x - peaks[other, 0], y - peaks[other, 1]
                 # equal distances go to the brighter, which comes later in the chain
@@ -174,3 +189,4 @@ def _share_pixels(
             add_pixel(part, x, y, image[y, x], level[y, x], saturation)
             if x == 0 or y == 0 or x == width - 1 or y == height - 1:
                 part["edge"] = True
+    return parts

@@ -126,6 +126,8 @@ def measure_found(
         if levels > 1:
             table, several = part_blends(runs, number, table, max_pixels, image, level, noise, saturation)
             parted += several
+        if depth == 0 and not oversized.any():
+            return table, parted
         fits = table["pixels"] <= max_pixels
         if depth > 0:
             at_peak = noise[table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)]
@@ -135,4 +137,4 @@ def measure_found(
             break
         threshold *= OVERSIZED_RAISE
         runs, signal = cut_runs(runs, signal, oversized[number], noise, np.float32(threshold))
-    return tables[0] if len(tables) == 1 else np.concatenate(tables), parted
+    return np.concatenate(tables), parted

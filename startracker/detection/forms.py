@@ -20,10 +20,9 @@ from startracker.detection.thresholds import (
 )
 from startracker.kernels import kernel
 
-__all__ = ["Forms", "are_long", "brightest_first", "is_halo", "measure_forms"]
+__all__ = ["Forms", "are_long", "brightest_first", "form_of", "is_halo", "measure_forms"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 _PIXEL_VARIANCE = 1.0 / 12.0
@@ -44,12 +43,7 @@ class Forms:
 
 
 def measure_forms(table: Sources, max_axis_ratio: float) -> Forms:
-    """Centre (N, 2), second moments (N, 3) of x, y and xy, and whether an object is too long for a star.
-
-    Too long is an object whose second moments along its principal axes differ by more than a factor (Greyling 1995,
-    eqs. 4.8 and 4.9, here along the principal axes, so that a slanted streak is one too). The moments are weighted with
-    the signal; the variance of a pixel is added to each; objects of fewer than seven pixels have no shape.
-    """
+    """Centre (N, 2), second moments (N, 3) of x, y and xy, and whether an object is too long for a star."""
     moments, long = np.empty((len(table), 5)), np.empty(len(table), np.bool_)
     _measure_forms(table, max_axis_ratio, moments, long)
     return Forms(moments[:, :2], moments[:, 2:], long)
@@ -58,16 +52,26 @@ def measure_forms(table: Sources, max_axis_ratio: float) -> Forms:
 @kernel
 def _measure_forms(table: Sources, max_axis_ratio: float, moments: FloatArray, long: Flags) -> None:
     for n in range(len(table)):
-        row = table[n]
-        flux = row["flux"]
-        x, y = row["sum_x"] / flux, row["sum_y"] / flux
-        xx = row["sum_xx"] / flux - x * x + _PIXEL_VARIANCE
-        yy = row["sum_yy"] / flux - y * y + _PIXEL_VARIANCE
-        xy = row["sum_xy"] / flux - x * y
-        middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+        x, y, xx, yy, xy, long[n] = form_of(table[n], max_axis_ratio)
         moments[n, 0], moments[n, 1], moments[n, 2], moments[n, 3], moments[n, 4] = x, y, xx, yy, xy
-        elongated = middle + half > max_axis_ratio * max(middle - half, 1e-12)
-        long[n] = elongated and row["pixels"] >= SHAPE_PIXELS and middle + half > LONG_LEAST_PX2
+
+
+@kernel
+def form_of(row: np.void, max_axis_ratio: float) -> tuple[float, float, float, float, float, bool]:
+    """Centre and second moments x, y, xx, yy, xy of an object, and whether it is too long for a star.
+
+    Too long is an object whose second moments along its principal axes differ by more than a factor (Greyling 1995,
+    eqs. 4.8 and 4.9, here along the principal axes, so that a slanted streak is one too). The moments are weighted with
+    the signal; the variance of a pixel is added to each; objects of fewer than seven pixels have no shape.
+    """
+    flux = row["flux"]
+    x, y = row["sum_x"] / flux, row["sum_y"] / flux
+    xx = row["sum_xx"] / flux - x * x + _PIXEL_VARIANCE
+    yy = row["sum_yy"] / flux - y * y + _PIXEL_VARIANCE
+    xy = row["sum_xy"] / flux - x * y
+    middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    elongated = middle + half > max_axis_ratio * max(middle - half, 1e-12)
+    return x, y, xx, yy, xy, elongated and row["pixels"] >= SHAPE_PIXELS and middle + half > LONG_LEAST_PX2
 
 
 def brightest_first(table: Sources) -> Sources:
@@ -80,15 +84,21 @@ def brightest_first(table: Sources) -> Sources:
     return table.take(order)
 
 
+@kernel
 def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio: float) -> bool:
-    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`.
+    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `form_of`.
 
     `table` has the brightest first.
     """
-    brightest = table.take(np.flatnonzero((table["pixels"] >= fewest) & (table["flux"] > 0.0))[:most])
-    return int(np.count_nonzero(measure_forms(brightest, max_axis_ratio).long)) >= needed
+    long, seen = 0, 0
+    for n in range(len(table)):
+        if seen < most and table[n]["pixels"] >= fewest and table[n]["flux"] > 0.0:
+            long += form_of(table[n], max_axis_ratio)[5]
+            seen += 1
+    return long >= needed
 
 
+@kernel
 def is_halo(table: Sources) -> Flags:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
@@ -96,16 +106,10 @@ def is_halo(table: Sources) -> Flags:
     bright: the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its
     peak gives that radius as 1.9 √(flux / (π peak)).
     """
-    halo = np.zeros(len(table), np.bool_)
-    columns = (np.ascontiguousarray(table[name]) for name in ("x_peak", "y_peak", "peak_residual"))
-    _mark_halo(table, *columns, halo)
-    return halo
-
-
-@kernel
-def _mark_halo(table: Sources, x: IntArray, y: IntArray, peaks: FloatArray, halo: Flags) -> None:
-    faintest = np.inf
-    for n in range(len(peaks)):
+    halo, faintest = np.zeros(len(table), np.bool_), np.inf
+    x, y, peaks = np.empty(len(table), np.int64), np.empty(len(table), np.int64), np.empty(len(table))
+    for n in range(len(table)):
+        x[n], y[n], peaks[n] = table[n]["x_peak"], table[n]["y_peak"], table[n]["peak_residual"]
         faintest = min(faintest, peaks[n])
     for star in range(len(peaks)):
         peak = peaks[star]
@@ -123,3 +127,4 @@ def _mark_halo(table: Sources, x: IntArray, y: IntArray, peaks: FloatArray, halo
             share = distance / dark_radius
             ring = share * share * share < RING_MARGIN * 0.045 * times
             halo[n] |= times > HALO_PEAK_RATIO and (distance < near or ring)
+    return halo

@@ -62,17 +62,13 @@ def cut_runs(
     return out[:count].copy(), values[:used].copy()
 
 
+@kernel
 def join_runs(runs: IntArray) -> tuple[IntArray, int]:
     """Object number of each run, and the number of objects: runs of neighbouring rows that touch, corners included.
 
     Union–find over runs in reading order, numbered by first appearance (He, Chao & Suzuki 2008).
     """
     parent, number = np.arange(len(runs)), np.empty(len(runs), np.int64)
-    return number, _join(runs, parent, number)
-
-
-@kernel
-def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
     above, here = 0, 0  # first run of the row above, first run of this row
     for index in range(1, len(runs)):
         if runs[index, 0] != runs[index - 1, 0]:
@@ -95,7 +91,7 @@ def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
             count += 1
         else:
             number[index] = number[root]
-    return count
+    return number, count
 
 
 @kernel
@@ -106,17 +102,12 @@ def _root(parent: IntArray, index: int) -> int:
     return index
 
 
+@kernel
 def measure_objects(
     runs: IntArray, number: IntArray, count: int, image: Image, level: Plane, saturation: float
 ) -> Sources:
     """Table of `count` objects given by numbered runs."""
-    table = np.zeros(count, SOURCE)
-    _add_runs(runs, number, table, image, level, np.float32(saturation))
-    return table
-
-
-@kernel
-def _add_runs(runs: IntArray, number: IntArray, table: Sources, image: Image, level: Plane, saturation: float) -> None:
+    table, full = np.zeros(count, SOURCE), np.float32(saturation)
     height, width = image.shape
     for index in range(len(runs)):
         row = table[number[index]]
@@ -124,4 +115,5 @@ def _add_runs(runs: IntArray, number: IntArray, table: Sources, image: Image, le
         if y == 0 or y == height - 1 or x0 == 0 or x1 == width:
             row["edge"] = True
         for x in range(x0, x1):
-            add_pixel(row, x, y, image[y, x], level[y, x], saturation)
+            add_pixel(row, x, y, image[y, x], level[y, x], full)
+    return table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,18 @@ from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
 
-__all__ = ["MAJOR", "MINOR", "MINOR_ERROR", "PEAK_SHARE", "SHAPE_COLUMNS", "SHAPE_SNR", "measure_shapes"]
+__all__ = [
+    "MAJOR",
+    "MINOR",
+    "MINOR_ERROR",
+    "PEAK_SHARE",
+    "SHAPE_COLUMNS",
+    "SHAPE_SNR",
+    "Weight",
+    "measure_shape",
+    "measure_shapes",
+    "shape_weight",
+]
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
@@ -23,22 +35,24 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def measure_shapes(
-    image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, weight_sigma: float
-) -> FloatArray:
-    """Shapes (N, 5) of candidates by moments under a Gaussian weight that follows their centre.
+class Weight(NamedTuple):
+    """Gaussian weight of a shape, with working space."""
 
-    A Gaussian of variance C seen under a weight of variance W has C W / (C + W) (Kaiser, Squires & Broadhurst 1995);
-    this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
-    as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
-    """
-    half = max(2, math.ceil(2.0 * weight_sigma))
-    side, variance = 2 * half + 1, weight_sigma * weight_sigma
-    centred = np.array([math.exp(-0.5 * k * k / variance) for k in range(half + 1)])
-    # signal of the window's pixels and whether they are of use, which those beyond the border are not; weights
-    space, out = np.empty((2 * side + 2, side)), np.full((len(xs), SHAPE_COLUMNS), np.nan)
-    _measure_shapes(image, level, noise, xs, ys, variance, centred, space, out)
-    return out
+    variance: float
+    centred: FloatArray
+    """exp(−k² / 2 variance) for k = 0 … n."""
+    space: FloatArray
+    """(2 W + 2, W), W = 2 n + 1: signal of the window's pixels, whether they are usable, weights along x and y."""
+
+
+@kernel
+def shape_weight(weight_sigma: float) -> Weight:
+    """Weight of a width, px, in a window of twice as much to either side."""
+    half, variance = max(2, math.ceil(2.0 * weight_sigma)), weight_sigma * weight_sigma
+    centred, side = np.empty(half + 1), 2 * half + 1
+    for k in range(half + 1):
+        centred[k] = math.exp(-0.5 * k * k / variance)
+    return Weight(variance, centred, np.empty((2 * side + 2, side)))
 
 
 @kernel
@@ -75,57 +89,69 @@ def _read_window(
 
 
 @kernel
-def _measure_shapes(
-    image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, w: float, centred: FloatArray,
-    space: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
-    """Fills `out` of `measure_shapes`; `w` is the weight's variance."""
+def measure_shape(image: Image, level: Plane, noise: Plane, x0: int, y0: int, weight: Weight, out: FloatArray) -> None:
+    """Shape of a candidate, `SHAPE_COLUMNS`, by moments under a Gaussian weight that follows its centre.
+
+    A Gaussian of variance C seen under a weight of variance W has C W / (C + W) (Kaiser, Squires & Broadhurst 1995);
+    this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
+    as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
+    """
+    w, centred, space = weight.variance, weight.centred, weight.space
     half = len(centred) - 1
     side = 2 * half + 1
     window, use, weight_x, weight_y = space[:side], space[side : 2 * side], space[2 * side], space[2 * side + 1]
-    for index in range(len(xs)):
-        x0, y0 = xs[index], ys[index]
-        plain, highest = _read_window(image, level, x0, y0, window, use)
-        dx, dy = 0.0, 0.0
-        sigma = np.float64(noise[y0, x0])
-        for attempt in range(_RECENTRINGS):
-            _shifted_gaussian(centred, dx, w, weight_x)
-            _shifted_gaussian(centred, dy, w, weight_y)
-            total, sx, sy, sxx, syy, sxy, norm = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for j in range(-half, half + 1):
-                row, row_x, row_xx, row_norm = 0.0, 0.0, 0.0, 0.0
-                for i in range(-half, half + 1):
-                    g = weight_x[i + half]
-                    signal = g * window[j + half, i + half]
-                    row_norm += g * g * use[j + half, i + half]
-                    row += signal
-                    row_x += signal * i
-                    row_xx += signal * i * i
-                g = weight_y[j + half]
-                norm += g * g * row_norm
-                total += g * row
-                sx += g * row_x
-                sy += g * row * j
-                sxx += g * row_xx
-                syy += g * row * j * j
-                sxy += g * row_x * j
-            if not total > 0.0:
-                break
-            mx, my = sx / total, sy / total
-            if attempt < _RECENTRINGS - 1:
-                # under the weight a shift shows at half its size
-                dx = min(max(dx + 1.5 * (mx - dx), -1.5), 1.5)
-                dy = min(max(dy + 1.5 * (my - dy), -1.5), 1.5)
+    plain, highest = _read_window(image, level, x0, y0, window, use)
+    dx, dy, mx, my, total = 0.0, 0.0, 0.0, 0.0, 0.0
+    sxx, syy, sxy, norm = 0.0, 0.0, 0.0, 0.0
+    for column in range(SHAPE_COLUMNS):
+        out[column] = np.nan
+    for attempt in range(_RECENTRINGS):
+        _shifted_gaussian(centred, dx, w, weight_x)
+        _shifted_gaussian(centred, dy, w, weight_y)
+        total, sx, sy, sxx, syy, sxy, norm = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(-half, half + 1):
+            row, row_x, row_xx, row_norm = 0.0, 0.0, 0.0, 0.0
+            for i in range(-half, half + 1):
+                g = weight_x[i + half]
+                signal = g * window[j + half, i + half]
+                row_norm += g * g * use[j + half, i + half]
+                row += signal
+                row_x += signal * i
+                row_xx += signal * i * i
+            g = weight_y[j + half]
+            norm += g * g * row_norm
+            total += g * row
+            sx += g * row_x
+            sy += g * row * j
+            sxx += g * row_xx
+            syy += g * row * j * j
+            sxy += g * row_x * j
         if not total > 0.0:
-            continue
-        vx, vy, vxy = sxx / total - mx * mx, syy / total - my * my, sxy / total - mx * my
-        middle, apart = 0.5 * (vx + vy), math.hypot(0.5 * (vx - vy), vxy)
-        # noise of a second moment: Σ g² (k² − v)² σ² / S², by the integral over a Gaussian weight
-        spread = w * w / 2.0 * 1.5 - w * middle + middle * middle
-        error = sigma / total * math.sqrt(max(math.pi * w * spread, 0.0))
-        minor, major = max(middle - apart, 0.0), middle + apart
-        out[index, 0] = minor * w / (w - minor) if minor < 0.95 * w else np.inf
-        out[index, 1] = major * w / (w - major) if major < 0.95 * w else np.inf
-        out[index, 2] = error * (w / (w - min(minor, 0.95 * w))) ** 2
-        out[index, 3] = highest / plain if plain > 0.0 else np.inf
-        out[index, 4] = total / (sigma * math.sqrt(norm))
+            return
+        mx, my = sx / total, sy / total
+        if attempt < _RECENTRINGS - 1:
+            # under the weight a shift shows at half its size
+            dx = min(max(dx + 1.5 * (mx - dx), -1.5), 1.5)
+            dy = min(max(dy + 1.5 * (my - dy), -1.5), 1.5)
+    vx, vy, vxy = sxx / total - mx * mx, syy / total - my * my, sxy / total - mx * my
+    middle, apart = 0.5 * (vx + vy), math.hypot(0.5 * (vx - vy), vxy)
+    # noise of a second moment: Σ g² (k² − v)² σ² / S², by the integral over a Gaussian weight
+    sigma, spread = np.float64(noise[y0, x0]), w * w / 2.0 * 1.5 - w * middle + middle * middle
+    error = sigma / total * math.sqrt(max(math.pi * w * spread, 0.0))
+    minor, major = max(middle - apart, 0.0), middle + apart
+    out[MINOR] = minor * w / (w - minor) if minor < 0.95 * w else np.inf
+    out[MAJOR] = major * w / (w - major) if major < 0.95 * w else np.inf
+    out[MINOR_ERROR] = error * (w / (w - min(minor, 0.95 * w))) ** 2
+    out[PEAK_SHARE] = highest / plain if plain > 0.0 else np.inf
+    out[SHAPE_SNR] = total / (sigma * math.sqrt(norm))
+
+
+@kernel
+def measure_shapes(
+    image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, weight_sigma: float
+) -> FloatArray:
+    """Shapes (N, 5) of candidates by moments under a Gaussian weight that follows their centre, see `measure_shape`."""
+    weight, out = shape_weight(weight_sigma), np.empty((len(xs), SHAPE_COLUMNS))
+    for n in range(len(xs)):
+        measure_shape(image, level, noise, xs[n], ys[n], weight, out[n])
+    return out

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.display import fields_repr
+
 __all__ = ["Spots"]
 
 
@@ -52,6 +54,8 @@ class Spots:
     rejected: Mapping[str, int] = field(default_factory=dict)
     other: Spots | None = None
     direction_rad: float | None = None
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.flux)

@@ -9,11 +9,9 @@ from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
 from startracker.kernels import kernel
 
-__all__ = ["filter_stamp", "filtered_at", "stamp_pitch"]
+__all__ = ["filter_stamp", "filtered_pixel", "stamp_pitch"]
 
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 
 def stamp_pitch(half: FloatImage, radius: int) -> int:
@@ -84,24 +82,16 @@ def _correlate(
                 sums[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
 
 
-def filtered_at(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> tuple[FloatArray, ...]:
-    """Filtered signal (N,) of single pixels, and their own; not a number where the image is not finite."""
-    out = np.empty((2, len(xs)))
-    _filter_pixels(image, level, half, xs, ys, out)
-    return out[0], out[1]
-
-
 @kernel
-def _filter_pixels(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray, out: FloatArray) -> None:
+def filtered_pixel(image: Image, level: Plane, half: FloatImage, x0: int, y0: int) -> tuple[float, float]:
+    """Filtered signal of a single pixel, and its own; the first is NaN where the image is not finite."""
     height, width = image.shape
-    reach = len(half) - 1
-    for n in range(len(xs)):
-        x0, y0, total = xs[n], ys[n], np.float32(0.0)
-        for y in range(max(y0 - reach, 0), min(y0 + reach + 1, height)):
-            line = np.float32(0.0)
-            for x in range(max(x0 - reach, 0), min(x0 + reach + 1, width)):
-                if is_value(image[y, x]):
-                    line += half[abs(x - x0)] * (np.float32(image[y, x]) - level[y, x])
-            total += half[abs(y - y0)] * line
-        out[0, n] = total if is_value(image[y0, x0]) else np.nan
-        out[1, n] = np.float32(image[y0, x0]) - level[y0, x0]
+    reach, total = len(half) - 1, np.float32(0.0)
+    for y in range(max(y0 - reach, 0), min(y0 + reach + 1, height)):
+        line = np.float32(0.0)
+        for x in range(max(x0 - reach, 0), min(x0 + reach + 1, width)):
+            if is_value(image[y, x]):
+                line += half[abs(x - x0)] * (np.float32(image[y, x]) - level[y, x])
+        total += half[abs(y - y0)] * line
+    filtered = np.float64(total) if is_value(image[y0, x0]) else np.nan
+    return filtered, np.float64(np.float32(image[y0, x0]) - level[y0, x0])

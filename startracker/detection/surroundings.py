@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.detection.plane import Plane
+from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
-from startracker.detection.values import Image
 from startracker.kernels import kernel
 
-__all__ = ["find_clutter"]
+__all__ = ["Rings", "Stamp", "is_clutter", "rings_of", "stamp_of"]
 
 _RING_PX = 8
 _GAP_PX = 2
@@ -22,14 +21,12 @@ _LARGEST_RADIUS_PX = 12
 _OUTERMOST_PX = _LARGEST_RADIUS_PX + _GAP_PX + _RING_PX
 _INFINITE_BITS = np.float32(np.inf).view(np.int32)
 
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Masks = NDArray[np.int32]
 
 
-class _Rings(NamedTuple):
+class Rings(NamedTuple):
     """Pixels of the ring about a candidate of each radius, in a stamp of its own width."""
 
     positions: IntArray
@@ -41,7 +38,7 @@ class _Rings(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _rings(taps: int) -> _Rings:
+def rings_of(taps: int) -> Rings:
     """Rings for a filter of so many `taps`; the first lies outside radius 2 px, every further one a pixel further."""
     j, i = np.mgrid[-_OUTERMOST_PX : _OUTERMOST_PX + 1, -_OUTERMOST_PX : _OUTERMOST_PX + 1].reshape(2, -1)
     sector = np.where(i > 0, 4, 0) + np.where(j > 0, 2, 0) + np.where(abs(i) > abs(j), 1, 0)
@@ -58,45 +55,52 @@ def _rings(taps: int) -> _Rings:
         positions[ring, : len(found)] = found
         ends[ring] = np.searchsorted(sector[inside], range(8), "right")
         masks[ring, found] = -1
-    return _Rings(positions, ends, masks)
+    return Rings(positions, ends, masks)
 
 
-def find_clutter(
-    image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray, radii: FloatArray, quiet: float,
-    isolation: float,
-) -> Flags:  # fmt: skip
-    """Which candidates (N,) fail to stand out of the ring around them.
+class Stamp(NamedTuple):
+    """Working space for the filtered image about a candidate."""
 
-    The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
-    neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
-    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median.
-
-    All this is asked of the image after the filter `half`, see `startracker.detection.scan`.
-    """
-    rings, out = _rings(len(half)), np.empty(len(xs), np.bool_)
-    pixels = rings.masks.shape[1]
-    space = np.empty(3 * pixels + rings.positions.shape[1] + 1, np.float32)
-    index = np.minimum(np.ceil(radii), _LARGEST_RADIUS_PX).astype(np.int64)
-    _find_clutter(image, level, half, xs, ys, index, *rings, quiet, isolation, space, space.view(np.int32), out)
-    return out
+    filtered: FloatImage
+    bits: Masks
+    """The same memory as integers."""
+    work: FloatImage
+    sample: FloatImage
 
 
 @kernel
-def _find_clutter(
-    image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray, rings: IntArray, positions: IntArray,
-    ends: IntArray, masks: Masks, quiet: float, isolation: float, space: FloatImage, bits: Masks, out: Flags,
-) -> None:  # fmt: skip
-    pixels = masks.shape[1]
-    stamp, work, sample = space[:pixels], space[pixels : 3 * pixels], space[3 * pixels :]
-    for n in range(len(xs)):
-        ring = rings[n]
-        outer = ring + _GAP_PX + _RING_PX
-        pitch = 2 * (outer + len(half)) - 1
-        filter_stamp(image, level, half, xs[n], ys[n], outer, work, stamp)
-        # most rings have nothing in them, which needs no sectors
-        out[n] = not _is_calm(stamp, bits, masks[ring], (2 * outer + 1) * pitch, quiet) and _is_clutter(
-            stamp, sample, positions[ring], ends[ring], stamp[outer * pitch + outer], quiet, isolation
-        )
+def stamp_of(rings: Rings) -> Stamp:
+    """Working space for the largest ring."""
+    pixels, filtered = rings.masks.shape[1], np.empty(rings.masks.shape[1], np.float32)
+    sample = np.empty(rings.positions.shape[1] + 1, np.float32)
+    return Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
+
+
+@kernel
+def is_clutter(
+    searched: Searched, x: int, y: int, radius: float, heights: tuple[float, float], rings: Rings, stamp: Stamp
+) -> bool:
+    """Whether a candidate fails to stand out of the ring around it.
+
+    The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
+    neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
+    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median. `heights` are these
+    two.
+
+    All this is asked of the image after the filter, see `startracker.detection.scan`.
+    """
+    half, (quiet, isolation) = searched.half, heights
+    ring = int(min(np.ceil(radius), _LARGEST_RADIUS_PX))
+    outer = ring + _GAP_PX + _RING_PX
+    pitch = 2 * (outer + len(half)) - 1
+    filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, stamp.filtered)
+    # most rings have nothing in them, which needs no sectors
+    if _is_calm(stamp.filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
+        return False
+    height = np.float64(stamp.filtered[outer * pitch + outer])
+    return bool(
+        _is_clutter(stamp.filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation)
+    )
 
 
 @kernel
@@ -124,7 +128,7 @@ def _is_clutter(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,
 ) -> bool:  # fmt: skip
-    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `find_clutter`."""
+    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `is_clutter`."""
     # numbers without a sign as indices: one that may be negative costs a comparison each time
     n, count, zero = np.uint64(0), np.uint64(0), np.float32(0.0)
     highest = (zero, zero, zero, zero)  # the four highest, falling

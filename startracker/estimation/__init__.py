@@ -51,5 +51,9 @@ METHODS: dict[str, Estimator] = {
 """
 
 OPTIMAL: frozenset[Estimator] = frozenset({wahba_svd, davenport, quest, esoq2})
-"""Those that minimise the weighted squares: they give one and the same attitude, and so does the fit of
+"""Estimators that minimise the weighted squares: they give the same attitude as the fit of
 `startracker.estimation.pose`."""
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,8 +1,8 @@
-"""The pose from matched directions: rotation and, where it is free, focal length, by Gauss–Newton.
+"""The pose from matched directions: rotation and, optionally, focal length, by Gauss–Newton.
 
 With b the observed and p = R g the predicted unit vectors, δ the rotation vector that corrects R and ε = Δ ln f,
 b − p = δ × p − ε ∂b/∂ln f. For a pinhole ∂b/∂ln f = b_z (e_z − b_z b), of length sin θ cos θ. Lost in space, prior,
-tracking and the filter all sum the same normal equations; what is known beforehand is added to them.
+tracking and the filter use the same normal equations; prior information is added to them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1
-"""A fit that ends farther from where two stars put it does not hold these."""
+"""Maximum deviation of a fit from the attitude of two stars, beyond which it does not contain them."""
 
 
 @kernel
@@ -46,7 +46,7 @@ def normal_equations(
     observed, sigma : (N, 3), (N,)
         Directions and their standard errors on one axis, rad.
     slopes : (N, 3)
-        `focal_slopes`; not read where the focal length is known.
+        `focal_slopes`; not used if the focal length is known.
     predicted : (K, 3)
         Directions of guide stars.
     index : int (N,)
@@ -93,11 +93,11 @@ def fit_turn(
     precision: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Most probable rotation vector (3,) that turns reference directions (K, 3) onto observed ones, its covariance
-    (3, 3), and the stars' own information; beforehand it is 0 with the inverse covariance `precision` (3, 3).
+    """Most probable rotation vector (3,) from reference directions (K, 3) to observed ones, its covariance (3, 3), and
+    the information of the stars; the prior is 0 with the inverse covariance `precision` (3, 3).
 
-    `start` (3,) is where to begin; for the rest see `normal_equations`. The covariance is NaN where neither stars nor
-    `precision` have all information about the rotation.
+    `start` (3,) is the initial value; for other parameters see `normal_equations`. The covariance is NaN if stars and
+    `precision` do not determine the rotation.
     """
     turn, predicted, change = start.copy(), np.empty_like(reference), np.empty(3)
     matrix, covariance, information = np.eye(3), precision, precision
@@ -123,7 +123,7 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     """Columns: `one`; the pole n of the great circle to `two`; and n × one, towards `two`."""
     out, pole = np.empty((3, 3)), np.empty(3)
     pole[0], pole[1], pole[2] = cross(one, two)
-    # the second time perpendicular to the last digit, also where the two are nearly parallel
+    # repeated, to be perpendicular to the last digit even for nearly parallel directions
     for _ in range(2):
         length, along = 0.0, 0.0
         for k in range(3):
@@ -141,7 +141,8 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
 
 @kernel
 def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> FloatArray:
-    """Rotation (3, 3) that lays reference star `first` on its image, and the great circle to `second` on its image."""
+    """Rotation (3, 3) that maps reference star `first` to its image, and the great circle to `second` to that of its
+    image."""
     seen, known, out = pair_frame(b[first], b[second]), pair_frame(r[first], r[second]), np.empty((3, 3))
     transform(seen, known, out)
     for i in range(3):  # rows are those of the other frame
@@ -154,18 +155,17 @@ def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> Floa
 def fit_pairs(
     pairs: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Attitude (3, 3) that fits pairs (M, 2) of centroids and guide stars best, and the directions (M, 3) of these.
-
-    NaN where the steps do not settle: the pairs are no image of each other.
+    """Best-fit attitude (3, 3) for pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these. NaN
+    if the iteration does not converge, because the patterns do not match.
 
     Parameters
     ----------
     directions, guides : (N, 3), (G, 3)
-        Of the centroids in the camera, and of the guide stars.
+        Directions of the centroids in the camera frame, and of the guide stars.
     sigma : (N,)
         Relative standard errors of the centroids.
     start : (3, 3)
-        An attitude nearby; zeros: that of the first star and the one farthest from it.
+        Approximate attitude; zeros: that of the first star and the one farthest from it.
     """
     count, farthest, least = len(pairs), 0, 2.0
     seen, known, moved = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))

@@ -1,15 +1,15 @@
-"""Errors of positions that the whole field shares, where star images are not as fitted: by the position in the pixel,
-and along the radius of the field.
+"""Position errors common to the whole field, for star images that differ from the fitted ones: as a function of the
+sub-pixel position, and along the field radius.
 
-The first are those of images narrower than a pixel, or of another shape than the fitted one. On each axis such an error
-is a periodic function of the position in the pixel, whose mean a calibrated camera does not have (Anderson & King 2000,
-PASP 112, 1360, section 2). Two harmonics are fitted to the residuals. They are functions of the measured position,
-not of the predicted one, which an error of the attitude would move along: the model stays linear, and the covariance
-true. Their mean over measured positions is zero where that over true ones is, as the integral of f f' over a period is
-zero.
+The first are errors of images narrower than a pixel, or with another shape than the fitted one. On each axis such an
+error is a periodic function of the sub-pixel position, with zero mean for a calibrated camera (Anderson & King 2000,
+PASP 112, 1360, section 2). Two harmonics are fitted to the residuals. They are functions of the measured position, not
+of the predicted one, which depends on the attitude error: the model remains linear and the covariance correct. Their
+mean over measured positions is zero if that over true positions is, as the integral of f f' over a period is zero.
 
-The second is that of aberrations which grow with the distance from the axis: they move images along the radius, bright
-stars otherwise than the calibration's. With the focal length, which is fitted anyhow, r³ has the lowest terms of it.
+The second is due to aberrations that increase with the distance from the axis: they displace images along the radius,
+differently for bright stars than for those of the calibration. Together with the focal length, which is always fitted,
+r³ gives its lowest terms.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 AS_ASSUMED = 0.5
-"""Probability beforehand that star images are as assumed, so that there is no systematic error."""
+"""Prior probability that star images are as assumed, without systematic error."""
 _WRONG_MISFIT = 20.0
 """Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
 _HARMONICS = 2
 AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
-"""Standard deviation of the amplitudes beforehand (9,), in units of the systematic error that the frame shows; that of
-the last one is at the corners, where it is largest."""
+"""Prior standard deviation of the amplitudes (9,), in units of the systematic error of the frame; the last one is that
+at the corners."""
 _SHARED_PART = 0.1
-"""Shift of all stars over the amplitude of the cosines, as measured for coma in and out of focus."""
+"""Ratio of the common shift of all stars to the amplitude of the cosines, measured for coma in and out of focus."""
 
 
 class ImageErrors(NamedTuple):
-    """Amplitudes (9,) of the columns of `error_columns`, pixels, and their variances (9,); or none of either."""
+    """Amplitudes (9,) of the columns of `error_columns`, pixels, and their variances (9,); both empty if not fitted."""
 
     amplitudes: FloatArray
     variance: FloatArray
@@ -74,11 +74,11 @@ def error_columns(xy: FloatArray, field: FloatArray) -> FloatArray:
 
 
 def shared_shift(errors: ImageErrors) -> FloatArray:
-    """Covariance (2, 2) of the shift of all stars that goes with the cosines, px².
+    """Covariance (2, 2) of the common shift of all stars associated with the cosines, px².
 
-    A symmetric image has sines alone. The skewness that makes the cosines also moves all stars, faint ones otherwise
-    than those that a calibration rests upon, and no residual of the positions shows it. The squares of the amplitudes
-    are taken less their variances, as noise and skewness that differs over the field move no star with the others.
+    A symmetric image only has sines. The skewness that causes the cosines also displaces all stars, faint ones
+    differently than those of a calibration, without residuals. The variances are subtracted from the squares of the
+    amplitudes, as noise and skewness that varies over the field cause no common displacement.
     """
     if not len(errors.amplitudes):
         return np.zeros((2, 2))
@@ -87,18 +87,17 @@ def shared_shift(errors: ImageErrors) -> FloatArray:
 
 
 def probability_as_assumed(misfit: float | None) -> float:
-    """Probability that star images are as assumed, so that there is no τ (`pose`), by the misfit of the brightest.
-
-    Where they are, the misfit is a normal deviate; where not, exponentially distributed, plus the same noise.
+    """Probability that star images are as assumed, so that there is no τ (`pose`), from the misfit of the brightest. If
+    they are, the misfit is a normal deviate; otherwise it is exponentially distributed, plus the same noise.
 
     Parameters
     ----------
     misfit : float or None
-        `startracker.centroid.result.misfit_of_brightest`; None: not known.
+        `startracker.centroid.result.misfit_of_brightest`; None: unknown.
     """
     if misfit is None:
         return AS_ASSUMED
-    misfit = max(misfit, -5.0)  # noise may be stated too large
+    misfit = max(misfit, -5.0)  # the stated noise may be too large
     clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
     beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
     wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT

@@ -1,8 +1,8 @@
 """Plate constants (Yee 1999, section 2.4): a linear map from image to standard coordinates, and the image's centre.
 
 Standard coordinates are the gnomonic projection of the sky on the plane that touches it at the centre, ξ east and η
-north. They are linear in the coordinates of the image where that is a plane, whatever its scale, rotation, parity and
-shear; the centre is where the map of the origin falls on (0, 0), and follows by iteration.
+north. For a plane image they are linear in its coordinates, for any scale, rotation, parity and shear; the centre is
+the point for which the origin maps to (0, 0), found by iteration.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import normalised
@@ -22,39 +23,32 @@ __all__ = ["Plate", "first_center_deg", "plate_constants", "solve_plate"]
 FloatArray = NDArray[np.float64]
 
 _TOO_WIDE = "plate constants need directions within 78° of their mean; use another estimator"
-_NO_PLATE = "the reference directions are no plate of the observed ones: check the identification"
+_NO_PLATE = "the reference directions do not match the observed ones: check the identification"
 _ROUNDS = 50
 _SETTLED_RAD = 1e-13
 _LINE = 1e-6
-"""Ratio of the second moments across and along below which stars are in a line, and a plate cannot be solved for."""
+"""Ratio of the second moments across and along below which stars are collinear and plate constants undetermined."""
 _SLENDER = 1e-3
 """The same ratio below which the attitude is taken from scale and rotation alone: the shear would be noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A photograph's plate constants.
-
-    Parameters
-    ----------
-    center_deg : array, shape (2,)
-        Right ascension and declination of the image's origin.
-    tangent_deg : array, shape (2,)
-        Where the standard coordinates touch the sky: the centre before the last iteration.
-    matrix, offset : array, shape (2, 2), (2,)
-        (ξ, η) = matrix @ (x, y) + offset, in radians; negative determinant where the picture is as seen in the sky
-        with y up.
-    residual_deg : array, shape (M, 2)
-        Computed minus catalogued right ascension and declination of each star.
-    iterations : int
-    """
+    """A photograph's plate constants."""
 
     center_deg: FloatArray
+    """Right ascension and declination of the image's origin, (2,)."""
     tangent_deg: FloatArray
+    """Tangent point of the standard coordinates, (2,): the centre before the last iteration."""
     matrix: FloatArray
     offset: FloatArray
+    """(ξ, η) = matrix @ (x, y) + offset, in radians, (2, 2), (2,); negative determinant for an image as seen on the sky
+    with y up."""
     residual_deg: FloatArray
+    """Computed minus catalogue right ascension and declination of each star, (M, 2)."""
     iterations: int
+
+    __repr__ = fields_repr
 
     @property
     def constants(self) -> FloatArray:
@@ -68,12 +62,12 @@ class Plate:
         return _from_standard(standard, self.tangent_deg)
 
     def image_xy(self, sky_deg: ArrayLike) -> FloatArray:
-        """Points (M, 2) of the image where right ascension and declination (M, 2), degrees, fall: `sky_deg` undone.
+        """Points (M, 2) of the image for right ascension and declination (M, 2), degrees: the inverse of `sky_deg`.
 
         Raises
         ------
         InputError
-            Directions 90° or more from the centre.
+            For directions 90° or more from the centre.
         """
         standard = _to_standard(np.asarray(sky_deg, dtype=float), self.tangent_deg) - self.offset
         return np.asarray(np.linalg.solve(self.matrix, standard.T).T)
@@ -85,17 +79,17 @@ def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 
     Parameters
     ----------
     xy : array_like, shape (M, 2)
-        Centroids, the origin at the centre of the image; any unit, any orientation, M ≥ 3 not in a line.
+        Centroids, the origin at the centre of the image; any unit, any orientation, M ≥ 3 not collinear.
     sky_deg : array_like, shape (M, 2)
         Right ascension and declination of each, degrees.
     tolerance_deg : float
-        The iteration ends when neither coordinate of the centre moves by more.
+        The iteration ends if neither coordinate of the centre changes by more.
 
     Raises
     ------
     InputError
-        Shapes that do not fit, values that are not finite, fewer than three stars, stars in a line or 90° from the
-        centre, an iteration that does not settle.
+        For inconsistent shapes, values that are not finite, fewer than three stars, stars that are collinear or 90°
+        from the centre, or an iteration that does not converge.
     """
     image, sky = np.array(xy, dtype=float), np.array(sky_deg, dtype=float)
     if image.ndim != 2 or image.shape[1] != 2 or image.shape != sky.shape:
@@ -107,7 +101,7 @@ def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 
     design = np.column_stack([image, np.ones(len(image))])
     moments = np.linalg.eigvalsh(np.cov(image.T))
     if not moments[0] > _LINE * moments[1]:
-        raise InputError("plate constants need three stars that are not in a line")
+        raise InputError("plate constants need three stars that are not collinear")
     center = first_center_deg(image, sky)
     iterations = 0
     for _ in range(_ROUNDS):
@@ -121,7 +115,9 @@ def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 
         if moved.max() <= tolerance_deg:
             break
     else:
-        raise InputError(f"the centre still moves by {moved.max():.3g}° after {_ROUNDS} iterations: check the stars")
+        raise InputError(
+            f"the centre does not converge (last change {moved.max():.3g}° after {_ROUNDS} iterations): check the stars"
+        )
     computed = _from_standard(design @ solution, tangent)
     residual = computed - sky
     residual[:, 0] = (residual[:, 0] + 180.0) % 360.0 - 180.0
@@ -129,9 +125,9 @@ def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 
 
 
 def first_center_deg(xy: FloatArray, sky_deg: FloatArray) -> FloatArray:
-    """Where the iteration starts (2,), degrees: each coordinate fitted linearly to x and to y, the two means taken.
+    """Initial centre (2,), degrees: the mean of linear fits of each coordinate to x and to y.
 
-    Right ascensions are unwrapped about their circular mean. Where a line fits the sky badly, near the poles, the mean
+    Right ascensions are unwrapped about their circular mean. Near the poles, where linear fits are poor, the mean
     direction of the stars is used instead.
     """
     ra, dec = np.radians(sky_deg[:, 0]), np.radians(sky_deg[:, 1])
@@ -166,7 +162,7 @@ def _to_standard(sky_deg: FloatArray, tangent_deg: FloatArray) -> FloatArray:
 
 
 def _from_standard(standard: FloatArray, tangent_deg: FloatArray) -> FloatArray:
-    """Eqs. 2.18 and 2.19, right for every quadrant."""
+    """Eqs. 2.18 and 2.19, valid in every quadrant."""
     xi, eta = standard[..., 0], standard[..., 1]
     sine, cosine = math.sin(math.radians(tangent_deg[1])), math.cos(math.radians(tangent_deg[1]))
     inward = cosine - eta * sine
@@ -178,11 +174,10 @@ def _from_standard(standard: FloatArray, tangent_deg: FloatArray) -> FloatArray:
 def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude by plate constants (Yee 1999, section 2.4), on the sphere.
 
-    The image plane is laid where the weighted mean of the observed directions touches the sphere, which keeps the
-    centre inside the stars; the fit is weighted by 1/σ². The centre iterates until it stands still. Of the plate's
-    2 × 2 matrix the attitude takes the nearest rotation; scale and shear, which plate constants leave free, are
-    dropped: indifference to the focal length, paid with some accuracy. Two stars, or stars nearly in a line,
-    leave a scale and a rotation alone (four constants).
+    The image plane is tangent at the weighted mean of the observed directions; the fit is weighted by 1/σ². The centre
+    is iterated to convergence. The attitude is the rotation closest to the plate's 2 × 2 matrix; scale and shear, which
+    are free, are discarded: the result is independent of the focal length, with some loss of accuracy. For two stars,
+    or nearly collinear ones, only a scale and a rotation are fitted (four constants).
 
     Parameters
     ----------
@@ -194,13 +189,13 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
     Returns
     -------
     Estimate
-        With the covariance of these linear fits, rad²: never below that of `wahba_svd`.
+        With the covariance of these linear fits, rad², which is at least that of `wahba_svd`.
 
     Raises
     ------
     InputError
-        See `startracker.estimation.result.check_directions`; also for stars 78° or more from their mean direction,
-        which no plane holds, and stars that fit no plate.
+        See `startracker.estimation.result.check_directions`; also for stars 78° or more from their mean direction, and
+        for stars that do not match.
     """
     b, r, sigma = check_directions(observed, reference, sigma_rad)
     weight = (sigma.min() / sigma) ** 2
@@ -231,7 +226,7 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
         axes_r = _tangent_axes(axes_r[2] + offset @ axes_r[:2])
     swing, reach = matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1]
     length = math.hypot(swing, reach)
-    # a mirror image, or no image at all, turns nowhere
+    # a mirror image, or no match, has no rotation
     if not (size < 1e-7 and length > 0.1 and np.linalg.det(matrix) > 0.0):
         raise InputError(_NO_PLATE)
     c, s = reach / length, swing / length
@@ -241,7 +236,7 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
 
 
 def _tangent_axes(mean: FloatArray) -> FloatArray:
-    """Rows: two axes across a direction (3,) and the direction itself, right-handed."""
+    """Rows: two axes perpendicular to a direction (3,), and the direction, right-handed."""
     axis = normalised(mean)
     smallest = int(np.argmin(np.abs(mean)))
     across = normalised(np.eye(3)[smallest] - axis[smallest] * axis)
@@ -249,14 +244,14 @@ def _tangent_axes(mean: FloatArray) -> FloatArray:
 
 
 def _project(axes: FloatArray, v: FloatArray) -> FloatArray | None:
-    """Gnomonic coordinates (M, 2) of directions (M, 3); None unless all are well before the plane."""
+    """Gnomonic coordinates (M, 2) of directions (M, 3); None unless all are well in front of the plane."""
     x, y, depth = axes @ v.T
     return None if (depth < 0.2).any() else np.stack([x / depth, y / depth], axis=1)
 
 
 def _lever_arms(x: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-    """Weighted mean (2,) of points (M, 2), and rows (M, 2) that give a map's columns from the stars' shifts: of all
-    four elements, or of scale and rotation alone where the points are nearly in a line (False)."""
+    """Weighted mean (2,) of points (M, 2), and rows (M, 2) that give the columns of a map from the stars' shifts: for
+    all four elements, or for scale and rotation only if the points are nearly collinear (False)."""
     middle = weight @ x
     off = x - middle
     moments = (weight[:, None] * off).T @ off
@@ -270,9 +265,9 @@ def _plate_covariance(
 ) -> FloatArray:
     """Covariance (3, 3) of the rotation vector in the plane's axes.
 
-    The fit reads shift and turn as linear functions F of the stars' shifts m in the plane. A rotation δ shifts a star
-    by G δ, G = [[−xy, 1 + x², −y], [−(1 + y²), xy, x]]; so δ̂ = (F G)⁻¹ F m. Isotropic errors σ of a direction become
-    σ² (1 + x² + y²) (I + p pᵀ), p = (x, y), in the plane.
+    The fit gives shift and rotation as linear functions F of the stars' shifts m in the plane. A rotation δ shifts a
+    star by G δ, G = [[−xy, 1 + x², −y], [−(1 + y²), xy, x]]; so δ̂ = (F G)⁻¹ F m. Isotropic errors σ of a direction
+    become σ² (1 + x² + y²) (I + p pᵀ), p = (x, y), in the plane.
     """
     level, (a, b), (p, q) = weight - along @ middle, along.T, x.T
     zero, one = np.zeros(len(x)), np.ones(len(x))

@@ -1,24 +1,24 @@
-"""Attitude and covariance of a field whose stated errors and camera may be a little wrong: what the residuals say.
+"""Attitude and covariance of a field, with errors of the stated covariances and of the camera estimated from residuals.
 
 Measured minus predicted positions of M identified stars, in pixels, are modelled as
 
     r_i = J_i θ + B_i u + e_i,   e_i ~ N(0, s² (C_i + τ² T)),   u ~ N(0, Λ)
 
 θ is the rotation vector of the attitude's correction, J_i = ∂(x, y)/∂θ; C_i is the stated covariance of the centroid.
-What may be wrong besides the noise:
+Unknowns in addition to the noise:
 
 s²
-    factor of all variances: scaled inverse χ² with `TRUSTED` degrees of freedom about 1 where errors are stated,
-    Jeffreys' 1/s² where they are not;
+    factor of all variances: scaled inverse χ² with `TRUSTED` degrees of freedom about 1 for stated errors, Jeffreys'
+    prior 1/s² otherwise;
 τ
-    systematic error that is alike in faint and bright stars (star images of another shape than the centroider's,
-    blends, catalogue), on a grid of multiples of the median stated error; none with a probability that the misfit of
-    the brightest stars' images says (`image_errors`). T, of trace 2, is I unless the residuals are
-    significantly longer along one direction, as those of undersampled images with coma are;
+    systematic error, equal for faint and bright stars (image shapes that differ from the centroider's, blends,
+    catalogue), on a grid of multiples of the median stated error; zero with a probability from the misfit of the
+    brightest star images (`image_errors`). T, of trace 2, is I unless the residuals are significantly larger along one
+    direction, as for undersampled images with coma;
 u
-    smooth displacements B_i over the image: the focal length; two shears (with the focal length and the rotation any
-    affine map of the image: what a turn during a rolling readout makes); and columns that the caller knows of (a rate
-    times the row's time, the years since the catalogue's epoch).
+    smooth displacements B_i over the image: the focal length; two shears (with focal length and rotation any affine map
+    of the image, as caused by rotation during a rolling readout); and columns given by the caller (a rate times the
+    row's time, the years since the catalogue's epoch).
 
 For a given τ and a given set of columns the model is linear, and its posterior is known in closed form (O'Hagan &
 Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V = diag(C_i + τ² T), H = [J B],
@@ -28,13 +28,13 @@ N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ 
     covariance  N⁻¹ (n + χ²)/(n + ν − 2), that of a t distribution
     evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
 
-The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance has the
-mean of theirs and the scatter of their means. Where the frame shows nothing wrong, the plain model has nearly all the
-weight and the result is the weighted least-squares fit with its usual covariance P = [Σ Jᵀ C⁻¹ J]⁻¹; what the frame
-shows is fitted and widens the covariance by as much as it leaves unknown.
+The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance is the
+mean of theirs plus the scatter of their means. Without significant deviations the plain model has nearly all the
+weight, and the result is the weighted least-squares fit with its usual covariance P = [Σ Jᵀ C⁻¹ J]⁻¹; significant
+deviations are fitted, and increase the covariance by their remaining uncertainty.
 
 A shear by w of the columns against the rows, x += 2 w y, is half a shear (x, y) += w (y, x) and half a rotation by w,
-which no residual shows; so w² is added to the variance about the boresight.
+which does not appear in residuals; therefore w² is added to the variance about the boresight.
 """
 
 from __future__ import annotations
@@ -64,92 +64,70 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 TRUSTED = 20.0
-"""Degrees of freedom of the stated errors: their common factor is known beforehand to 1/√(2 · 20) = 16 %."""
+"""Degrees of freedom of the stated errors: the prior uncertainty of their common factor is 1/√(2 · 20) = 16 %."""
 _OCTAVES = 0.5 * np.arange(19)
 SYSTEMATIC = np.concatenate((np.zeros(1), 0.2 * 2.0**_OCTAVES))
 """Values of τ in units of the median stated error."""
 _FALLING = 0.75**_OCTAVES
 _PRIOR_OF_SYSTEMATIC = np.log(np.concatenate((np.ones(1), _FALLING / _FALLING.sum())))
-"""Of each given that there is none, or one: a large one is less probable, as of three stars it is hardly known."""
+"""Prior of each value given that τ is nonzero; large values are less probable, as three stars hardly determine it."""
 FOCAL_SIGMA, SHEAR_SIGMA = 5e-4, 1e-3
-"""Relative error of a calibrated focal length, and of a shear, where there is one."""
+"""Prior relative error of a calibrated focal length and of a shear, if present."""
 FREE_FOCAL_SIGMA = 1e-2
-"""Relative error of the focal length where the frame shows more than a small one."""
+"""Prior relative error of the focal length if the frame indicates a large one."""
 UNKNOWN_FLOOR_PX = 0.003
-"""Least error of centroids that come without one: they may agree better by luck, or be rounded."""
+"""Minimum error of centroids without stated errors, which may agree by chance or be rounded."""
 _PRIOR_OF_MODELS = np.log(np.array([0.6, 0.3, 0.1]))
-"""Camera as calibrated; focal length off; focal length and shears."""
+"""Models: camera as calibrated; focal length free; focal length and shears free."""
 _LEAST_ELONGATION = 9.0
-"""Of the systematic error: square over its variance, which noise exceeds once in ninety times."""
+"""Significance limit of the systematic error: square over variance, exceeded by noise with probability 1/90."""
 _MOST_ELONGATION = 0.95
 _FARTHEST_SQUARE = 9.0
 
 
 class Linearised(NamedTuple):
-    """Stars of one field about a first attitude.
-
-    Parameters
-    ----------
-    residual : (M, 2)
-        Measured minus predicted, pixels.
-    slopes : (M, 2, 3)
-        `startracker.image_map.pixel_slopes`.
-    offset : (M, 2)
-        Predicted positions from the principal point: what the focal length scales.
-    covariance : (M, 2, 2)
-        Stated, pixels².
-    extra, extra_sigma : (M, 2, E), (E,)
-        Displacements that are always fitted, and the standard deviations of their amplitudes beforehand.
-    as_assumed : float
-        Probability beforehand that there is no τ (`probability_as_assumed`).
-    """
+    """Stars of one field, linearised about an initial attitude."""
 
     residual: FloatArray
+    """Measured minus predicted, pixels, (M, 2)."""
     slopes: FloatArray
+    """`startracker.image_map.pixel_slopes`, (M, 2, 3)."""
     offset: FloatArray
+    """Predicted positions relative to the principal point, (M, 2), which scale with the focal length."""
     covariance: FloatArray
+    """Stated covariance, pixels², (M, 2, 2)."""
     extra: FloatArray
     extra_sigma: FloatArray
+    """Displacements that are always fitted, (M, 2, E), and prior standard deviations of their amplitudes, (E,)."""
     as_assumed: float = AS_ASSUMED
+    """Prior probability of no τ (`probability_as_assumed`)."""
 
 
 class Pose(NamedTuple):
-    """Fit of one field.
-
-    Parameters
-    ----------
-    turn : (3,)
-        Rotation vector θ that corrects the attitude: v → v − θ × v in the camera.
-    covariance : (3, 3)
-        Of the rotation vector, rad².
-    camera_part : (3, 3)
-        Of that, what the camera's unknowns add.
-    sigma_px : (M,)
-        Standard error of each star on one axis, systematic part and factor included.
-    systematic_px2 : float
-        Mean of s² τ².
-    factor : float
-        Mean of s².
-    unknowns, unknowns_variance : (E + 3,)
-        Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and
-        their variances.
-    log_evidence : float
-        Of all models together, but for a constant that depends on the stars alone.
-    """
+    """Fit of one field."""
 
     turn: FloatArray
+    """Rotation vector θ that corrects the attitude, (3,): v → v − θ × v in the camera."""
     covariance: FloatArray
+    """Covariance of the rotation vector, rad², (3, 3)."""
     camera_part: FloatArray
+    """Part of it due to the unknowns of the camera, (3, 3)."""
     sigma_px: FloatArray
+    """Standard error of each star on one axis, including systematic part and factor, (M,)."""
     systematic_px2: float
+    """Mean of s² τ²."""
     factor: float
+    """Mean of s²."""
     unknowns: FloatArray
     unknowns_variance: FloatArray
+    """Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and their
+    variances, (E + 3,)."""
     log_evidence: float
+    """ln of the evidence of all models together, up to a constant that only depends on the stars."""
 
 
 def few_stars_factor(freedom: int) -> float:
-    """Factor of a covariance χ²/ν · P, so that it holds 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
+    """Factor of a covariance χ²/ν · P, so that it contains 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
 
     With errors known only from the residuals, eᵀP⁻¹e/(3 χ²/ν) is distributed as F(3, ν), not as χ²/3: for three stars
     (ν = 3) its 99 % quantile is 7.8 times as large.
@@ -169,25 +147,24 @@ def _columns(stars: Linearised) -> FloatArray:
 
 
 def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
-    """How far what may be wrong with the camera (`Pose.unknowns`) moves stars (M, 2), pixels; see `Linearised`."""
+    """Displacements (M, 2) of stars by the unknowns of the camera (`Pose.unknowns`), pixels; see `Linearised`."""
     focal, one, two = unknowns[-3:].tolist()
     moved: FloatArray = offset @ np.array([[focal + one, two], [two, focal - one]])
     return moved + extra @ unknowns[:-3] if len(unknowns) > 3 else moved
 
 
 def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose:
-    """Average of all models of the module's docstring over their evidence.
+    """Average of all models of the module's docstring, weighted by evidence.
 
     Parameters
     ----------
     stars : Linearised
     trusted : float
-        Degrees of freedom of the stated errors; 0: they are unknown, and those given only their ratios, in which case
-        there is no τ.
+        Degrees of freedom of the stated errors; 0: unknown errors, of which only the ratios are given, and no τ.
     first : int
-        First model: 0 where the camera may be as calibrated; 1 where the focal length is always fitted.
+        First model: 0 if the camera may be as calibrated, 1 if the focal length is always fitted.
     models : int
-        Number of models: 3, or 2 where the caller's columns make shears as they are.
+        Number of models: 3, or 2 if the caller's columns already include shears.
     """
     columns = _columns(stars)
     pose = _fit_models(stars, columns, trusted, first, models, np.eye(2))
@@ -202,9 +179,9 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose
 def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
     """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
 
-    With z = r/σ of the fit with T = I and g the systematic share of a star's variance, E[z zᵀ] = I + g (T − I): least
-    squares for the two elements of T − I, whose variance is 1/Σ g² each. They are left out where they may be noise, and
-    shrunk where they are not, so that T is continuous in the residuals.
+    With z = r/σ of the fit with T = I and g the systematic fraction of a star's variance, E[z zᵀ] = I + g (T − I):
+    least squares for the two elements of T − I, each with variance 1/Σ g². They are zero if not significant, and
+    otherwise reduced, so that T is continuous in the residuals.
     """
     a, b, information = 0.0, 0.0, 0.0
     for n in range(len(residual)):
@@ -214,7 +191,7 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
             x, y = x - columns[n, 0, k] * amplitude, y - columns[n, 1, k] * amplitude
         variance = pose.sigma_px[n] ** 2
         share = pose.systematic_px2 / variance
-        # one star far off shall not make the shape of all
+        # a single outlier must not determine the shape
         square = max(x * x + y * y, 1e-300) / variance
         share_of_one = share * min(1.0, _FARTHEST_SQUARE / square) / variance
         a, b = a + share_of_one * 0.5 * (x * x - y * y), b + share_of_one * x * y
@@ -281,7 +258,7 @@ def _fit_each_model(
     """All models, with the systematic error's covariance τ² `shape`: logarithms of their weights and scales
     (grid, 3), means (grid, 3, 6 + E) and covariances of all unknowns, and covariances (grid, 3, 3) of rotations alone.
 
-    `prior_sigma` (3, 6 + E) has the standard deviations beforehand of each model's unknowns but the rotation.
+    `prior_sigma` (3, 6 + E) has the prior standard deviations of each model's unknowns except the rotation.
     """
     widest, known = columns.shape[2], columns.shape[2] - 6
     freedom = 2.0 * len(columns) - 3.0
@@ -330,7 +307,7 @@ def _averaged(
     unit: float,
     known: int,
 ) -> Pose:
-    """Moments of the mixture, its weights (grid, 3) still logarithms."""
+    """Moments of the mixture; weights (grid, 3) are given as logarithms."""
     highest, total = -np.inf, 0.0
     for t in range(weight.shape[0]):
         for m in range(3):

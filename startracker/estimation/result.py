@@ -1,4 +1,4 @@
-"""What an attitude estimator hands on, and the checks of what goes in."""
+"""Result of an attitude estimator, and checks of its input."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.rotations import normalised
 
@@ -15,23 +16,20 @@ __all__ = ["Estimate", "check_directions"]
 FloatArray = NDArray[np.float64]
 
 _DISTINCT_RAD = 1e-9
-"""Directions nearer than this (0.2 mas) to the first's axis say nothing of the turn about it in double precision."""
+"""Minimum angle (0.2 mas) from the axis of the first direction; closer ones do not determine the rotation about it in
+double precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Attitude estimate.
-
-    Parameters
-    ----------
-    matrix : array, shape (3, 3)
-        Proper rotation, ``observed = matrix @ reference``.
-    covariance : array, shape (3, 3)
-        Of the error's rotation vector, rad², in the axes of the observed vectors.
-    """
+    """Attitude estimate."""
 
     matrix: FloatArray
+    """Proper rotation, ``observed = matrix @ reference``, (3, 3)."""
     covariance: FloatArray
+    """Covariance of the rotation vector of the error, rad², in the axes of the observed vectors, (3, 3)."""
+
+    __repr__ = fields_repr
 
 
 def check_directions(
@@ -42,7 +40,7 @@ def check_directions(
     Raises
     ------
     InputError
-        Shapes that do not fit, values that are not finite, a vector of length zero, a standard deviation that is not
+        For inconsistent shapes, values that are not finite, a vector of length zero, a standard deviation that is not
         positive, or fewer than two distinct directions (a direction and its opposite are one axis).
     """
     b = np.ascontiguousarray(observed, dtype=np.float64)

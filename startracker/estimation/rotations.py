@@ -1,7 +1,7 @@
 """Common parts of the estimators: the pair of stars with the most information, the last Newton steps, the covariance.
 
-Sums over nearly parallel stars are taken in a frame whose first axis a is their weighted mean: their
-information about the rotation about a, Σ w sin², would be lost in the rounding of Σ w − Σ w cos².
+Sums over nearly parallel stars are computed in a frame whose first axis a is their weighted mean: otherwise their
+information on the rotation about a, Σ w sin², would be lost by rounding of Σ w − Σ w cos².
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["common_frame", "covariance_of", "most_telling_pair", "normalised", "
 FloatArray = NDArray[np.float64]
 
 _STEPS = 12
-_LARGEST_STEP = 0.3  # rad; beyond it Newton's quadratic model of the cost is no longer one
+_LARGEST_STEP = 0.3  # rad; limit of Newton's quadratic model of the cost
 
 
 def normalised(vector: FloatArray) -> FloatArray:
@@ -25,7 +25,8 @@ def normalised(vector: FloatArray) -> FloatArray:
 
 
 def common_frame(b: FloatArray, weight: FloatArray) -> FloatArray:
-    """Rows: the weighted mean axis of directions (M, 3), taken from the heaviest one's side, and two axes across."""
+    """Rows: the weighted mean axis of directions (M, 3), with the sign of the heaviest one, and two perpendicular
+    axes."""
     side = np.where(b @ b[np.argmax(weight)] >= 0.0, weight, -weight)
     axis = normalised(side @ b)
     smallest = int(np.argmin(np.abs(axis)))
@@ -34,7 +35,7 @@ def common_frame(b: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _curvature(b: FloatArray, p: FloatArray, weight: FloatArray, frame: FloatArray) -> FloatArray:
-    """Σ w ((b·p) I − (b pᵀ + p bᵀ)/2) in the axes of `frame`: Wahba's Hessian; with p = b the information."""
+    """Σ w ((b·p) I − (b pᵀ + p bᵀ)/2) in the axes of `frame`: Wahba's Hessian; for p = b the information."""
     products = (weight[:, None] * (b @ frame.T)).T @ (p @ frame.T)
     a, u, v = products.diagonal()
     return np.diag([u + v, a + v, a + u]) - 0.5 * (products + products.T) * (1.0 - np.eye(3))
@@ -50,9 +51,9 @@ def covariance_of(b: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
-    """Rotation (3, 3) near `matrix` at which Σ w |b − A r|² is least: Newton steps, until rounding stops them.
+    """Rotation (3, 3) near `matrix` that minimises Σ w |b − A r|², by Newton's method to the limit of rounding.
 
-    With p = A r and b ≈ p the gradient Σ w b × p is taken as Σ w (b − p) × p, which keeps its digits.
+    With p = A r and b ≈ p the gradient Σ w b × p is computed as Σ w (b − p) × p, which preserves precision.
     """
     frame = common_frame(b, weight)
     last = np.inf
@@ -61,11 +62,11 @@ def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray)
         gradient = weight @ np.cross(p, b - p)
         turn = frame.T @ (inverse(_curvature(b, p, weight, frame), 3)[0] @ (frame @ gradient))
         size = float(np.sqrt(turn @ turn))
-        if not size < min(_LARGEST_STEP, 0.5 * last):  # rounding, or no minimum near
+        if not size < min(_LARGEST_STEP, 0.5 * last):  # rounding, or no minimum nearby
             break
         last = size
         matrix = turned(np.ascontiguousarray(matrix), *turn)
-        if size < 1e-9:  # the next one would be 1e-18
+        if size < 1e-9:  # the next step would be 1e-18
             break
     return matrix
 

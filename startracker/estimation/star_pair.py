@@ -13,10 +13,10 @@ FloatArray = NDArray[np.float64]
 
 
 def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLike) -> FloatArray:
-    """Largest error of the angle of the line through two stars: Greyling 1995, eq. 5.13.
+    """Maximum error of the angle of the line through two stars: Greyling 1995, eq. 5.13.
 
-    θ_err = atan((y + 2δ) / (x − 2δ)) − atan((y − 2δ) / (x + 2δ)), with x, y the separation along the two axes and δ
-    the accuracy of a star's position along either.
+    θ_err = atan((y + 2δ) / (x − 2δ)) − atan((y − 2δ) / (x + 2δ)), with x, y the separation along the two axes and δ the
+    accuracy of a star's position on each axis.
 
     Parameters
     ----------
@@ -29,22 +29,22 @@ def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLik
     -------
     array
         Degrees. With δ = 0.002°: 0.0458° for stars 10° apart along both axes, 7.628° for 0.06° (three pixels);
-        0.286° is kept from 1.6027° on.
+        0.286° is met from 1.6027° on.
     """
     x, y, slack = np.asarray(dx_deg, float), np.asarray(dy_deg, float), 2.0 * np.asarray(accuracy_deg, float)
     return np.asarray(np.degrees(np.arctan2(y + slack, x - slack) - np.arctan2(y - slack, x + slack)))
 
 
 def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
-    """Attitude from the pair of stars whose line is known best.
+    """Attitude from the pair of stars with the most accurate line.
 
-    Of all pairs that with the smallest `pitch_error_deg` is taken: the widest of equally well measured ones. Greyling
-    turns the plane of the sky by θ = ρ − ξ, the difference between the angles of the line in the image and in the
-    catalogue (eqs. 5.6 to 5.8, its pitch), and then shifts it until the stars fall on each other (eqs. 5.9 to 5.12, its
-    roll and yaw). On the sphere that is the rotation which lays the great circle through the two catalogue stars on
-    the one through the two observed stars, midpoint on midpoint: A = M_b M_rᵀ, with the columns of M the midpoint
-    (b₁ + b₂), the way between the stars (b₂ − b₁) and their cross product, each of length one. It needs no small angle
-    and no plane; the separation's error drops out. Of the other stars no use is made.
+    The pair with the smallest `pitch_error_deg` is used: the widest one for equal errors. Greyling rotates the plane of
+    the sky by θ = ρ − ξ, the difference between the angles of the line in the image and in the catalogue (eqs. 5.6 to
+    5.8, its pitch), and then shifts it until the stars coincide (eqs. 5.9 to 5.12, its roll and yaw). On the sphere
+    this is the rotation that maps the great circle through the two catalogue stars to that through the two observed
+    stars, with coincident midpoints: A = M_b M_rᵀ, with the columns of M the midpoint (b₁ + b₂), the difference (b₂ −
+    b₁) and their cross product, all normalised. This does not need small angles or a plane, and is independent of the
+    error of the separation. Other stars are not used.
 
     Parameters
     ----------
@@ -56,8 +56,9 @@ def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     Returns
     -------
     Estimate
-        Covariance to first order: about the pair's pole (σ₁² + σ₂²)/4; about its way (σ₁² + σ₂²)/(4 cos² h); about its
-        midpoint (σ₁² + σ₂²)/(4 sin² h), with h half the separation; the last two correlated by (σ₁² − σ₂²)/(2 sin 2h).
+        Covariance to first order: about the pair's pole (σ₁² + σ₂²)/4; about the difference (σ₁² + σ₂²)/(4 cos² h);
+        about its midpoint (σ₁² + σ₂²)/(4 sin² h), with h half the separation; the last two correlated by (σ₁² − σ₂²)/(2
+        sin 2h).
 
     Raises
     ------
@@ -77,9 +78,9 @@ def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
 
 
 def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
-    """Indices of the pair with the smallest error of the line's angle, its separation taken along the diagonal."""
+    """Indices of the pair with the smallest error of the line's angle, with the separation taken along the diagonal."""
     first, second = np.triu_indices(len(b), 1)
-    # the sine: opposite directions share an axis and are as bad as equal ones
+    # the sine, as opposite directions have the same axis and are as unsuitable as equal ones
     side = np.sqrt(0.5) * np.linalg.norm(np.cross(b[first], b[second]), axis=1)
     slack = 2.0 * np.sqrt(0.5 * (sigma[first] ** 2 + sigma[second] ** 2))
     best = np.argmin(np.arctan2(side + slack, side - slack) - np.arctan2(side - slack, side + slack))
@@ -87,10 +88,10 @@ def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
 
 
 def _pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
-    """Matrix (3, 3) whose columns are the unit vectors midpoint, way from one to two, pole."""
+    """Matrix (3, 3) with the columns midpoint, difference, and pole, as unit vectors."""
     middle, way = one + two, two - one
     middle, way = middle / np.linalg.norm(middle), way / np.linalg.norm(way)
-    # unit vectors make the two perpendicular exactly; rounding does not
+    # perpendicular for exact unit vectors, not after rounding
     way -= middle * (middle @ way)
     way /= np.linalg.norm(way)
     return np.stack([middle, way, np.cross(middle, way)], axis=1)

@@ -17,10 +17,10 @@ FloatArray = NDArray[np.float64]
 def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude by TRIAD (Black 1964, AIAA J. 2, 1350), from the two stars with the most information.
 
-    The first star is laid on its image exactly, the second only on the great circle: A = M_b M_rᵀ with the columns of
-    M the first direction, the pole of the two and what completes them. Of all ordered pairs, the better measured star
-    first, that with the smallest trace of the covariance is taken; the other stars are not used. (The symmetric
-    variant, midpoint on midpoint, is `star_pair`.)
+    The first star is mapped exactly to its image, the second only to the great circle: A = M_b M_rᵀ with the columns of
+    M the first direction, the pole of both, and their cross product. Of all ordered pairs (with the more accurate star
+    first) the one with the smallest trace of the covariance is used; other stars are not used. (The symmetric variant
+    with coincident midpoints is `star_pair`.)
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
     Returns
     -------
     Estimate
-        Covariance to first order, with θ the separation (Shuster & Oh 1981): σ₁² about both axes across the first
-        star; (σ₂² + σ₁² cos²θ)/sin²θ about it; correlated with the axis from it towards the second by σ₁² cot θ.
+        Covariance to first order, with θ the separation (Shuster & Oh 1981): σ₁² about both axes perpendicular to the
+        first star; (σ₂² + σ₁² cos²θ)/sin²θ about it; correlated with the axis from it towards the second by σ₁² cot θ.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""Wahba's problem, the rotation that fits weighted directions best: five ways to the same answer.
+"""Wahba's problem, the best rotation for weighted directions: five methods with the same result.
 
 All minimise Σ σᵢ⁻² |bᵢ − A rᵢ|², which is optimal for isotropic errors of the directions, from B = Σ wᵢ bᵢ rᵢᵀ with
-Σ w = 1. They differ in speed and in the digits that B leaves them: the largest eigenvalue of K and the next are 2θ² or
-so apart for stars within θ of each other, which costs the characteristic polynomial a factor 1/θ⁴ of rounding, the
-decompositions 1/θ². A Newton step on the rotation itself (`polish`) brings each to rounding over θ; where θ is so small
-that B has lost the turn about the stars altogether, it starts from the most telling pair.
+Σ w = 1. They differ in speed and in numerical precision: for stars within θ of each other the two largest eigenvalues
+of K differ by about 2θ², so that rounding errors are amplified by 1/θ⁴ in the characteristic polynomial and by 1/θ² in
+the decompositions. A Newton step on the rotation itself (`polish`) reduces each to rounding over θ; if θ is so small
+that B does not contain the rotation about the stars, it starts from the most informative pair.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["attitude_covariance", "davenport", "esoq2", "quest", "wahba_svd"]
 FloatArray = NDArray[np.float64]
 
 _LOST_RAD2 = 1e-10
-"""Mean square angle from the common axis, rad², below which B says too little of the turn about it."""
+"""Mean square angle from the common axis, rad², below which B does not determine the rotation about it."""
 _NEWTON_STEPS = 40
 _SMALLEST = 1e-12  # of a quaternion's squared length before it is normalised
 
@@ -32,7 +32,8 @@ _SMALLEST = 1e-12  # of a quaternion's squared length before it is normalised
 def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude by singular value decomposition (Markley 1988, J. Astronaut. Sci. 36, 245).
 
-    With B = U S Vᵀ, A = U diag(1, 1, det U det V) Vᵀ. The result is always a proper rotation; 180° is no special case.
+    With B = U S Vᵀ, A = U diag(1, 1, det U det V) Vᵀ. The result is always a proper rotation; 180° is not a special
+    case.
 
     Parameters
     ----------
@@ -44,8 +45,8 @@ def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     Returns
     -------
     Estimate
-        With the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ of the rotation vector, rad². Nearly parallel directions give
-        it a large entry about their axis (1/θ² of their separation).
+        With the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ of the rotation vector, rad². Nearly parallel directions have a
+        large variance about their axis (1/θ² of their separation).
 
     Raises
     ------
@@ -67,11 +68,11 @@ def davenport(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
 def quest(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:
     """Attitude by QUEST (Shuster & Oh 1981, J. Guidance & Control 4, 70).
 
-    λ by Newton's method on the characteristic quartic of K from λ = 1, which lies above the largest root, so that it
-    comes down without overshooting; then q ∝ [(αI + βS + S²) z; γ]. That vanishes at 180°: of the reference frame and
-    the three turned by 180° about an axis, the one with the largest tr B is taken (the method of sequential rotations),
-    which leaves at most 120°. Where Newton does not settle or q is short, as with two equal eigenvalues, Davenport's
-    method takes over. Parameters, result and errors as for `wahba_svd`.
+    λ by Newton's method on the characteristic quartic of K from λ = 1, which is above the largest root, so that it
+    converges monotonically; then q ∝ [(αI + βS + S²) z; γ]. This vanishes at 180°: of the reference frame and the three
+    rotated by 180° about an axis, the one with the largest tr B is used (method of sequential rotations), for which the
+    angle is at most 120°. If Newton's method does not converge or q is short, as for two equal eigenvalues, Davenport's
+    method is used. Parameters, result and errors as for `wahba_svd`.
     """
     return _optimal(observed, reference, sigma_rad, _quest_rotation)
 
@@ -81,7 +82,7 @@ def esoq2(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
 
     The Euler axis e spans the null space of (λ − tr B)((λ + tr B) I − B − Bᵀ) − z zᵀ: the longest cross product of two
     of its rows; q ∝ [(λ − tr B) e; z·e]. It is ill-conditioned for small angles, so that of the four frames of `quest`
-    the one with the smallest tr B is taken. λ, the way out, parameters, result and errors as there.
+    the one with the smallest tr B is used. λ, fallback, parameters, result and errors as there.
     """
     return _optimal(observed, reference, sigma_rad, _esoq2_rotation)
 
@@ -89,8 +90,8 @@ def esoq2(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Es
 def attitude_covariance(observed: FloatArray, sigma_rad: FloatArray) -> FloatArray:
     """Covariance (3, 3), rad², of the rotation vector: P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Markley & Crassidis 2014, ch. 5).
 
-    The information about the turn along the directions' common axis is Σ σᵢ⁻² sin², which the difference I − bbᵀ would
-    lose to rounding; it is summed from the components across that axis.
+    The information on the rotation about the common axis of the directions is Σ σᵢ⁻² sin², which would be lost by
+    rounding in the difference I − bbᵀ; it is computed from the components perpendicular to that axis.
     """
     return np.asarray(covariance_of(np.ascontiguousarray(observed), np.ascontiguousarray(sigma_rad)))
 
@@ -127,7 +128,7 @@ def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray,
 
 
 def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
-    """Proper rotation (3, 3) with least weighted squares of b − R · r (Markley 1988)."""
+    """Proper rotation (3, 3) that minimises the weighted squares of b − R · r (Markley 1988)."""
     u, _, vt = np.linalg.svd(profile_of(b, r, weight))
     rotation: FloatArray = u @ vt
     if np.linalg.det(rotation) < 0.0:  # a reflection
@@ -174,12 +175,12 @@ def _davenport_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> Floa
 
 
 def _turned_reference(matrix: FloatArray, axis: int) -> FloatArray:
-    """The reference frame turned by 180° about an axis (−1: not at all): two columns change sign."""
+    """The reference frame rotated by 180° about an axis (−1: none): two columns change sign."""
     return matrix if axis < 0 else matrix * np.where(np.arange(3) == axis, 1.0, -1.0)
 
 
 def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
-    """Largest root of the characteristic quartic of K, and whether Newton's method settled on it.
+    """Largest root of the characteristic quartic of K, and whether Newton's method converged.
 
     λ⁴ − (a + b) λ² − c λ + (ab + cσ − d) = 0 with Shuster & Oh's a, b, c, d.
     """
@@ -195,7 +196,7 @@ def largest_eigenvalue(profile: FloatArray) -> tuple[float, bool]:
             return value, False
         step = ((value**2 - (a + b)) * value**2 - c * value + constant) / slope
         value -= step
-        if abs(step) < 1e-15 or step < 0.0:  # from above every step goes down, but for rounding
+        if abs(step) < 1e-15 or step < 0.0:  # from above every step is negative, except for rounding
             return value, abs(step) < 1e-6
     return value, False
 

@@ -41,40 +41,28 @@ _VECTOR_SHIFT = 8  # vectors of 10.22 to 10.14, whose squares fit
 
 @dataclass(frozen=True, eq=False)
 class FixedImage:
-    """Image stars in integers.
-
-    Parameters
-    ----------
-    xy : (N, 2)
-        Centroids of 10.22, x right, y up, from the image's centre.
-    scale_deg : (2,)
-        Degrees per pixel of 12.20.
-    """
+    """Image stars in integers."""
 
     xy: Integers
+    """Centroids of 10.22, x right, y up, from the image's centre, (N, 2)."""
     scale_deg: Integers
+    """Degrees per pixel of 12.20, (2,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedSky:
-    """Catalogue stars in integers.
-
-    Parameters
-    ----------
-    ra, dec : (G,)
-        Degrees of 10.22.
-    directions : (G, 3)
-        Unit vectors of 2.30.
-    """
+    """Catalogue stars in integers."""
 
     ra: Integers
     dec: Integers
+    """Degrees of 10.22, (G,)."""
     directions: Integers
+    """Unit vectors of 2.30, (G, 3)."""
 
 
 @dataclass(frozen=True)
 class FixedArithmetic:
-    """Two's complement integers; `startracker.identification.arithmetic.Arithmetic` documents each method."""
+    """Two's complement integers; `startracker.identification.arithmetic.FloatArithmetic` documents each method."""
 
     @property
     def separation_format(self) -> Format:

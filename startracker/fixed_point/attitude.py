@@ -45,21 +45,15 @@ class NotSolved(ArithmeticError):
 
 @dataclass(frozen=True)
 class IntegerAttitude:
-    """Attitude of an image in integers.
-
-    Parameters
-    ----------
-    matrix : int array, shape (3, 3)
-        Rows: the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30:
-        v_camera = matrix @ v_catalogue.
-    ra, dec, roll : int
-        Of the boresight, degrees of 10.22; roll is the position angle of the image's up direction, east of north.
-    """
+    """Attitude of an image in integers."""
 
     matrix: Integers
+    """Rows, (3, 3): the camera's x (right), y (down) and boresight in the catalogue's axes, of 2.30: v_camera = matrix
+    @ v_catalogue."""
     ra: int
     dec: int
     roll: int
+    """Of the boresight, degrees of 10.22; roll is the position angle of the image's up direction, east of north."""
 
 
 def plate_attitude(xy: ArrayLike, directions: ArrayLike) -> IntegerAttitude:

@@ -32,67 +32,49 @@ _SUM_STEP = 8  # shift from differences of logarithms to indices into the table 
 
 
 class Tables(NamedTuple):
-    """Guide stars and constants of one camera, computed by `startracker.identification.integer_acceptance`.
-
-    Parameters
-    ----------
-    guide : (G, 3)
-        Directions of 2.30, brightest first.
-    focal, ratio : int
-        Horizontal focal length, 2⁻¹² pixels; ratio of the horizontal to the vertical focal length, of 12.20.
-    half : (2,)
-        Half the image size in the plane.
-    gates : (R,)
-        Squares of the successive matching radii.
-    same, same_roll : int
-        Maximum differences between the elements of two matrices of 2.30 that count as the same attitude: of the
-        boresight, and of the axis to the right. Either moves the image by at most the widest gate.
-    spread : int
-        Minimum determinant of the second moments of the matched points over the square of their number, in pixels; a
-        fraction of that of a uniformly filled image.
-    log_area : int
-        log₂ of the image's area in units of the plane, rounded down.
-    log_pi : int
-        log₂ π, rounded down.
-    log_cell : (S,)
-        log₂ 2πσ² of each width σ averaged over, in units of the plane, rounded up.
-    quadratic, farthest : (S,)
-        log₂ e / 2σ² × 2³² per unit of squared distance, rounded up; squared distance beyond which nothing matches.
-    log_volume : (S,)
-        log₂ of the prior of the width and of the volume of attitudes of one match with a lever arm of one pixel,
-        rounded down.
-    log_table, sum_table : (256,), (T,)
-        log₂(1 + k/256), and log₂(1 + 2⁻ˣ) of x = (k + 1)/16, both rounded down.
-    distracting : (N + 1,)
-        log₂ of the weight of k false stars.
-    seeing : (N + 1, D + 1)
-        log₂ of the weight of M guide stars detected and k not detected.
-    total : (N + 1, D + 1)
-        log₂ of the total weight of all numbers of stars, for n observed and up to D guide stars, rounded up.
-    threshold : int
-        log₂ of the minimum factor that is accepted, rounded up.
-    """
+    """Guide stars and constants of one camera, computed by `startracker.identification.integer_acceptance`."""
 
     guide: Integers
+    """Directions of 2.30, brightest first, (G, 3)."""
     focal: int
     ratio: int
+    """Horizontal focal length, 2⁻¹² pixels; ratio of the horizontal to the vertical focal length, of 12.20."""
     half: Integers
+    """Half the image size in the plane, (2,)."""
     gates: Integers
+    """Squares of the successive matching radii, (R,)."""
     same: int
     same_roll: int
+    """Maximum differences between the elements of two matrices of 2.30 that count as the same attitude: of the
+    boresight, and of the axis to the right. Either moves the image by at most the widest gate."""
     spread: int
+    """Minimum determinant of the second moments of the matched points over the square of their number, in pixels; a
+    fraction of that of a uniformly filled image."""
     log_area: int
+    """log₂ of the image's area in units of the plane, rounded down."""
     log_pi: int
+    """log₂ π, rounded down."""
     log_cell: Integers
+    """log₂ 2πσ² of each width σ averaged over, in units of the plane, rounded up, (S,)."""
     quadratic: Integers
     farthest: Integers
+    """log₂ e / 2σ² × 2³² per unit of squared distance, rounded up, and squared distance beyond which nothing matches,
+    (S,) each."""
     log_volume: Integers
+    """log₂ of the prior of the width and of the volume of attitudes of one match with a lever arm of one pixel, rounded
+    down, (S,)."""
     log_table: Integers
     sum_table: Integers
+    """log₂(1 + k/256), and log₂(1 + 2⁻ˣ) of x = (k + 1)/16, both rounded down, (256,), (T,)."""
     distracting: Integers
+    """log₂ of the weight of k false stars, (N + 1,)."""
     seeing: Integers
+    """log₂ of the weight of M guide stars detected and k not detected, (N + 1, D + 1)."""
     total: Integers
+    """log₂ of the total weight of all numbers of stars, for n observed and up to D guide stars, rounded up,
+    (N + 1, D + 1)."""
     threshold: int
+    """log₂ of the minimum factor that is accepted, rounded up."""
 
 
 @kernel

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,24 +52,16 @@ clean:
 
 @dataclass(frozen=True)
 class CExport:
-    """Source files, and the memory of their tables.
-
-    Parameters
-    ----------
-    prefix : str
-        Prefix of all names.
-    files : dict of str to str
-        File name to text.
-    table_bytes : dict of str to int
-        Array name to size in bytes.
-    most_steps : int
-        Maximum number of comparisons of catalogue pairs in the search for triads.
-    """
+    """Source files, and the memory of their tables."""
 
     prefix: str
+    """Prefix of all names."""
     files: dict[str, str]
+    """File name to text."""
     table_bytes: dict[str, int]
+    """Array name to size in bytes."""
     most_steps: int = 0
+    """Maximum number of comparisons of catalogue pairs in the search for triads."""
 
 
 def export_c(
@@ -101,10 +93,35 @@ def export_c(
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix) or prefix.endswith("_"):
         raise InputError(f"--prefix: must be lower-case letters, digits and underscores, as 'vega_1', not '{prefix}'")
-    tables, check = tracker.tables, tracker.verification
-    arithmetic, sky = tables.arithmetic, tables.sky
+    arithmetic, sky = tracker.tables.arithmetic, tracker.tables.sky
     if not (isinstance(arithmetic, FixedArithmetic) and isinstance(sky, FixedSky)):
         raise InputError("only integer tables can be exported; build them with FixedArithmetic")
+    tolerance, window = _pair_window(tracker.tables, arithmetic, limits)
+    triangles = max_stars * (max_stars - 1) * (max_stars - 2) // 6
+    most_steps = triangles * 2 * window * _most_partners(tracker.tables, tolerance) ** 2
+    sizes = _Sizes(max_stars, max_triads, max_groups, tolerance, window)
+    constants, arrays = _constants(tracker, arithmetic, limits, sizes), _arrays(tracker, sky)
+    body = ['#include "tracker_tables.h"', "", *(line for table in arrays for line in table.definition()), ""]
+    source = {name: (files("startracker.fixed_point") / "c" / name).read_text("utf-8") for name in _SOURCES}
+    objects = " ".join(f"tracker_{module}.o" for module in MODULES)
+    source |= {"tracker_tables.h": _header(constants, arrays, most_steps), "tracker_tables.c": "\n".join(body)}
+    source["Makefile"] = _MAKEFILE.format(objects=objects)
+    named = {_prefixed(name, prefix): _prefixed(text, prefix) for name, text in source.items()}
+    return CExport(prefix, named, {table.name: table.bytes for table in arrays}, most_steps)
+
+
+class _Sizes(NamedTuple):
+    max_stars: int
+    max_triads: int
+    max_groups: int
+    tolerance: int
+    """Tolerance of separations."""
+    window: int
+    """Maximum number of pairs within the tolerance."""
+
+
+def _pair_window(tables: TriadTables, arithmetic: FixedArithmetic, limits: TriadLimits) -> tuple[int, int]:
+    """Tolerance of separations, and the maximum number of pairs within it."""
     if isinstance(limits.separation_tolerance_deg, tuple):
         raise InputError("the export uses one separation tolerance for all pairs; give one number")
     if len(tables) == 0 or len(tables.first) == 0:
@@ -118,29 +135,34 @@ def export_c(
             f"{len(tables)} stars with up to {window} pairs within the tolerance: more than 16-bit indices can address "
             "(65535 stars, 32767 pairs); use fewer stars or a smaller tolerance"
         )
-    triangles = max_stars * (max_stars - 1) * (max_stars - 2) // 6
-    most_steps = triangles * 2 * window * _most_partners(tables, tolerance) ** 2
+    return tolerance, window
+
+
+def _constants(
+    tracker: IntegerTracker, arithmetic: FixedArithmetic, limits: TriadLimits, sizes: _Sizes
+) -> dict[str, int]:
+    """Numbers of the header by name, without the prefix."""
+    tables, check = tracker.tables, tracker.verification
     # the same computation as `combine_separation`, which this package cannot import
     scale = SCALE.encode(tracker.camera.scale_deg)
     probe = arithmetic.image([[0.0, 0.0], [limits.combine_px, 0.0], [0.0, limits.combine_px]], scale)
     combine = int(arithmetic.image_separations(probe, [0, 0], [1, 2]).max())
     enclosed = limits.enclosed_tolerance_deg
-    arccosine, discarded = arccosine_table()
-    constants = {
+    return {
         "CATALOG_STARS": len(tables),
         "PAIRS": len(tables.first),
         "GUIDES": len(check.guide),
-        "MAX_STARS": max_stars,
+        "MAX_STARS": sizes.max_stars,
         "MAX_POINTS": len(check.distracting) - 1,
         "MAX_FIELD": check.seeing.shape[1] - 1,
-        "MAX_WINDOW": window,
-        "MAX_TRIADS": max_triads,
-        "MAX_GROUPS": max_groups,
+        "MAX_WINDOW": sizes.window,
+        "MAX_TRIADS": sizes.max_triads,
+        "MAX_GROUPS": sizes.max_groups,
         "ROTATIONS": len(STEPS_DEG),
         "FULL_TURN": FULL_TURN,
         "CROSSOVER": CROSSOVER,
-        "ARCCOSINE_DISCARDED": discarded,
-        "SEPARATION_TOLERANCE": tolerance,
+        "ARCCOSINE_DISCARDED": arccosine_table()[1],
+        "SEPARATION_TOLERANCE": sizes.tolerance,
         "ROTATION_TOLERANCE": arithmetic.angle_of(limits.rotation_tolerance_deg),
         "ENCLOSED_TOLERANCE": -1 if enclosed is None else arithmetic.angle_of(enclosed),
         "GROUPING_TOLERANCE": arithmetic.angle_of(limits.grouping_tolerance_deg),
@@ -163,9 +185,14 @@ def export_c(
         "LOG_PI": check.log_pi,
         "THRESHOLD": check.threshold,
     }
-    arrays = [
+
+
+def _arrays(tracker: IntegerTracker, sky: FixedSky) -> list[_Table]:
+    """Constant arrays: functions, the sub-catalogue and its pairs, guide stars, verification."""
+    tables, check = tracker.tables, tracker.verification
+    return [
         _Table("uint16_t", "cosine", "cosines of 1.15 by angles of 6.10", cosine_table()),
-        _Table("int16_t", "arccosine", "degrees of 6.10 by cosines of 1.15", arccosine),
+        _Table("int16_t", "arccosine", "degrees of 6.10 by cosines of 1.15", arccosine_table()[0]),
         _Table("uint16_t", "quadrant", "degrees of 10.6 by cosines of 1.15", quadrant_table()),
         _Table("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG)),
         _Table("int32_t", "star_number", "catalogue numbers", tables.id),
@@ -190,6 +217,10 @@ def export_c(
         _Table("int32_t", "seeing", "log2 of the weight of m stars detected and k not", check.seeing),
         _Table("int32_t", "total", "log2 of the total weight, n points, up to k guide stars", check.total),
     ]
+
+
+def _header(constants: dict[str, int], arrays: list[_Table], most_steps: int) -> str:
+    """Text of ``tracker_tables.h``."""
     head = [
         "/* Tables of one camera and sub-catalogue; generated by boresight export-c. */",
         "#ifndef TRACKER_TABLES_H",
@@ -199,13 +230,7 @@ def export_c(
     head += [f"#define TRACKER_{name} {value}" for name, value in constants.items()]
     head += ["", *(f"extern {table.declaration}; /* {table.meaning} */" for table in arrays), ""]
     head += ["#ifdef __cplusplus", "}", "#endif", "", "#endif", ""]
-    body = ['#include "tracker_tables.h"', "", *(line for table in arrays for line in table.definition()), ""]
-    source = {name: (files("startracker.fixed_point") / "c" / name).read_text("utf-8") for name in _SOURCES}
-    objects = " ".join(f"tracker_{module}.o" for module in MODULES)
-    source |= {"tracker_tables.h": "\n".join(head), "tracker_tables.c": "\n".join(body)}
-    source["Makefile"] = _MAKEFILE.format(objects=objects)
-    named = {_prefixed(name, prefix): _prefixed(text, prefix) for name, text in source.items()}
-    return CExport(prefix, named, {table.name: table.bytes for table in arrays}, most_steps)
+    return "\n".join(head)
 
 
 def _prefixed(text: str, prefix: str) -> str:

@@ -94,19 +94,13 @@ def divide(dividend: ArrayLike, divisor: ArrayLike) -> Integers:
 
 @dataclass(frozen=True)
 class Format:
-    """A fixed-point format M.N.
-
-    Parameters
-    ----------
-    integer_bits, fraction_bits : int
-        M, including the sign bit if there is one, and N.
-    signed : bool
-        Two's complement; else unsigned.
-    """
+    """A fixed-point format M.N."""
 
     integer_bits: int
     fraction_bits: int
+    """M, including the sign bit if there is one, and N."""
     signed: bool = True
+    """Two's complement; else unsigned."""
 
     def __post_init__(self) -> None:
         if self.fraction_bits < 0 or self.integer_bits < int(self.signed) or not 1 <= self.bits <= 64:

@@ -51,18 +51,12 @@ def quadrant_table(angle: Format = ANGLE, cosine: Format = COSINE) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class EnclosedTable:
-    """Yee's database of enclosed angles (section 3.3.3): six 16-bit words for each triangle.
-
-    Parameters
-    ----------
-    stars : int array, shape (T, 3)
-        Indices i < j < k of the stars, ascending.
-    angles : int array, shape (T, 3)
-        Inner angles at these stars, degrees of 10.6, truncated.
-    """
+    """Yee's database of enclosed angles (section 3.3.3): six 16-bit words for each triangle."""
 
     stars: Integers
+    """Indices i < j < k of the stars, ascending, (T, 3)."""
     angles: Integers
+    """Inner angles at these stars, degrees of 10.6, truncated, (T, 3)."""
 
     @property
     def bytes(self) -> int:

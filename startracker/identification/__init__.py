@@ -40,3 +40,7 @@ __all__ = [
     "triads",
     "triads_integer",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

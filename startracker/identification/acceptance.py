@@ -1,12 +1,12 @@
-"""The one rule of acceptance: an answer is believed when chance explains as much less often than the user allows.
+"""The one rule of acceptance: an answer is accepted if it occurs by chance more rarely than the user allows.
 
-With B the Bayes factor of the best answer and Bₖ those of its rivals the chance told is
+With B the Bayes factor of the best answer and Bₖ those of its rivals the reported chance is
 
     p (1 + Σ Bₖ) / B
 
 where p bounds the density of ln B over skies of the hypothesis (`bayes_factor.largest_density`); 1, the bound of
-Markov, where that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. What
-was known of the attitude enters as `log_gain`:
+Markov, if that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. Prior
+knowledge of the attitude enters as `log_gain`:
 
 - the whole sky: B is an average over it; none.
 - a cone about a prior attitude multiplies B and Bₖ by what it narrows the search.
@@ -34,20 +34,20 @@ __all__ = [
 ]
 
 SURE_BEYOND = 15.0
-"""How far beyond the limit (in ln of the chance) nothing can compete any more."""
+"""Margin to the limit (in ln of the chance) beyond which no other hypothesis can compete."""
 WITHIN_PRIOR_BEYOND = 5.0
-"""The same for an answer within a prior: the prior speaks for it too, and the whole sky costs up to 10⁹ operations."""
+"""The same for an answer within a prior, which supports it as well; the whole sky costs up to 10⁹ operations."""
 
 
 def log_chance(
     log_evidence: float, rivals: Sequence[float] = (), *, log_gain: float = 0.0, log_density: float = 0.0
 ) -> float:
-    """ln of the chance that the best answer is none; above 0 where it says nothing.
+    """ln of the chance that the best answer is wrong; above 0 if it means nothing.
 
     Parameters
     ----------
     log_evidence, rivals : float, sequence of float
-        ln B of the best answer, and of those that compete with it.
+        ln B of the best answer, and of its rivals.
     log_gain : float
         ln of the factor on all B: above 0 for a prior, below for patterns tried.
     log_density : float
@@ -66,16 +66,16 @@ def log_limit(settings: IdentificationSettings) -> float:
 def is_beyond_doubt(
     found: Identification | Solution, settings: IdentificationSettings, beyond: float = SURE_BEYOND
 ) -> bool:
-    """Whether an answer is accepted with so much to spare that no other way of looking can have more evidence."""
+    """Whether an answer is accepted with such a margin that no other search can find more evidence."""
     return found.status is Status.SOLVED and found.log_false_alarm < log_limit(settings) - beyond
 
 
 def accepts(chance: float, settings: IdentificationSettings) -> bool:
-    """Whether an answer with this `log_chance` is believed; NaN is not."""
+    """Whether an answer with this `log_chance` is accepted; NaN is not."""
     return chance <= log_limit(settings)
 
 
 def power_of_ten(log_value: float) -> str:
-    """A chance in words, rounded down to a power of ten: e⁻²⁰⁰⁰ is no float."""
+    """A chance as text, rounded down to a power of ten: e⁻²⁰⁰⁰ is not a float."""
     exponent = math.floor(min(log_value, 0.0) / math.log(10.0))
     return f"1e{exponent}" if exponent < 0 else "1"

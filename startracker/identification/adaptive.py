@@ -1,21 +1,20 @@
-"""The default identification: a few triangles, then votes about each star, under assumptions that widen by turns.
+"""The default identification: a few triangles, then votes on each star, under assumptions that become wider.
 
-What a frame needs is not known beforehand: a good one is solved by its first triangle within the stated errors,
-another has false stars, errors of pixels, or a focal length a percent off. So every assumption gets a few triangles of
-the brightest stars. Where that does not do, stars are taken for the pole one after the other and their neighbours vote
-about it (`pole_votes`), of as many stars as are needed to find what could be accepted at all (`search_plan`). The first
-identification beyond doubt ends it.
+The effort that a frame needs is not known beforehand: a good one is solved by its first triangle within the stated
+errors, another has false stars, errors of pixels, or a focal length that is wrong by a percent. So every assumption
+gets a few triangles of the brightest stars. If they fail, one star after the other is taken as the pole and its
+neighbours vote on it (`pole_votes`), for as many stars as are needed to find whatever could be accepted
+(`search_plan`). The first identification beyond doubt ends the search.
 
-From Van Bezooijen 1989 it has the match of pairs, from Mortari, Samaan, Bruccoleri & Junkins 2004 the triangle with
-confirming stars, from Padgett & Kreutz-Delgado 1997 the pole star and its neighbours, and from Lang et al. 2010 the
-acceptance by the odds of the whole field.
+The match of pairs is that of Van Bezooijen 1989, the triangle with confirming stars that of Mortari, Samaan, Bruccoleri
+& Junkins 2004, the pole star and its neighbours those of Padgett & Kreutz-Delgado 1997, and the acceptance by the odds
+of the whole field that of Lang et al. 2010.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache
-from itertools import combinations
+from functools import cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -24,9 +23,9 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.identification.candidate_search import Effort, Verifier
-from startracker.identification.hypothesis import Bench, kernel_stars, too_few
+from startracker.identification.hypothesis import HypothesisPool, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
+from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about
 from startracker.identification.search_plan import (
     ROLLS,
     Plan,
@@ -37,7 +36,7 @@ from startracker.identification.search_plan import (
     plan,
 )
 from startracker.identification.search_state import Guides, Limits, Pairs
-from startracker.identification.triangles import PAIR_SIGMAS, triangle_costs, triangles_alike
+from startracker.identification.triangles import PAIR_SIGMAS, first_triangles, similar_triangles
 from startracker.identification.verification import GATE_SIGMAS
 from startracker.settings import AdaptiveSettings, IdentificationSettings
 
@@ -52,34 +51,34 @@ SHORT_SIDES = 0.6
 
 
 class _Assumption(NamedTuple):
-    """What is taken for true, and how much is done about it.
+    """What is assumed, and how much is searched with it.
 
     Parameters
     ----------
     words : str
-        To be read by people.
+        For the explanation.
     multiple : float
         Of the stated errors, at most.
     focal_range : float
         Largest relative error of the focal length.
     residual : float
         Multiple of the stated errors, at least: smaller ones need no such assumption.
-    chance_hits : float
-        How often chance may let a triangle or a pair pass on to verification.
+    chance : float
+        Largest probability that a false triangle or pair is verified.
     triangles : int
-        Of the brightest stars, looked up first.
+        Number of the brightest stars' triangles, searched first.
     miss : float
-        Chance with which the search by votes may miss a field that has just enough true stars to be accepted.
+        Largest probability that the search by votes misses a field that has just enough true stars to be accepted.
     work : float
-        Operations at most, over the root of the number of stars, where `IdentificationSettings.max_operations` is as
-        usual; else in proportion.
+        Most operations, divided by the root of the number of stars, with the default
+        `IdentificationSettings.max_operations`; in proportion with another.
     """
 
     words: str
     multiple: float
     focal_range: float
     residual: float
-    chance_hits: float
+    chance: float
     triangles: int
     miss: float
     work: float
@@ -87,25 +86,23 @@ class _Assumption(NamedTuple):
 
 _STATED = _Assumption("errors as stated", TIGHT, 0.0, 0.4, 0.02, 12, 0.0025, 3e6)
 _THREE = _Assumption("errors three times as large", MIDDLE, 0.0, TIGHT, 0.005, 3, 0.02, 400e3)
-_FOCAL = _Assumption(f"focal length off by up to {FOCAL_RANGE:.1%}", TIGHT, FOCAL_RANGE, 1.25, 0.01, 3, 0.05, 200e3)
+_FOCAL = _Assumption(f"focal length wrong by up to {FOCAL_RANGE:.1%}", TIGHT, FOCAL_RANGE, 1.25, 0.01, 3, 0.05, 200e3)
 _SEVEN = _Assumption("errors seven times as large", WIDE, 0.0, MIDDLE, 0.001, 0, 0.05, 600e3)
 _QUICK, _THOROUGH = (_STATED, _THREE, _FOCAL), (_STATED, _THREE, _FOCAL, _SEVEN)
 _BEYOND_RIVALS, _AS_STATED = 5.0, 2.2
-"""A field that is accepted with so much (in ln of the chance) to spare, and fits within so many stated errors, is
-searched by votes no longer: a rival would have to explain that much beyond chance."""
+"""A field that is accepted with this margin (in ln of the chance), and fits within so many stated errors, is not
+searched by votes: a rival would need that much evidence."""
 _MULTIPLES = (1.0, 1.5, 2.25, 3.5)
-"""Of the fewest true stars that could be accepted: what the search by votes is planned for, where errors are as stated
-and the fewest are not to be found within its operations."""
+"""Multiples of the fewest true stars that could be accepted for which the search by votes is planned, if errors are as
+stated and the fewest cannot be found within its operations."""
 _MOST_STARS, _WIDE_STARS = 120, 25
-_BRIGHT = 9
-_LEAST_SIDE = 0.12
-_TRIANGLE_WORK, _TRIANGLE_LOOK_WORK = 300.0, 50.0
-_POLE_WORK, _POLE_LOOK_WORK = 100.0, 25.0
+_TRIANGLE_WORK, _TRIANGLE_STAR_WORK = 300.0, 50.0
+_POLE_WORK, _POLE_STAR_WORK = 100.0, 25.0
 _MANY_FOUND, _LEVER = 201, 2.25
-"""Candidates of triangles after which the sky is marked, for stars whose position errs by so many of their errors."""
+"""Candidates of triangles after which an occupancy map is made, and the multiple of the stars' errors it allows."""
 _MANY_TRIED, _USUAL_LEVER = 60, 3.0
-"""The same of the votes."""
-_HITS_FOR_RATE = 10.0
+"""The same for the votes."""
+_CHANCE_FOR_RATE = 10.0
 _USUAL_OPERATIONS = IdentificationSettings().max_operations
 _NO_PRIOR = np.eye(3)
 _BEARINGS: WeakKeyDictionary[PairList, tuple[NDArray[np.uint16], NDArray[np.uint16]]] = WeakKeyDictionary()
@@ -126,7 +123,7 @@ def adaptive(
     guide : GuideDatabase
         As the observer sees it.
     settings : IdentificationSettings
-        Its `false_alarm_rate`, `min_stars` and `magnitude_tolerance`; a `separation_tolerance_deg` sets the one
+        `false_alarm_rate`, `min_stars` and `magnitude_tolerance`; with a `separation_tolerance_deg` this is the only
         tolerance that is tried.
     prior : Prior, optional
         Confines guide stars and attitudes.
@@ -144,30 +141,30 @@ def adaptive(
     quick, thorough = _assumptions(settings, observed)
     if not any(search.triangles(assumption) for assumption in quick) and not search.fits_as_stated:
         any(search.votes(assumption) for assumption in thorough)
-    return search.bench.judge(observed)
+    return search.pool.judge(observed)
 
 
 def _assumptions(
     settings: AdaptiveSettings, observed: Observed
 ) -> tuple[tuple[_Assumption, ...], tuple[_Assumption, ...]]:
-    """Assumptions in the order in which they are tried: by the first triangles, and by votes."""
+    """Assumptions in the order in which they are tried: with the first triangles, and with votes."""
     if settings.separation_tolerance_deg is None:
         return _QUICK, _THOROUGH
     # the user's tolerance is that of a separation
     error = math.radians(settings.separation_tolerance_deg) / (PAIR_SIGMAS * math.sqrt(2.0))
     multiple = error / float(np.median(observed.sigma_rad))
-    given = _STATED._replace(words="separations within the tolerance given", multiple=multiple)
+    given = _STATED._replace(words="separations within the given tolerance", multiple=multiple)
     return (given,), (given,)
 
 
 class _Search:
-    """One identification's searches and what they found. Each search says whether looking on is idle."""
+    """The searches of one identification and what they found. Each returns whether to stop."""
 
     def __init__(
         self, observed: Observed, guide: GuideDatabase, settings: AdaptiveSettings, prior: Prior | None
     ) -> None:
-        self.bench = Bench(settings, prior, len(observed))
-        self._observed, self._guide = observed, guide
+        self.pool = HypothesisPool(settings, prior, len(observed))
+        self._observed, self._guide, self._settings = observed, guide, settings
         self._stars = kernel_stars(observed, guide)
         self._near = near = (
             guide.pairs_within(SHORT_SIDES)
@@ -177,7 +174,7 @@ class _Search:
         self._pairs = Pairs(near.first, near.second, near.separation_rad)
         self._guides = Guides(guide.directions, guide.v_mag)
         self._head = np.full(len(guide), -1, np.int32)
-        self._verifier = Verifier(self.bench, guide, self._stars)
+        self._verifier = Verifier(self.pool, guide, self._stars)
 
     @cached_property
     def _sigma(self) -> float:
@@ -194,72 +191,73 @@ class _Search:
         return crowding_price(self._stars.excess)
 
     @cached_property
-    def _box(self) -> BallotBox:
+    def _counts(self) -> VoteCounts:
         guides, (there, back) = len(self._guide), _bearings(self._near, self._guide)
-        return BallotBox(there, back, np.empty((guides, 4), np.uint64), np.empty(guides, np.bool_), self._head)
+        return VoteCounts(there, back, np.empty((guides, 4), np.uint64), np.empty(guides, np.bool_), self._head)
 
     @property
     def fits_as_stated(self) -> bool:
-        """Whether what was found is accepted with something to spare, and needs no larger errors nor another focus."""
-        if not self.bench.log_chance < self.bench.limit - _BEYOND_RIVALS:
+        """Whether the best hypothesis is accepted with a margin, and fits with the stated errors and focal length."""
+        if not self.pool.log_chance < self.pool.limit - _BEYOND_RIVALS:
             return False
-        best = self.bench.standing[0]
+        best = self.pool.hypotheses[0]
         return best.focal == 1.0 and best.scale <= _AS_STATED
 
     def triangles(self, assumption: _Assumption) -> bool:
-        """Look up the first triangles of the brightest stars."""
+        """Search the first triangles of the brightest stars."""
         if self._exhausted():
             return True
-        limits = _limits(self.bench, self._observed, assumption)
-        vectors, diagonal = self._observed.vectors, 2.0 * self._guide.half_diagonal_rad
-        effort = Effort(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_LOOK_WORK)
-        triples = first_triangles(vectors, diagonal, assumption.triangles)
-        while effort.looked < len(triples) and not effort.ended:
-            self._verifier.mark(effort, _MANY_FOUND, _LEVER)
-            some = triples[effort.looked : 2 * effort.looked + 1]  # the first does mostly
-            candidates, work = triangles_alike(some, self._stars, self._guides, self._pairs, limits, self._head)
-            effort.looked += len(some)
+        limits = self._limits(assumption)
+        effort = Effort(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_STAR_WORK)
+        diagonal = 2.0 * self._guide.half_diagonal_rad
+        triples = first_triangles(self._stars.vectors, diagonal, assumption.triangles)
+        while effort.tried < len(triples) and not effort.ended:
+            self._verifier.map_sky(effort, _MANY_FOUND, _LEVER)
+            some = triples[effort.tried : 2 * effort.tried + 1]  # the first is mostly enough
+            candidates, work = similar_triangles(some, self._stars, self._guides, self._pairs, limits, self._head)
+            effort.tried += len(some)
             self._verifier.take(candidates, effort, work)
-        return self._verifier.note(effort, f"{assumption.words}: {effort.looked} triangles")
+        return self._verifier.note(effort, lambda: f"{assumption.words}: {effort.tried} triangles")
 
     def votes(self, assumption: _Assumption) -> bool:
-        """Take one star after the other for the pole that its neighbours vote about."""
+        """Take one star after the other as the pole on which its neighbours vote."""
         if self._exhausted():
             return True
         votes, fewest = self._plan(assumption)
-        # wider assumptions are tried as far as their share goes; that the stated one is not is told
+        # wider assumptions are searched within their share of operations; only an incomplete stated one is reported
         stated = assumption.residual < 1.0
         if votes.poles == 0:
-            self.bench.cut_short |= stated and votes.cut_short
+            self.pool.cut_short |= stated and votes.cut_short
             return False
-        limits = _limits(self.bench, self._observed, assumption)
+        limits = self._limits(assumption)
         nearest = self._nearest[:, : votes.neighbours]
-        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_LOOK_WORK, enough=fewest - 3)
+        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=fewest - 3)
         for pole in range(votes.poles):
             if effort.ended:
                 break
             left = limits._replace(work=limits.work - effort.work)
             stars, sky = self._stars, self._guides
-            candidates, work = vote_about(pole, nearest[pole], votes.votes, stars, sky, self._pairs, self._box, left)
-            effort.looked += 1
+            candidates, work = vote_about(pole, nearest[pole], votes.votes, stars, sky, self._pairs, self._counts, left)
+            effort.tried += 1
             if len(candidates.focal):
-                self._verifier.mark(effort, _MANY_TRIED - len(candidates.focal), _USUAL_LEVER)
+                self._verifier.map_sky(effort, _MANY_TRIED - len(candidates.focal), _USUAL_LEVER)
             self._verifier.take(candidates, effort, work)
         done = self._verifier.note(
-            effort, f"{assumption.words}: {effort.looked} stars with {votes.neighbours} neighbours"
+            effort, lambda: f"{assumption.words}: {effort.tried} stars with {votes.neighbours} neighbours"
         )
         beyond = votes.cut_short or effort.work > limits.work
-        if not done and (self.bench.left <= 0 or (stated and beyond)):
-            self.bench.cut_short = True
-        accepted = bool(self.bench.standing) and self.bench.log_chance < self.bench.limit
+        if not done and (self.pool.left <= 0 or (stated and beyond)):
+            self.pool.cut_short = True
+        accepted = bool(self.pool.hypotheses) and self.pool.log_chance < self.pool.limit
         return done or (accepted and stated)
 
     def _exhausted(self) -> bool:
-        self.bench.cut_short |= self.bench.left <= 0
-        return self.bench.left <= 0
+        self.pool.cut_short |= self.pool.left <= 0
+        return self.pool.left <= 0
 
     def _plan(self, assumption: _Assumption) -> tuple[Plan, int]:
-        observed, guide, bench = self._observed, self._guide, self.bench
+        """The search by votes, and the fewest true stars with which a field could be accepted."""
+        observed, guide = self._observed, self._guide
         n, free = min(len(observed), _MOST_STARS), assumption.focal_range > 0.0
         area, sigma = guide.solid_angle_sr, self._sigma
         side, guides = math.sqrt(area), len(guide)
@@ -270,8 +268,8 @@ class _Search:
             assumption.residual,
             4 if free else 3,
         )
-        fewest = fewest_matches(evidence, self._price, bench.least_evidence)
-        # of those only the brightest are looked at
+        fewest = fewest_matches(evidence, self._price, self.pool.least_evidence)
+        # only the brightest of them are searched
         fewest = max(fewest * n // len(observed), 3)
         if fewest > n:
             return Plan(0, 0, 0), fewest
@@ -280,14 +278,27 @@ class _Search:
         pairs = 4.0 * side * (error + assumption.focal_range * 0.5 * side) * len(self._pairs.separation) / widest**2
         rolls = 1.0 + 2.0 * error / (0.3 * side) * ROLLS / (2.0 * math.pi)
         gate = math.pi * (GATE_SIGMAS * assumption.multiple * sigma) ** 2 * guides / (4.0 * math.pi)
-        setting = Setting(_rounded(pairs), guides, _rounded(rolls), _rounded(gate), assumption.chance_hits)
+        setting = Setting(_rounded(pairs), guides, _rounded(rolls), _rounded(gate), assumption.chance)
         multiples = _MULTIPLES if assumption.residual < 1.0 else (1.0,)
         planned = plan(n, fewest, assumption.miss, _work(assumption, n), setting, multiples)
         return planned, fewest
 
+    def _limits(self, assumption: _Assumption) -> Limits:
+        pool, settings, matrix, cosine = self.pool, self._settings, _NO_PRIOR, -2.0
+        if pool.prior is not None:
+            largest = float(self._observed.sigma_rad.max())
+            slack = pool.prior.radius_rad + 6.0 * assumption.multiple * largest + assumption.focal_range
+            matrix, cosine = pool.prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
+        # with a high false-alarm rate candidates that few other stars confirm are verified, too
+        chance = max(assumption.chance, _CHANCE_FOR_RATE * settings.false_alarm_rate)
+        work = min(_work(assumption, len(self._observed)) * settings.max_operations / _USUAL_OPERATIONS, pool.left)
+        multiple, focal_range = assumption.multiple, assumption.focal_range
+        return Limits(multiple, focal_range, settings.magnitude_tolerance, chance, work, matrix, cosine)
+
 
 def _work(assumption: _Assumption, stars: int) -> float:
-    """Operations that a search may take: among many points the errors are as stated, or else too many go astray."""
+    """Most operations of a search: with many points only the stated errors are searched in full, as with larger ones
+    too many false candidates pass."""
     return assumption.work * math.sqrt(
         stars if assumption.multiple == TIGHT and assumption.focal_range == 0.0 else min(stars, _WIDE_STARS)
     )
@@ -310,33 +321,3 @@ def nearest_stars(vectors: FloatArray) -> IntArray:
     separation = np.linalg.norm(vectors[:, None] - vectors[None], axis=-1)
     np.fill_diagonal(separation, -1.0)
     return np.argsort(separation, axis=1, kind="stable")[:, 1:]
-
-
-def _limits(bench: Bench, observed: Observed, turn: _Assumption) -> Limits:
-    prior, matrix, cosine = bench.prior, _NO_PRIOR, -2.0
-    if prior is not None:
-        slack = prior.radius_rad + 6.0 * turn.multiple * float(observed.sigma_rad.max()) + turn.focal_range
-        matrix, cosine = prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
-    tolerance = AdaptiveSettings.of(bench.settings).magnitude_tolerance
-    # who accepts much by chance wants what few other stars confirm to be looked at, too
-    chance_hits = max(turn.chance_hits, _HITS_FOR_RATE * bench.settings.false_alarm_rate)
-    work = min(_work(turn, len(observed)) * bench.settings.max_operations / _USUAL_OPERATIONS, bench.left)
-    return Limits(turn.multiple, turn.focal_range, tolerance, chance_hits, work, matrix, cosine)
-
-
-def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> IntArray:
-    """Triangles (T, 3) of the brightest nine stars, those first that are looked up quickly.
-
-    The fewer guide pairs have a side's length the quicker that is, and small triangles agree by chance more seldom;
-    very small ones say little of the attitude and come last.
-    """
-    triples = _triples(min(len(vectors), _BRIGHT))
-    order = np.argsort(triangle_costs(triples, vectors, _LEAST_SIDE * diagonal_rad), kind="stable")
-    return triples[order[:count]]
-
-
-@lru_cache(maxsize=16)
-def _triples(n: int) -> IntArray:
-    """Triples (T, 3) of n stars, brightest first."""
-    triples = np.array(list(combinations(range(n), 3)), dtype=np.int64)
-    return triples[np.argsort(triples[:, 2], kind="stable")]

@@ -1,4 +1,4 @@
-"""Which centroid is which guide star, at an attitude that is known: gates, names, duplicates."""
+"""Association of centroids and guide stars at a known attitude: gates, names, duplicates."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
-from startracker.identification.hypothesis import nearest_unique
+from startracker.identification.verification import nearest_unique
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
+from startracker.linalg import transform
 from startracker.sorting import median
 
 __all__ = ["MARGIN_PX", "REJECT_SIGMAS", "joined", "matched_again", "named"]
@@ -23,21 +24,9 @@ BoolArray = NDArray[np.bool_]
 REJECT_SIGMAS = 3.7
 """A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""
 MARGIN_PX = 3.0
-"""Guide stars so far outside the image may have a centroid on it."""
+"""Guide stars up to this far outside the image may have a centroid on it."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _MANY, _LEAST_SCALE = 10, 0.4
-
-
-@kernel
-def _predicted(matrix: FloatArray, reference: FloatArray, image: ImageMap) -> FloatArray:
-    """Pixels (M, 2) of guide stars (M, 3) at an attitude (3, 3)."""
-    vectors = np.empty_like(reference)
-    for k in range(len(reference)):
-        x, y, z = reference[k]
-        for axis in range(3):
-            vectors[k, axis] = matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z
-    pixels: FloatArray = to_pixels(vectors, image)
-    return pixels
 
 
 @kernel
@@ -54,12 +43,14 @@ def matched_again(
     image: ImageMap,
 ) -> tuple[IntArray, bool]:
     """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
-    scale = _robust_scale(used, xy, _predicted(matrix, reference, image), sigma, known)
-    index, _, places = stars_on_image(matrix, cosine, MARGIN_PX, sky, grid, image)
+    vectors = np.empty_like(reference)
+    transform(matrix, reference, vectors)
+    scale = _robust_scale(used, xy, to_pixels(vectors, image), sigma, known)
+    index, _, positions = stars_on_image(matrix, cosine, MARGIN_PX, sky, grid, image)
     gate = np.empty(len(xy))
     for star in range(len(xy)):
         gate[star] = REJECT_SIGMAS * scale * sigma[star]
-    near, _ = nearest_unique(xy, places, gate)
+    near, _ = nearest_unique(xy, positions, gate)
     pairs, count, same = np.empty((len(near), 2), np.int64), 0, True
     for star in range(len(near)):
         if near[star] >= 0:
@@ -81,7 +72,7 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
     scale: float = median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:
         return max(scale, UNKNOWN_FLOOR_PX)
-    # where many stars agree better than they claim to, as without noise, a blend among them shows
+    # if many stars agree better than stated, as without noise, a blend among them is found
     return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)
 
 
@@ -90,7 +81,7 @@ def named(
     xy: FloatArray,
     stated: FloatArray,
     index: IntArray,
-    places: FloatArray,
+    positions: FloatArray,
     factor: float,
     systematic_px2: float,
     near_px: float,
@@ -98,9 +89,9 @@ def named(
     """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), which fit, and the centroids
     (N, 2) with duplicates merged.
 
-    A centroid that fits is within 3.7 standard errors, those along the trail of a smeared star being far larger than
-    those across; the others go to what guide stars are left within `near_px`.
-    Where several fit one star, that star stands at their mean: the nearest to where it is expected would confirm any
+    A centroid that fits is within 3.7 standard errors by its covariance, which along the trail of a smeared star is
+    far larger than across; the others are paired with the remaining guide stars within `near_px`. If several fit one
+    star, it is at their mean: the nearest to the expected position would confirm any
     expectation.
     """
     gate = np.empty(len(xy))
@@ -108,70 +99,53 @@ def named(
         a, b, c = stated[n, 0, 0], stated[n, 0, 1], stated[n, 1, 1]
         widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
         gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
-    near, _ = nearest_unique(xy, places, gate)
+    near, _ = nearest_unique(xy, positions, gate)
     for n in range(len(xy)):
-        if near[n] >= 0 and not _is_within(xy[n], places[near[n]], stated[n], factor, systematic_px2):
+        if near[n] >= 0 and not _is_within(xy[n], positions[near[n]], stated[n], factor, systematic_px2):
             near[n] = -1
-    owner, merged, several = np.empty(len(places), np.int64), np.empty_like(xy), np.empty(len(xy))
-    for k in range(len(places)):
+    owner, merged, several = np.empty(len(positions), np.int64), np.empty_like(xy), np.empty(len(xy))
+    for k in range(len(positions)):
         owner[k] = -1
     for n in range(len(xy)):
         merged[n, 0], merged[n, 1], several[n] = xy[n, 0], xy[n, 1], 1.0
         if near[n] >= 0:
             owner[near[n]] = n
+    left = np.empty_like(positions)  # NaN is near nothing
+    for k in range(len(positions)):
+        left[k, 0], left[k, 1] = positions[k, 0] if owner[k] < 0 else math.nan, positions[k, 1]
     for n in range(len(xy)):
         best, at = gate[n], -1
-        for k in range(len(places) if near[n] < 0 else 0):
-            away = math.hypot(xy[n, 0] - places[k, 0], xy[n, 1] - places[k, 1])
+        for k in range(len(positions) if near[n] < 0 else 0):
+            away = math.hypot(xy[n, 0] - positions[k, 0], xy[n, 1] - positions[k, 1])
             if away > best or owner[k] < 0:
                 continue
-            if _is_within(xy[n], places[k], stated[n], factor, systematic_px2):
+            if _is_within(xy[n], positions[k], stated[n], factor, systematic_px2):
                 best, at = away, owner[k]
         if at >= 0:
             several[at] += 1.0
             for axis in range(2):
                 merged[at, axis] += (xy[n, axis] - merged[at, axis]) / several[at]
+        gate[n] = near_px if near[n] < 0 else math.nan
+    late, _ = nearest_unique(xy, left, gate)
     pairs, fits, count = np.empty((len(xy), 2), np.int64), np.empty(len(xy), np.bool_), 0
-    late = _of_the_rest(xy, near, places, owner, near_px)
     for n in range(len(xy)):
-        place = near[n] if near[n] >= 0 else late[n]
-        if place >= 0:
-            pairs[count, 0], pairs[count, 1], fits[count] = n, index[place], near[n] >= 0
+        star = near[n] if near[n] >= 0 else late[n]
+        if star >= 0:
+            pairs[count, 0], pairs[count, 1], fits[count] = n, index[star], near[n] >= 0
             count += 1
     return pairs[:count], fits[:count], merged
 
 
 @kernel
-def _is_within(xy: FloatArray, place: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
+def _is_within(xy: FloatArray, position: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
     """Whether a centroid (2,) is within 3.7 standard errors of a position (2,) by its covariance (2, 2)."""
     a, c, b = factor * stated[0, 0] + systematic_px2, factor * stated[1, 1] + systematic_px2, factor * stated[0, 1]
-    x, y = xy[0] - place[0], xy[1] - place[1]
+    x, y = xy[0] - position[0], xy[1] - position[1]
     return bool(c * x * x - 2.0 * b * x * y + a * y * y <= REJECT_SIGMAS**2 * (a * c - b * b))
 
 
-@kernel
-def _of_the_rest(xy: FloatArray, near: IntArray, places: FloatArray, owner: IntArray, near_px: float) -> IntArray:
-    """For centroids (N, 2) without a guide star in `near` (N,) the nearest without an owner (G,), or −1."""
-    points, gate, out = np.empty_like(xy), np.empty(len(xy)), np.empty(len(xy), np.int64)
-    rest, free = np.empty_like(places), np.empty(len(places), np.int64)
-    count, left = 0, 0
-    for n in range(len(xy)):
-        points[count, 0], points[count, 1], gate[count], out[n] = xy[n, 0], xy[n, 1], near_px, -1
-        count += near[n] < 0
-    for k in range(len(places)):
-        rest[left, 0], rest[left, 1], free[left] = places[k, 0], places[k, 1], k
-        left += owner[k] < 0
-    other, _ = nearest_unique(points[:count], rest[:left], gate[:count])
-    k = 0
-    for n in range(len(xy)):
-        if near[n] < 0:
-            out[n] = free[other[k]] if other[k] >= 0 else -1
-            k += 1
-    return out
-
-
 def joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
-    """Pairs that are used and those named that share no star with them, by centroid; and which are used."""
+    """Pairs that are used, those named that share no star with them, both by centroid; and which are used."""
     other = ~(np.isin(named[:, 0], used[:, 0]) | np.isin(named[:, 1], used[:, 1]))
     pairs = np.concatenate([used, named[other]])
     order = np.argsort(pairs[:, 0], kind="stable")

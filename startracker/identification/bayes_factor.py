@@ -1,8 +1,8 @@
-"""How much more likely the observed stars are on the sky than anywhere at random: the Bayes factor of an attitude.
+"""The Bayes factor of an attitude: how much more likely the observed stars are on the sky than at random.
 
-Null hypothesis: each of the n observed stars lies anywhere on the image, density 1/A. Hypothesis: the camera has some
-attitude, all of SO(3) alike; each star is a distractor with probability d, density 1/A, and otherwise one of the K
-brightest guide stars of the field, each with a Gaussian of width σ about its place and a magnitude near the guide
+Null hypothesis: each of the n observed stars is anywhere on the image, density 1/A. Hypothesis: the camera has some
+attitude, uniform over SO(3); each star is a distractor with probability d, density 1/A, and otherwise one of the K
+brightest guide stars of the field, each with a Gaussian of width σ about its position and a magnitude near the guide
 star's. σ, d, K and the magnitudes' scatter are unknown and averaged over a grid. The integral over the attitudes near
 one is Laplace's, (2π)^(3/2) |N|^(−1/2) / (8π²) with N the normal matrix: the price of having searched everywhere.
 
@@ -132,13 +132,13 @@ def _wide(difference: float) -> float:
 
 
 class CountTable(NamedTuple):
-    """What the numbers of stars say, for n observed ones.
+    """Probabilities of the numbers of stars, for n observed ones.
 
     Parameters
     ----------
     log_weight : (depths + 1, n + 1)
         ln of the probability that M given ones of D guide stars within the depth are seen, as M given ones of the n,
-        and nothing else but distractors; −inf where M > D. Row D, column M.
+        and nothing else except distractors; −inf if M > D. Row D, column M.
     log_total : (depths + 1,)
         ln of the probability of n stars, summed over all depths up to each.
     """
@@ -150,7 +150,7 @@ class CountTable(NamedTuple):
 def count_table(n: int, depths: int) -> CountTable:
     """Table for `n` observed stars and up to `depths` guide stars of the field; the last few are kept.
 
-    Each guide star within the depth D is seen with probability p, Poisson-many distractors (mean λ) besides; p and λ
+    Each guide star within the depth D is seen with probability p, and Poisson-many distractors (mean λ); p and λ
     are averaged over `SEEN` and `DISTRACTORS`: an ordered list of n stars with M given matches has the weight
     e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!, whose averages over p and over λ are each other's factors.
     """
@@ -181,16 +181,16 @@ _large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 @kernel
 def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
-    """ln of the likelihood ratio of the matches at hand, averaged over how deep the image reaches and what is missing.
+    """ln of the likelihood ratio of the matches, averaged over the depth of the image and the stars that are missing.
 
     Of the matches with guide stars within a depth the M best are taken: other choices would only add.
 
     Parameters
     ----------
     gain : (m,)
-        ln of A times the density of each matched star's place and magnitude, largest first.
+        ln of A times the density of each matched star's position and magnitude, largest first.
     rank : (m,)
-        Place of its guide star in the field's order of brightness, from 0.
+        Rank of its guide star in the field's order of brightness, from 0.
     in_field : int
         Guide stars of the field, K.
     counts : CountTable
@@ -214,14 +214,14 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
 
 
 class Matched(NamedTuple):
-    """Observed stars as they are matched.
+    """Matched observed stars.
 
     Parameters
     ----------
     distance : (N,)
-        From each observed star to its guide star, rad; inf where it has none.
+        From each observed star to its guide star, rad; inf if it has none.
     rank : (N,)
-        Place of that guide star in the field's order of brightness; anything where it has none.
+        Rank of that guide star in the field's order of brightness; any number if it has none.
     sigma : (N,)
         Stated standard error on one axis, rad.
     log_ratio : (scatters, N)
@@ -256,7 +256,7 @@ def _log_matches(
 ) -> float:
     """`log_assignments` with errors of `scale` times the stated ones; `scatter` of the magnitudes, −1: without."""
     gain, order = np.empty(len(seen)), np.empty(len(seen), np.int64)
-    largest_first, places = np.empty(len(seen)), np.empty(len(seen), np.int64)
+    largest_first, ranks = np.empty(len(seen)), np.empty(len(seen), np.int64)
     for k in range(len(seen)):
         star = seen[k]
         spread = scale * matched.sigma[star]
@@ -265,8 +265,8 @@ def _log_matches(
             gain[k] -= matched.log_ratio[scatter, star]
     order_of(gain, order)
     for k in range(len(seen)):
-        largest_first[k], places[k] = -gain[order[k]], matched.rank[seen[order[k]]]
-    value: float = log_assignments(largest_first, places, in_field, counts)
+        largest_first[k], ranks[k] = -gain[order[k]], matched.rank[seen[order[k]]]
+    value: float = log_assignments(largest_first, ranks, in_field, counts)
     return value
 
 
@@ -274,7 +274,7 @@ def _log_matches(
 def log_bayes_factor(
     matched: Matched, information: FloatArray, in_field: int, area: float, focal_sigma: float, counts: CountTable
 ) -> tuple[float, float]:
-    """ln B of an attitude, and which multiple of the stated errors explains it best.
+    """ln B of an attitude, and the multiple of the stated errors that explains it best.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def log_bayes_factor(
     area : float
         Of the image, sr.
     focal_sigma : float
-        Standard deviation of the logarithm of the focal length beforehand, where that is fitted too.
+        Prior standard deviation of ln of the focal length, if that is fitted too.
     counts : CountTable
         For N stars and at least as many guide stars as the field has.
     """
@@ -304,7 +304,7 @@ def log_bayes_factor(
         value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
         if value > highest:
             best, highest = s, value
-    # what lies beside the best adds the most; what is left out could only make B larger
+    # the widths next to the best one add the most; those left out could only make B larger
     highest, total = -math.inf, 0.0
     for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
         for scatter in range(len(SCATTERS_MAG)):

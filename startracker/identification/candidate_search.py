@@ -1,31 +1,37 @@
-"""Candidates confirmed by the other stars and verified against all, as far as a search's operations go."""
+"""Candidates confirmed by the other stars and verified against all, within the operations of a search."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.hypothesis import Bench, hypothesis_of
-from startracker.identification.marked_sky import mark_sky, no_marks
+from startracker.catalog.sky_view import SkyView
+from startracker.identification.hypothesis import HypothesisPool, hypothesis_of
+from startracker.identification.occupancy import NO_OCCUPANCY, Occupancy, occupancy_map
 from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
-from startracker.identification.verification import GATE_SIGMAS, verify_attitude
+from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
+from startracker.kernels import kernel
 
-__all__ = ["Effort", "Verifier"]
+__all__ = ["Effort", "Verifier", "next_verified"]
 
 FloatArray = NDArray[np.float64]
 
 _VERIFY_FROM = 7.0
-"""Least multiple of the stated errors that a verification begins with."""
-_WORTH_A_LOOK, _POOR_FIT, _BETTER = -5.0, 2.0, 3.0
-"""ln B from which a hypothesis is kept; where errors are so many times the stated ones, the focal length may be off: it
+"""Smallest multiple of the stated errors with which a verification begins."""
+_LEAST_LOG_B, _POOR_FIT, _BETTER = -5.0, 2.0, 3.0
+"""ln B above which a hypothesis is kept; if errors are so many times the stated ones, the focal length may be wrong: it
 is fitted, and has to gain this much."""
 _SAME_SIGMAS = 3.0
-_MARK_WORK = 20.0
-"""Operations of a guide star that is marked."""
+_MAP_WORK = 20.0
+"""Operations per guide star of an occupancy map."""
 
 
+@dataclass
 class Effort:
     """What one search may do, and what it has done.
 
@@ -34,85 +40,115 @@ class Effort:
     limits : Limits
     candidate_work : float
         Operations of a candidate.
-    look_always, look_marked : float
-        Of each further star looked at for it, and of one whose position is marked.
+    star_work, mapped_work : float
+        Of each further star tested for it, and of one that the occupancy map does not exclude; without a map
+        ``star_work * (1 + mapped_work)`` are counted.
     enough : int
         See `Confirmation`.
     """
 
-    def __init__(
-        self, limits: Limits, candidate_work: float, look_always: float, look_marked: float, enough: int = 0
-    ) -> None:
-        self.limits, self._costs, self._enough = limits, (candidate_work, look_always, look_marked), enough
-        self.marks, self.marked = no_marks(), look_always
-        self.work, self.looked, self.found, self.kept, self.sure = 0.0, 0, 0, 0, False
+    limits: Limits
+    candidate_work: float
+    star_work: float
+    mapped_work: float
+    enough: int = 0
+    occupancy: Occupancy = NO_OCCUPANCY
+    work: float = 0.0
+    tried: int = 0
+    found: int = 0
+    kept: int = 0
+    decided: bool = False
 
     @property
     def ended(self) -> bool:
-        """Whether nothing can compete any more, or all operations are used up."""
-        return self.sure or self.work > self.limits.work
+        """Whether no other hypothesis can compete any more, or all operations are used up."""
+        return self.decided or self.work > self.limits.work
 
     @property
     def confirmation(self) -> Confirmation:
-        """What is asked of a candidate."""
-        candidate, always, marked = self._costs
+        """What is required of a candidate."""
+        share = self.occupancy.share if self.occupancy.reach2 > 0.0 else self.star_work
+        star_work = self.star_work + self.mapped_work * share
         gate = GATE_SIGMAS * self.limits.scale
-        look_work = always + marked * self.marked
-        return Confirmation(gate, self.limits.chance_hits, self._enough, self.marks, candidate, look_work)
+        return Confirmation(gate, self.limits.chance, self.enough, self.occupancy, self.candidate_work, star_work)
+
+
+@kernel
+def next_verified(
+    candidates: Candidates,
+    start: int,
+    known: FloatArray,
+    stars: Stars,
+    sky: SkyView,
+    confirmation: Confirmation,
+    limits: Limits,
+    work: float,
+) -> tuple[int, Verified, float]:
+    """First of the candidates from `start` on that other stars confirm and whose evidence is above the least.
+
+    A poor fit is repeated with the focal length free. Attitudes that are known already (K, 3, 3) are left out.
+
+    Parameters
+    ----------
+    work : float
+        Operations so far; the search ends at those of `limits`.
+
+    Returns
+    -------
+    Number of the candidate after it; what it explains, with ln B below the least if there is none; operations.
+    """
+    least_cosine = 1.0 - 0.5 * (_SAME_SIGMAS * limits.scale * stars.sigma[0]) ** 2
+    scale, free, at = max(limits.scale, _VERIFY_FROM), limits.focal_range > 0.0, start
+    found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty(0, np.int64), 0)
+    while at < len(candidates.focal) and work <= limits.work and not found.log_b > _LEAST_LOG_B:
+        at, matrix, taken = next_confirmed(candidates, at, stars, sky, confirmation, limits.work - work)
+        work += taken
+        if at < len(candidates.focal) and not is_known(matrix, known, least_cosine):
+            found = verify_attitude(matrix, candidates.focal[at], stars, sky, scale, free)
+            work += found.operations
+            if not free and found.log_b > _LEAST_LOG_B and found.scale > _POOR_FIT:
+                other = verify_attitude(found.matrix, 0.0, stars, sky, scale, True)
+                work += other.operations
+                if other.log_b > found.log_b + _BETTER:
+                    found = other
+        at += 1
+    return at, found, work
 
 
 class Verifier:
-    """Takes candidates to the bench."""
+    """Takes verified candidates to the hypothesis pool."""
 
-    def __init__(self, bench: Bench, guide: GuideDatabase, stars: Stars) -> None:
-        self.bench, self._sky, self._stars = bench, guide.view, stars
-        self._found: list[FloatArray] = []
+    def __init__(self, pool: HypothesisPool, guide: GuideDatabase, stars: Stars) -> None:
+        self.pool, self._sky, self._stars = pool, guide.view, stars
+        self._known = np.empty((0, 3, 3))
 
-    def mark(self, effort: Effort, many: int, lever: float) -> None:
-        """Mark the sky once many candidates were found, for stars whose position errs by so many of their errors."""
-        if effort.marks.reach2 > 0.0 or effort.found < many:
+    def map_sky(self, effort: Effort, many: int, lever: float) -> None:
+        """Make an occupancy map once there were many candidates, for stars whose position has an error of `lever` times
+        their own."""
+        if effort.occupancy.reach2 > 0.0 or effort.found < many:
             return
         gate = GATE_SIGMAS * effort.limits.scale
-        effort.marks = mark_sky(self._sky.directions, lever * gate * float(np.median(self._stars.sigma)))
-        effort.marked = effort.marks.share
-        effort.work += _MARK_WORK * len(self._sky.directions)
+        effort.occupancy = occupancy_map(self._sky.directions, lever * gate * float(np.median(self._stars.sigma)))
+        effort.work += _MAP_WORK * len(self._sky.directions)
 
     def take(self, candidates: Candidates, effort: Effort, work: float) -> None:
         """Verify those candidates that other stars confirm."""
         effort.work += work
-        if not len(candidates.focal):
-            return
         effort.found += len(candidates.focal)
-        confirmation, at = effort.confirmation, 0
+        at, confirmation = 0, effort.confirmation
         while at < len(candidates.focal) and not effort.ended:
-            left = effort.limits.work - effort.work
-            at, matrix, work = next_confirmed(candidates, at, self._stars, self._sky, confirmation, left)
-            effort.work += work
-            if at < len(candidates.focal):
-                self._verify(matrix, float(candidates.focal[at]), effort)
-            at += 1
+            at, found, effort.work = next_verified(
+                candidates, at, self._known, self._stars, self._sky, confirmation, effort.limits, effort.work
+            )
+            if found.log_b > _LEAST_LOG_B:
+                self._known = np.concatenate([self._known, found.matrix[None]])
+                effort.kept += 1
+                self.pool.add(hypothesis_of(found))
+                effort.decided |= found.log_b > self.pool.decisive_evidence
 
-    def _verify(self, matrix: FloatArray, focal: float, effort: Effort) -> None:
-        """Verify an attitude against all stars, unless it is known; a poor fit with a free focal length, too."""
-        limits, sky = effort.limits, self._sky
-        least = 3.0 - (_SAME_SIGMAS * limits.scale * float(self._stars.sigma[0])) ** 2
-        if any(float((matrix * known).sum()) > least for known in self._found):
-            return
-        scale, free = max(limits.scale, _VERIFY_FROM), limits.focal_range > 0.0
-        found = verify_attitude(matrix, focal, self._stars, sky, scale, free)
-        effort.work += found.operations
-        if not free and found.log_b > _WORTH_A_LOOK and found.scale > _POOR_FIT:
-            other = verify_attitude(found.matrix, 0.0, self._stars, sky, scale, True)
-            effort.work += other.operations
-            found = other if other.log_b > found.log_b + _BETTER else found
-        if found.log_b > _WORTH_A_LOOK:
-            self._found.append(found.matrix)
-            effort.kept += 1
-            self.bench.add(hypothesis_of(found))
-            effort.sure |= found.log_b > self.bench.sure_evidence
-
-    def note(self, effort: Effort, words: str) -> bool:
-        """Write down what a search did; whether looking on is idle."""
-        self.bench.operations += int(effort.work)
-        self.bench.note(f"{words}, {effort.found} alike in the sky, {effort.kept} worth a look")
-        return self.bench.surely
+    def note(self, effort: Effort, words: Callable[[], str]) -> bool:
+        """Note what a search did; whether the pool is decided, so that further searches are not needed."""
+        self.pool.operations += int(effort.work)
+        found, kept = effort.found, effort.kept
+        self.pool.note(lambda: f"{words()}, {found} similar ones in the sky, {kept} with some evidence")
+        return self.pool.decided

@@ -1,9 +1,9 @@
-"""How much denser than evenly spread the observed points are where they lie: the null hypothesis of clustered points.
+"""The null hypothesis of clustered points: how much denser than evenly spread the observed points are.
 
-A clump of points fits an open cluster far more easily than points spread over the whole image do: where two clumps lie
-on each other each point has many neighbours to agree with. Under the null hypothesis of evenly spread points
+A cluster of points fits an open cluster of stars far more easily than points spread over the whole image do: with one
+cluster on the other each point has many neighbours to agree with. Under the null hypothesis of evenly spread points
 (`bayes_factor`) that looks like evidence. So the points' own density is a second null hypothesis: point i has the
-density that the others show there, 0.9 q(xᵢ) + 0.1/A with
+density of the others there, 0.9 q(xᵢ) + 0.1/A with
 
     q(xᵢ) = 1/(n − 1) Σ_{j ≠ i} 1/(π h²) (1 + d²ᵢⱼ/h²)⁻²
 
@@ -41,7 +41,7 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
     Parameters
     ----------
     points : (N, D)
-        Pixels, or unit vectors, whose chords are taken for distances.
+        Pixels, or unit vectors; distances are chords.
     area : float
         Of the image, in the unit of the points squared.
 
@@ -90,7 +90,7 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
 
 @kernel
 def clustering_price(excess: FloatArray, matched: IntArray) -> float:
-    """What ln B of a match is less under the null hypothesis that explains the matched points best; 0 or more.
+    """By how much ln B of a match is less under the null hypothesis that explains the matched points best; 0 or more.
 
     Parameters
     ----------

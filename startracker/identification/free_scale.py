@@ -3,8 +3,15 @@
 1. Patterns of neighbouring stars among the brightest are looked up by shape (`quads`), as seen and mirrored.
 2. Each candidate gives attitude and focal length; guide stars of the field are matched in a widening net while
    attitude, focal length and radial distortion are refitted.
-3. The evidence of all stars but the four that made the hypothesis is weighed against the number of candidates
-   (`evidence`), and accepted by probability.
+3. The evidence of all stars except the four that made the hypothesis is weighed against the number of candidates, and
+   accepted by probability (`log_evidence`).
+
+Null hypothesis of the evidence: each observed star is anywhere on the image, density 1/A. Hypothesis: with probability
+d it is a distractor, density 1/A; otherwise it is one of the K guide stars of the field, each with a Gaussian of width
+σ about its predicted position, and with a magnitude near the guide star's. With Λ the product of the ratios over the
+stars, the chance under the null hypothesis that Λ exceeds t is at most 1/t (Markov's inequality, as E[Λ] = 1), so that
+of H hypotheses one reaches H/ε by chance with probability at most ε, whatever the distribution of Λ. Source of the
+model: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, section 2.3; the bound is ours.
 """
 
 from __future__ import annotations
@@ -21,9 +28,8 @@ from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.clustering_null import clustering_price
-from startracker.identification.evidence import log_evidence, magnitude_ratio
-from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
+from startracker.identification.verification import nearest_unique
 from startracker.lens import change_lens, is_one_to_one
 from startracker.lens_fit import Matches, image_equations
 
@@ -37,6 +43,9 @@ STAR_COUNTS = (8, 12, 18, 28)
 FOV_BANDS_DEG = ((3.0, 9.0, 18.0), (17.0, 22.0, 29.0), (27.0, 33.0, 40.0), (38.0, 46.0, 54.0), (51.0, 60.0, 72.0))
 """Least, assumed and largest field of each band; shapes off the axis depend on the field, 1.5 % within a band."""
 FEWEST_MATCHED = 6
+DISTRACTORS = (0.1, 0.3, 0.6, 0.9)
+"""Shares of observed stars that are no guide stars; the best is taken and the choice paid for."""
+_CORE_MAG, _WIDE_MAG, _WIDE_SHARE = 0.3, 1.5, 0.3
 _MOST_CANDIDATES = 4000
 _LEAST_DEPTH = {"pinhole": 1e-3, "fisheye": -1.0}
 _K1_SIGMA = 0.5
@@ -60,7 +69,7 @@ class FreeFit:
     rms_px : float
         Root mean square of the residuals on one axis, freedom taken account of.
     log_evidence : float
-        See `evidence`; the price of the choice of width is off.
+        Of `log_evidence`, less the price of the choice of width.
     """
 
     camera: Camera
@@ -112,7 +121,7 @@ def fit_camera(
             right[1] -= (camera.distortion.k1 - k1_expected) * _K1_SIGMA**-2
         try:
             change = np.linalg.solve(normal, right)
-        except np.linalg.LinAlgError:  # all at one place
+        except np.linalg.LinAlgError:  # all at one position
             return nothing
         if not np.isfinite(change).all():
             return nothing
@@ -155,13 +164,13 @@ def weigh(
 
     `excess` is that of `clustering_null`: crowded points agree by chance more easily.
     """
-    index, _, places = guide.in_field(matrix, 2.0, camera)
+    index, _, positions = guide.in_field(matrix, 2.0, camera)
     keep = slice(0, 2 * len(xy) + 10)
-    index, places = index[keep], places[keep]
+    index, positions = index[keep], positions[keep]
     best, pairs = -math.inf, np.empty((0, 2), dtype=np.int64)
     for width in WIDTHS_PX:
         sigma = np.full(len(xy), width)
-        near, distance = nearest_unique(xy, places, 4.5 * sigma)
+        near, distance = nearest_unique(xy, positions, 4.5 * sigma)
         matched = np.flatnonzero(near >= 0)
         if len(matched) < FEWEST_MATCHED:
             continue
@@ -195,9 +204,9 @@ def grow(
     pairs = np.empty((0, 2), dtype=np.int64)
     result = None
     for round_ in range(10):
-        index, _, places = guide.in_field(matrix, 5.0, camera)
+        index, _, positions = guide.in_field(matrix, 5.0, camera)
         keep = slice(0, 2 * len(xy) + 10)
-        near, _ = nearest_unique(xy, places[keep], gate)
+        near, _ = nearest_unique(xy, positions[keep], gate)
         matched = np.flatnonzero(near >= 0)
         if len(matched) < FEWEST_MATCHED:
             return None
@@ -290,3 +299,77 @@ def depth(stars: int, width: int, height: int, fov_deg: float) -> int:
     side = math.radians(fov_deg)
     field = side * side * min(height / width, 1.0)
     return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))
+
+
+# ---------------------------------------------------------------------- evidence
+def magnitude_density(difference: FloatArray) -> FloatArray:
+    """Density (…,) per magnitude of observed minus catalogued.
+
+    A core of 0.3 mag and wide wings (colour, variability, saturation, blends): one discordant star costs little.
+    """
+    core = np.exp(-0.5 * (difference / _CORE_MAG) ** 2) / (_CORE_MAG * math.sqrt(2.0 * math.pi))
+    wide = np.exp(-0.5 * (difference / _WIDE_MAG) ** 2) / (_WIDE_MAG * math.sqrt(2.0 * math.pi))
+    return np.asarray((1.0 - _WIDE_SHARE) * core + _WIDE_SHARE * wide + 1e-3)
+
+
+def magnitude_ratio(magnitude: FloatArray, matched_v: FloatArray, field_v: FloatArray) -> FloatArray:
+    """Likelihood ratio (N,) of the observed magnitudes: the matched guide star against any of the field.
+
+    Parameters
+    ----------
+    magnitude : (N,)
+        Observed, on the instrument's own zero point.
+    matched_v : (N,)
+        V of the matched guide star; NaN where there is none.
+    field_v : (K,)
+        V of the guide stars of the field.
+    """
+    ratio = np.ones(len(magnitude))
+    matched = np.isfinite(matched_v)
+    if matched.sum() < 3:  # one star sets the zero point, and two say too little
+        return ratio
+    calibrated = magnitude - np.median(magnitude[matched] - matched_v[matched])
+    likely = magnitude_density(calibrated[matched] - matched_v[matched])
+    anyhow = magnitude_density(calibrated[matched, None] - field_v[None, :]).mean(axis=1)
+    ratio[matched] = likely / anyhow
+    return ratio
+
+
+def log_evidence(
+    distance: FloatArray,
+    sigma: FloatArray,
+    area: float,
+    guides: int,
+    ratio: FloatArray,
+    anchors: int = 2,
+) -> float:
+    """ln Λ of an attitude, without the stars that made it.
+
+    Parameters
+    ----------
+    distance : (N,)
+        From each observed star to its guide star, any unit; inf where it has none.
+    sigma : (N,)
+        Standard error on one axis, same unit.
+    area : float
+        Of the image, same unit squared.
+    guides : int
+        Guide stars of the field, K.
+    ratio : (N,)
+        Factor from the magnitudes.
+    anchors : int
+        Stars that determined the attitude; the most telling ones are left out, so that none is counted twice.
+
+    Returns
+    -------
+    float
+        Larger of ln Λ over `DISTRACTORS`, less ln(their number).
+    """
+    if guides == 0:
+        return -math.inf
+    gain = ratio * area / (2.0 * math.pi * sigma**2 * guides) * np.exp(-0.5 * (distance / sigma) ** 2)
+    best = -math.inf
+    for share in DISTRACTORS:
+        terms = np.sort(np.log(share + (1.0 - share) * gain))
+        best = max(best, float(terms[: len(terms) - anchors].sum()))
+    return best - math.log(len(DISTRACTORS))

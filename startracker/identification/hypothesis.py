@@ -1,12 +1,13 @@
-"""Acceptance by probability: an attitude is believed only when chance cannot explain it and nothing competes.
+"""Acceptance by probability: an attitude is accepted only if chance does not explain it and no other one competes.
 
 Each hypothesis, however it was found, is refitted to all observed stars of the field and weighed (`bayes_factor`):
-the more it explains, and the fewer rivals explain anything, the less is left to chance.
+the more stars it explains, and the fewer its rivals explain, the less probable is a chance match.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -20,12 +21,7 @@ from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.search_state import Stars
-from startracker.identification.verification import (
-    MOST_EXTRA,
-    Verified,
-    match_nearest,
-    verify_attitude,
-)
+from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
 from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
@@ -53,11 +49,11 @@ class Hypothesis:
     log_evidence : float
         ln B (`bayes_factor`).
     scale : float
-        Which multiple of the stated errors explains it best.
+        Multiple of the stated errors that explains it best.
     in_field : int
-        Guide stars expected on the image, as many as can be among the observed.
+        Guide stars expected on the image, at most as many as can be among the observed.
     focal : float
-        Factor of the focal length against the camera's; 1 where that fits.
+        Factor of the focal length against the camera's; 1 if that fits.
     """
 
     matrix: FloatArray
@@ -74,32 +70,23 @@ class Hypothesis:
         return len(mine & theirs) >= 0.5 * max(1, min(len(mine), len(theirs)))
 
 
-@kernel
-def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each used once, as `match_nearest` has it.
-
-    Returns the index or −1 and the distance or inf, each (N,).
-    """
-    index, distance = np.empty(len(points), np.int64), np.empty(len(points))
-    match_nearest(points, candidates, gate, index, distance, np.empty(len(candidates), np.int64))
-    return index, distance
-
-
 def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
-    """Observed stars as the kernels take them, kept with these."""
+    """Observed stars as kernels take them, kept in `observed`."""
     area, kept = guide.solid_angle_sr, observed.kept
     if area not in kept:
-        vectors, n = np.ascontiguousarray(observed.vectors, dtype=np.float64), len(observed)
-        kept[area] = Stars(
-            vectors,
-            focal_slopes(vectors),
-            np.ascontiguousarray(observed.sigma_rad, dtype=np.float64),
-            observed.magnitudes_or_nan(),
-            count_table(n, 2 * n + MOST_EXTRA),
-            log_excess_density(vectors, area),
-        )
+        n, vectors = len(observed), np.ascontiguousarray(observed.vectors, dtype=np.float64)
+        sigma = np.ascontiguousarray(observed.sigma_rad, dtype=np.float64)
+        slopes, excess = _derived(vectors, area)
+        counts = count_table(n, 2 * n + MOST_EXTRA)
+        kept[area] = Stars(vectors, slopes, sigma, observed.magnitudes_or_nan(), counts, excess)
     stars: Stars = kept[area]
     return stars
+
+
+@kernel
+def _derived(vectors: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
+    """`focal_slopes` and `log_excess_density` of the stars, in one call."""
+    return focal_slopes(vectors), log_excess_density(vectors, area)
 
 
 def verify(
@@ -108,49 +95,38 @@ def verify(
     guide: GuideDatabase,
     scale: float = SCALES[-1],
     focal: float | None = None,
-) -> Hypothesis | None:
-    """Check an attitude against every observed star: match, refit until it stands still, weigh.
+) -> tuple[Hypothesis | None, int]:
+    """Check an attitude against every observed star: match, refit until the match no longer changes, weigh.
 
     Parameters
     ----------
     matrix : (3, 3)
         ICRS to camera.
     observed, guide
-        What was seen, and the sky.
+        The observed stars, and the guide stars.
     scale : float
         The first gate is 4.5 times this times the stated errors; narrower ones follow, and the one with most evidence
         is kept.
     focal : float, optional
-        Factor of the focal length to start from, where that is fitted too (within some 2 %).
+        Factor of the focal length to start from, if that is fitted too (within some 2 %).
 
     Returns
     -------
-    Hypothesis, or None when fewer than three stars agree.
+    Hypothesis, or None if fewer than three stars agree; and the operations that it took.
     """
-    return _verified(matrix, observed, guide, scale, focal)[0]
-
-
-def _verified(
-    matrix: FloatArray, observed: Observed, guide: GuideDatabase, scale: float, focal: float | None
-) -> tuple[Hypothesis | None, int]:
-    """What `verify` gives, and the operations it took."""
-    found = verify_attitude(
-        np.ascontiguousarray(matrix, dtype=np.float64),
-        0.0 if focal is None else math.log(focal),
-        kernel_stars(observed, guide),
-        guide.view,
-        float(scale),
-        focal is not None,
-    )
+    start, free = np.ascontiguousarray(matrix, dtype=np.float64), focal is not None
+    log_focal = 0.0 if focal is None else math.log(focal)
+    found = verify_attitude(start, log_focal, kernel_stars(observed, guide), guide.view, float(scale), free)
     return hypothesis_of(found), found.operations
 
 
 def hypothesis_of(found: Verified) -> Hypothesis | None:
-    """What `verify_attitude` says, as an object; None when fewer than three stars agree."""
+    """Result of `verify_attitude` as an object; None if fewer than three stars agree."""
     if not found.log_b > -math.inf:
         return None
     stars = np.flatnonzero(found.guide_of >= 0)
-    pairs = np.stack([stars, found.guide_of[stars]], axis=1)
+    pairs = np.empty((len(stars), 2), np.int64)
+    pairs[:, 0], pairs[:, 1] = stars, found.guide_of[stars]
     return Hypothesis(found.matrix, pairs, found.log_b, found.scale, found.in_field, math.exp(found.focal))
 
 
@@ -161,13 +137,13 @@ def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
 
 
 def too_few(observed: Observed, least: int) -> Identification:
-    """Answer where fewer stars were seen than a method needs."""
+    """Result if fewer stars were seen than a method needs."""
     reason = f"{len(observed)} stars seen, {least} are needed"
     return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
 
 
 @dataclass
-class Bench:
+class HypothesisPool:
     """Collects the hypotheses of one identification and judges them.
 
     Parameters
@@ -175,11 +151,15 @@ class Bench:
     settings : IdentificationSettings
         For the false-alarm rate and the least number of stars.
     prior : Prior, optional
-        Attitudes that can be: the fewer, the less is left to chance.
+        The smaller the range of possible attitudes, the fewer chance matches there are.
     stars : int
         Observed stars.
+    hypotheses : list of Hypothesis
+        Those with the strongest evidence, the strongest first.
+    tried : list
+        What was tried: texts, or functions that return one.
     operations : int
-        Taken so far (`IdentificationSettings.max_operations`).
+        Used so far (`IdentificationSettings.max_operations`).
     cut_short : bool
         Whether something was left out for want of operations.
     """
@@ -187,18 +167,27 @@ class Bench:
     settings: IdentificationSettings
     prior: Prior | None = None
     stars: int = 3
-    standing: list[Hypothesis] = field(default_factory=list)
-    tried: list[str] = field(default_factory=list)
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    tried: list[str | Callable[[], str]] = field(default_factory=list)
     operations: int = 0
     cut_short: bool = False
 
+    def __post_init__(self) -> None:
+        self.limit = log_limit(self.settings)
+        """ln of the largest chance that is accepted."""
+        self._log_density, self._gain = math.log(largest_density(self.stars)), _gain(self.prior)
+        self.least_evidence = self._log_density - self.limit - self._gain
+        """ln B from which a hypothesis without rivals is accepted."""
+        self.decisive_evidence = SURE_BEYOND + self.least_evidence
+        """ln B from which a hypothesis without rivals is `decided`."""
+
     @property
     def left(self) -> int:
-        """Operations that the search may still take."""
+        """Operations that the search may still use."""
         return self.settings.max_operations - self.operations
 
     def spend(self, operations: float) -> bool:
-        """Count the operations of a step; False, and the search is `cut_short`, where there are not as many left."""
+        """Count the operations of a step; False, and the search is `cut_short`, if there are not as many left."""
         if operations > self.left:
             self.cut_short = True
             return False
@@ -213,71 +202,44 @@ class Bench:
         scale: float = SCALES[-1],
         focal: float | None = None,
     ) -> None:
-        """Take in an attitude as `verify` finds it, unless there are no operations left."""
+        """Add an attitude as `verify` finds it, unless there are no operations left."""
         if self.left <= 0:
             self.cut_short = True
             return
-        hypothesis, operations = _verified(matrix, observed, guide, scale, focal)
+        hypothesis, operations = verify(matrix, observed, guide, scale, focal)
         self.operations += operations
         self.add(hypothesis)
 
     def add(self, hypothesis: Hypothesis | None) -> None:
-        """Take in a verified hypothesis; one that repeats another replaces it only when it is better."""
+        """Add a verified hypothesis; one that repeats another replaces it only if it is better."""
         if hypothesis is None or not self._allowed(hypothesis):
             return
-        for k, known in enumerate(self.standing):
+        for k, known in enumerate(self.hypotheses):
             if known.agrees_with(hypothesis):
                 if hypothesis.log_evidence > known.log_evidence:
-                    self.standing[k] = hypothesis
+                    self.hypotheses[k] = hypothesis
                 break
         else:
-            self.standing.append(hypothesis)
-        self.standing.sort(key=lambda h: -h.log_evidence)
-        del self.standing[20:]
+            self.hypotheses.append(hypothesis)
+        self.hypotheses.sort(key=lambda h: -h.log_evidence)
+        del self.hypotheses[20:]
 
-    def note(self, text: str) -> None:
-        """Write down what was tried, for the explanation."""
+    def note(self, text: str | Callable[[], str]) -> None:
+        """Note what was tried, for the explanation."""
         self.tried.append(text)
 
     @property
     def log_chance(self) -> float:
-        """Logarithm of the chance that the best hypothesis is none: (1 + Σ B of the others) p / B, p the density."""
-        if not self.standing:
+        """ln of the chance that the best hypothesis is wrong: (1 + Σ B of the others) p / B, p the density."""
+        if not self.hypotheses:
             return 0.0
-        best, *others = (h.log_evidence for h in self.standing)
+        best, *others = (h.log_evidence for h in self.hypotheses)
         return log_chance(best, others, log_gain=self._gain, log_density=self._log_density)
 
     @property
-    def surely(self) -> bool:
-        """Whether the best one is so far beyond the limit that looking on is idle."""
-        return bool(self.standing) and self.log_chance < self.limit - SURE_BEYOND
-
-    @property
-    def sure_evidence(self) -> float:
-        """ln B from which a hypothesis without rivals is `surely`."""
-        return SURE_BEYOND + self.least_evidence
-
-    @property
-    def least_evidence(self) -> float:
-        """ln B from which a hypothesis without rivals is accepted."""
-        return self._log_density - self.limit - self._gain
-
-    @property
-    def limit(self) -> float:
-        """Logarithm of the chance that is still accepted."""
-        return log_limit(self.settings)
-
-    @property
-    def _log_density(self) -> float:
-        return math.log(largest_density(self.stars))
-
-    @property
-    def _gain(self) -> float:
-        """What a prior adds to ln B: the share of all rotations that turn by less than its radius is (ρ − sin ρ)/π."""
-        if self.prior is None:
-            return 0.0
-        radius = min(self.prior.radius_rad, math.pi)
-        return -math.log((radius - math.sin(radius)) / math.pi if radius > 1e-3 else radius**3 / (6.0 * math.pi))
+    def decided(self) -> bool:
+        """Whether the best one is so far beyond the limit that no other can compete."""
+        return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
 
     def _allowed(self, hypothesis: Hypothesis) -> bool:
         if self.prior is None:
@@ -301,11 +263,13 @@ class Bench:
         seen = f"{len(observed)} stars seen"
         if self.prior is not None:
             seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"
-        if not self.standing:
-            return Identification(Status.NO_MATCH, f"no attitude explains three stars: {seen}", steps=tuple(self.tried))
-        best, chance, limit = self.standing[0], self.log_chance, self.settings.false_alarm_rate
+        if not self.hypotheses:
+            return Identification(
+                Status.NO_MATCH, f"no attitude explains three stars: {seen}", steps=Steps(*self.tried)
+            )
+        best, chance, limit = self.hypotheses[0], self.log_chance, self.settings.false_alarm_rate
         says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
-        steps = Steps(tuple(self.tried), partial(_described, tuple(self.standing[:3])))
+        steps = Steps(*self.tried, partial(_described, tuple(self.hypotheses[:3])))
         enough = len(best.pairs) >= self.settings.min_stars
         if enough and accepts(chance, self.settings):
             reason = f"{says}; by chance with probability {power_of_ten(chance)}"
@@ -313,12 +277,20 @@ class Bench:
         if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
-        if len(self.standing) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
-            other = self.standing[1]
+        if len(self.hypotheses) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
+            other = self.hypotheses[1]
             reason = f"{says}, but another part of the sky fits {len(other.pairs)} stars nearly as well"
         else:
             reason = f"{says}: by chance with probability {power_of_ten(chance)}, above the limit of {limit:.0e}"
         return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance, steps=steps)
+
+
+def _gain(prior: Prior | None) -> float:
+    """What a prior adds to ln B: of all rotations a fraction (ρ − sin ρ)/π is by less than its radius ρ."""
+    if prior is None:
+        return 0.0
+    radius = min(prior.radius_rad, math.pi)
+    return -math.log((radius - math.sin(radius)) / math.pi if radius > 1e-3 else radius**3 / (6.0 * math.pi))
 
 
 def _described(hypotheses: tuple[Hypothesis, ...]) -> tuple[str, ...]:

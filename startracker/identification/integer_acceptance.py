@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
+from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
 from startracker.fixed_point.vectors import DIRECTION
@@ -42,7 +43,7 @@ _CUT_WIDTHS = 16.0
 
 @dataclass(frozen=True)
 class IntegerCamera:
-    """Pinhole camera of the integer tracker, and when an answer counts.
+    """Pinhole camera of the integer tracker, and its criterion of acceptance.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class IntegerCamera:
     centroid_error_px : float
         Standard error of a centroid on one axis; 0.4 to 4 times this is allowed for.
     false_alarm_rate : float
-        Chance that a list that shows no sky is taken for one.
+        Probability that a list without a sky is accepted.
     resolution_px : float
         Stars closer than this are one in the image.
     """
@@ -104,11 +105,11 @@ class GuideStars:
     directions : (G, 3)
         Unit vectors; of stars that are one in the image the mean weighted by their light.
     first : int (G,)
-        Place in the sub-catalogue of each, of several stars the brightest.
+        Index in the sub-catalogue of each, of several stars that of the brightest.
     several : bool (G,)
         Whether it is more than one star.
     of_star : int (N,)
-        Which one each star of the sub-catalogue belongs to.
+        The guide star to which each star of the sub-catalogue belongs.
     """
 
     directions: FloatArray
@@ -119,8 +120,7 @@ class GuideStars:
 
 def merged_stars(ra_deg: ArrayLike, dec_deg: ArrayLike, v_mag: ArrayLike, resolution_rad: float) -> GuideStars:
     """Stars of a sub-catalogue, those that hang together by separations below the resolution as one."""
-    a, d = np.radians(np.asarray(ra_deg, dtype=float)), np.radians(np.asarray(dec_deg, dtype=float))
-    vectors = np.column_stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
+    vectors = radec_to_direction(np.radians(np.asarray(ra_deg, float)), np.radians(np.asarray(dec_deg, float)))
     flux = 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
     label = np.arange(len(vectors))
     near = cKDTree(vectors).query_pairs(resolution_rad) if len(vectors) else set()
@@ -135,9 +135,9 @@ def merged_stars(ra_deg: ArrayLike, dec_deg: ArrayLike, v_mag: ArrayLike, resolu
     for star in np.argsort(flux, kind="stable"):  # the brightest comes last
         first[of_star[star]] = star
     order = np.argsort(-light, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    return GuideStars(directions[order], first[order], count[order] > 1, place[of_star])
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return GuideStars(directions[order], first[order], count[order] > 1, rank[of_star])
 
 
 def verification_tables(camera: IntegerCamera, guide: GuideStars) -> Tables:

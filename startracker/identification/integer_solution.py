@@ -9,7 +9,7 @@ most. The C that `startracker.fixed_point.export_c` writes gives the same answer
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -220,7 +220,7 @@ def solve_integers(tracker: IntegerTracker, xy_px: ArrayLike, limits: TriadLimit
         points = plane(xy, tracker.verification)
         if (np.abs(points) > tracker.verification.half).any():
             return _refused("outside_image", "outside_image", len(xy))
-        image = tracker.tables.arithmetic.image(xy[:MAX_STARS], tracker.camera.scale_deg)
+        image: Any = tracker.tables.arithmetic.image(xy[:MAX_STARS], tracker.camera.scale_deg)
         match = match_triads(tracker.tables, image.xy, image.scale_deg, limits)
     except FixedPointOverflow as overflow:
         return _refused("overflow", "overflow", len(given), str(overflow))
@@ -229,17 +229,17 @@ def solve_integers(tracker: IntegerTracker, xy_px: ArrayLike, limits: TriadLimit
         return _refused("search_limit", "too_many_triads", len(xy), many)
     if not len(match.triads):
         return _refused("no_match", "no_triads", len(xy))
-    bench = _Bench(tracker, xy, points)
+    pool = _Pool(tracker, xy, points)
     for group in match.groups()[:MAX_GROUPS]:
-        bench.try_group(match.vote(int(group)), int(match.triads.group_sizes[group]))
-    return bench.judge()
+        pool.try_group(match.vote(int(group)), int(match.triads.group_sizes[group]))
+    return pool.judge()
 
 
 def _refused(status: IntegerStatus, code: IntegerReason, points: int, reason: str | None = None) -> IntegerSolution:
     return IntegerSolution(status, code, reason or _WORDS[code], np.zeros(points, dtype=np.int64))
 
 
-class _Bench:
+class _Pool:
     """Attitudes that have been verified: the best one, and its strongest rival."""
 
     def __init__(self, tracker: IntegerTracker, xy: Integers, points: Integers) -> None:

@@ -1,8 +1,8 @@
 """The k-vector: ranges of a sorted list in constant time (Mortari 1997; Mortari & Neta 2000, AAS 00-128).
 
-A straight line through the sorted values is cut into as many steps as there are values, and for each step is noted how
-many values lie below it. A range then starts and ends a few values away from where the line says, however long the
-list; those few are gone through one by one, so that the answer is `numpy.searchsorted`'s to the last value.
+A straight line through the sorted values is divided into as many steps as there are values, and the number of values
+below each step is tabulated. A range then starts and ends a few values away from the table's, however long the list;
+these are searched one by one, so that the result is exactly that of `numpy.searchsorted`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The last fit of a field whose focal length was not known: all stars, weighed, and what the lens shows."""
+"""The last fit of a field with unknown focal length: all stars, weighted, and the significant lens parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.free_scale import FreeFit
-from startracker.identification.hypothesis import nearest_unique
+from startracker.identification.verification import nearest_unique
 from startracker.lens import PARAMETERS, only
 from startracker.lens_fit import Matches, fit_jointly, noise_floor, significant
 
@@ -20,11 +20,11 @@ FloatArray = NDArray[np.float64]
 _REJECT_SIGMAS = 3.7
 """A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""
 _STATED_PX = 0.15
-"""Of centroids that come without an error; the residuals tell the rest."""
+"""Error of centroids given without one; the residuals determine the remainder."""
 _FEWEST = 12
 _LENS = ("f", "k1", "k2", "k3", "p1", "p2")
-"""No principal point: one field hardly tells it from a turn of the camera, and through a distorting lens a shift by c
-has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so that these take its place."""
+"""No principal point: in one field it is nearly equivalent to a rotation of the camera, and with a distorting lens a
+shift by c has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so that these are fitted instead."""
 
 
 def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase) -> FreeFit:
@@ -70,8 +70,8 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
         rms = float(np.sqrt(np.mean(joint.residuals[0] ** 2)))
         best = replace(best, camera=camera, matrix=matrix, pairs=pairs, covariance=covariance, rms_px=rms)
         floor = noise_floor(joint.residuals[0], own[pairs[:, 0]], len(joint.covariance))
-        index, _, places = guide.in_field(matrix, 3.0, camera)
-        near, _ = nearest_unique(xy, places, _REJECT_SIGMAS * np.sqrt(own + floor**2))
+        index, _, positions = guide.in_field(matrix, 3.0, camera)
+        near, _ = nearest_unique(xy, positions, _REJECT_SIGMAS * np.sqrt(own + floor**2))
         seen = np.flatnonzero(near >= 0)
         matched = np.stack([seen, index[near[seen]]], axis=1)
         if np.array_equal(matched, pairs) or len(matched) < 0.8 * len(fit.pairs):

@@ -1,15 +1,15 @@
 """Identification by match groups (Van Bezooijen 1989; Greyling 1995, section 5.2).
 
 1. Every observed pair is looked up in the sorted guide pairs; each agreement makes two couples (observed, guide)
-   support each other. A couple and all that support it are a match group.
-2. Groups smaller than a threshold are discarded with all that leaned on them; the threshold starts two below the
+   support each other. A couple and all couples that support it are a match group.
+2. Groups smaller than a threshold are discarded, also as members of others; the threshold starts two below the
    largest group and is lowered while nothing is accepted.
 3. Mutual validation and the mirror test: within a group the members must support each other, too.
 4. The best groups, by size and then by the RSS of the separations' errors, are checked against all stars of the field
-   and accepted by probability (`hypothesis`), where Greyling 1995 takes the best group as it is.
+   and accepted by probability (`hypothesis`); Greyling 1995 accepts the best group as it is.
 
-Separations are matched within the stated errors first, then within 3 and 10 times those; and where the brightest
-stars lead nowhere (false ones among them), the next brightest are tried.
+Separations are matched within the stated errors first, then within 3 and 10 times those; if the brightest stars fail
+(false ones among them), the next brightest are tried.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
-from startracker.identification.hypothesis import SCALES, Bench, too_few
+from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
 from startracker.identification.match_kernels import (
     MAX_MEMBERS,
     Groups,
@@ -77,7 +77,7 @@ def match_groups(
     n = min(settings.max_stars, _MOST_STARS)
     if min(len(observed), n) < least:
         return too_few(observed, least)
-    bench = Bench(settings, prior, len(observed))
+    pool = HypothesisPool(settings, prior, len(observed))
     scales = SCALES if settings.separation_tolerance_deg is None else SCALES[-1:]
     for skip in (0, n // 2):
         if skip and len(observed) < n + (n - skip) // 2:  # hardly a new star among them
@@ -87,22 +87,22 @@ def match_groups(
             observed.vectors[part], None if observed.flux is None else observed.flux[part], observed.sigma_rad[part]
         )
         for scale in scales:
-            search = _Search.prepare(chosen, guide, bench, scale)
+            search = _Search.prepare(chosen, guide, pool, scale)
             if search is None:
-                return bench.judge(observed)
-            bench.note(f"match groups within {scale:g} stated errors: largest {search.largest} stars")
+                return pool.judge(observed)
+            pool.note(f"match groups within {scale:g} stated errors: largest {search.largest} stars")
             decisive = 0
             for threshold in search.thresholds():
                 for size, matrix in search.attitudes(threshold):
                     if size < decisive - 1:  # what comes now cannot compete
                         break
-                    bench.check(matrix, observed, guide, scale)
-                    if decisive == 0 and bench.surely:
+                    pool.check(matrix, observed, guide, scale)
+                    if decisive == 0 and pool.decided:
                         decisive = size
-                if decisive or bench.cut_short:
+                if decisive or pool.cut_short:
                     break
-            verdict = bench.judge(observed)
-            if verdict.status is Status.SOLVED or bench.cut_short:
+            verdict = pool.judge(observed)
+            if verdict.status is Status.SOLVED or pool.cut_short:
                 return verdict
     return verdict
 
@@ -113,7 +113,7 @@ class _Search:
 
     observed: Observed
     guide: GuideDatabase
-    bench: Bench
+    pool: HypothesisPool
     windows: Windows
     tolerance: FloatArray
     separations: FloatArray
@@ -125,11 +125,11 @@ class _Search:
         cls,
         observed: Observed,
         guide: GuideDatabase,
-        bench: Bench,
+        pool: HypothesisPool,
         scale: float,
     ) -> _Search | None:
         """None where there are not enough operations left."""
-        settings, prior = MatchGroupSettings.of(bench.settings), bench.prior
+        settings, prior = MatchGroupSettings.of(pool.settings), pool.prior
         vectors, sigma = observed.vectors, observed.sigma_rad * scale
         i, j, separations = observed_pairs(vectors)
         fixed = settings.separation_tolerance_deg
@@ -141,7 +141,7 @@ class _Search:
             slack = prior.radius_rad + float(tolerance.max())
             allowed = expected @ guide.directions.T >= math.cos(min(slack, math.pi))
         low, high = windows(pairs, separations, tolerance)
-        if not bench.spend(_MARK_WORK * float(np.sum(high - low)) + len(observed) * len(guide)):
+        if not pool.spend(_MARK_WORK * float(np.sum(high - low)) + len(observed) * len(guide)):
             return None
         magnitude, tolerance_mag = observed.magnitudes(), settings.magnitude_tolerance
         if magnitude is None:
@@ -151,7 +151,7 @@ class _Search:
             i, j, low, high, pairs.first, pairs.second, magnitude, guide.v_mag, float(tolerance_mag), allowed
         )
         mark(marked, partners)
-        return cls(observed, guide, bench, marked, tolerance, separations, group_sizes(partners))
+        return cls(observed, guide, pool, marked, tolerance, separations, group_sizes(partners))
 
     @property
     def largest(self) -> int:
@@ -160,7 +160,7 @@ class _Search:
 
     def thresholds(self) -> range:
         """Limits on the group size, from two below the largest group (or the setting, if lower) downwards."""
-        settings = MatchGroupSettings.of(self.bench.settings)
+        settings = MatchGroupSettings.of(self.pool.settings)
         least = max(settings.min_stars, 3)
         return range(max(least, min(settings.group_threshold, self.largest - 2)), least - 1, -1)
 
@@ -178,16 +178,16 @@ class _Search:
 
     def _validated(self, threshold: int) -> IntArray:
         """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
-        n, settings = len(self.observed), MatchGroupSettings.of(self.bench.settings)
+        n, settings = len(self.observed), MatchGroupSettings.of(self.pool.settings)
         none = np.empty((0, n), dtype=np.int64)
-        if not self.bench.spend(_COLLECT_WORK * float(np.sum(self.windows.high - self.windows.low))):
+        if not self.pool.spend(_COLLECT_WORK * float(np.sum(self.windows.high - self.windows.low))):
             return none
         kernel_obs, kernel_guide = np.nonzero(self.sizes >= threshold)
         group = np.full(self.sizes.shape, -1, dtype=np.int64)
         group[kernel_obs, kernel_guide] = np.arange(len(kernel_obs))
         start, members = collect(self.windows, group, len(kernel_obs))
         members_each = np.minimum(np.diff(start), MAX_MEMBERS).astype(float)
-        if not self.bench.spend(_COUPLE_WORK * float(np.sum(members_each**2)) + n * len(kernel_obs)):
+        if not self.pool.spend(_COUPLE_WORK * float(np.sum(members_each**2)) + n * len(kernel_obs)):
             return none
         i, j = self.windows.i, self.windows.j
         low, high = np.ones((2, n, n))

@@ -1,7 +1,7 @@
 """Kernels of the match groups: mark, collect, validate. Arrays in, arrays out.
 
-A match group belongs to one (observed star, guide star) couple, its kernel; its members are the couples that stand at
-the right separation from it. Couples are coded ``observed · G + guide``.
+A match group belongs to one (observed star, guide star) couple, its kernel; its members are the couples at the right
+separation from it. Couples are coded ``observed · G + guide``.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Groups(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """What members of a group are compared by.
+    """Geometry with which the members of a group are compared.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Shapes(NamedTuple):
     cos_low, cos_high : (N, N)
         Range of the cosine of the guide stars' separation for each observed pair.
     mirror_floor : (N, N)
-        Triple product above which the sense of the triangle with that base can be told from noise.
+        Triple product above which the sense of the triangle with that base is not noise.
     """
 
     vectors: FloatArray
@@ -187,11 +187,11 @@ def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
             group.degree[a] += agree
             group.degree[b] += agree
     for last in range(count):  # by falling support, of equal ones the first first
-        place = last
-        while place > 0 and group.degree[last] > group.degree[group.order[place - 1]]:
-            group.order[place] = group.order[place - 1]
-            place -= 1
-        group.order[place] = last
+        at = last
+        while at > 0 and group.degree[last] > group.degree[group.order[at - 1]]:
+            group.order[at] = group.order[at - 1]
+            at -= 1
+        group.order[at] = last
 
 
 @kernel
@@ -227,7 +227,7 @@ def _square_sum(pairs: IntArray, shapes: Shapes) -> float:
 def validate(groups: Groups, shapes: Shapes, min_stars: int) -> tuple[IntArray, FloatArray, IntArray]:
     """Mutual validation and mirror test: within each group the largest set whose members all support each other.
 
-    Two members support each other when they are different observed and guide stars, stand at the right separation,
+    Two members support each other when they are different observed and guide stars, are at the right separation,
     and the triangle with the kernel turns the same way round in the image and in the sky. Greedy, from each member as
     the seed, partners with most support first; ties go to the smaller sum of squared separation errors. Groups of
     fewer than `min_stars` are not looked for.

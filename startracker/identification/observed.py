@@ -1,4 +1,4 @@
-"""What identification takes and gives: observed stars, a prior attitude, and the pairs found."""
+"""Input and output of identification: observed stars, a prior attitude, and the pairs found."""
 
 from __future__ import annotations
 
@@ -11,11 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
+from startracker.errors import InputError
+from startracker.image_map import ImageMap, to_directions
+from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel
 from startracker.solution import Status
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+WORST_PX = 5.0
+"""A centroid with a larger error is not used."""
+_AXES = math.sqrt(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,17 +35,19 @@ class Observed:
     vectors : array, shape (N, 3)
         Unit vectors in the camera frame.
     flux : array, shape (N,), optional
-        Signal in any linear unit; None when it is not known, and magnitudes are then not looked at.
+        Signal in any linear unit; None when it is not known, and magnitudes are then not used.
     sigma_rad : array, shape (N,)
         Standard error of each direction, on one axis.
     kept : dict
-        Room for what is derived from these stars once and used often.
+        Cache for quantities derived from these stars.
     """
 
     vectors: FloatArray
     flux: FloatArray | None
     sigma_rad: FloatArray
     kept: dict[float, Any] = field(default_factory=dict)
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -84,9 +94,9 @@ class Identification:
     log_false_alarm : float
         Natural logarithm of the chance that the sky gives such agreement at random, over all attitudes.
     focal : float
-        Factor of the focal length against the camera's, where that is a little off; else 1.
+        Factor of the focal length against the camera's, if that is slightly wrong; else 1.
     steps : sequence of str
-        What was tried and how far it got, for people.
+        What was tried, and the result of each step, for the explanation.
     operations : int
         Steps of the search, as `IdentificationSettings.max_operations` counts them: the same on every machine.
     """
@@ -98,3 +108,51 @@ class Identification:
     focal: float = 1.0
     steps: Sequence[str] = ()
     operations: int = 0
+
+    __repr__ = fields_repr
+
+
+@kernel
+def usable_directions(
+    xy: FloatArray, stated_px: FloatArray, pixel_rad: float, image: ImageMap
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """Directions (N, 3) of centroids, those that are usable (M,), and directions and standard errors, rad, of these."""
+    directions = to_directions(xy, image)
+    usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
+    chosen = np.empty_like(directions)
+    for n in range(len(xy)):
+        # beyond the lens model's fold there are no directions, NaN on all axes
+        if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
+            usable[count], sigma[count] = n, stated_px[n] * pixel_rad
+            for axis in range(3):
+                chosen[count, axis] = directions[n, axis]
+            count += 1
+    return directions, usable[:count], chosen[:count], sigma[:count]
+
+
+def as_prior(attitude: object, prior_deg: float) -> Prior | None:
+    """Prior of an attitude that is off by `prior_deg` degrees about each axis at most; None where there is none.
+
+    Raises
+    ------
+    InputError
+        For anything but an `Attitude` or a SciPy ``Rotation`` (ICRS to camera), or an angle that is not positive.
+    """
+    if attitude is None:
+        return None
+    if is_rotation(attitude):
+        attitude = Attitude.from_rotation(attitude)
+    if is_skycoord(attitude):
+        raise InputError("a SkyCoord has no roll; give prior=Attitude.from_skycoord(coordinate, roll_deg)")
+    if not isinstance(attitude, Attitude):
+        made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
+        raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
+    prior_deg = plain(prior_deg, "deg", "prior_deg")
+    try:
+        fits = math.isfinite(prior_deg) and prior_deg > 0
+    except TypeError:
+        fits = False
+    if not fits:
+        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg!r}")
+    # at the limit about all three axes at once
+    return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))

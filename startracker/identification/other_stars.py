@@ -1,7 +1,7 @@
-"""Whether the observed stars beyond a candidate fall on guide stars, with the candidate where it was found.
+"""Confirmation of a candidate pair: do the other observed stars fall on guide stars?
 
-They are taken along in the frame of the candidate's two stars. By chance few of them do, so that their number decides
-what is worth a verification.
+The other stars are expressed in the frame of the candidate's two stars. Few of them match by chance, so that the number
+of matches decides which candidates are worth a verification.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
-from startracker.identification.marked_sky import Marks, is_marked
+from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_with
 
-__all__ = ["Confirmation", "Others", "enough_hits", "least_hits", "look_beyond", "next_confirmed", "no_others"]
+__all__ = ["Confirmation", "Others", "enough_matches", "least_matches", "next_confirmed", "other_stars", "room"]
 
 FloatArray = NDArray[np.float64]
 
-_MANY_HITS = 100.0
-_LOOK_AT = 48
+_MANY = 100.0
+_MOST_OTHERS = 48
 _RARE = 1e-4
 
 
 class Others(NamedTuple):
-    """Observed stars beyond a candidate's own, to be looked for in the sky, and what that takes.
+    """Observed stars other than a candidate's own.
 
     Parameters
     ----------
     along : (3, 48)
-        Coordinates along a pair's middle, its difference, and across both.
+        Coordinates along the pair's midpoint, its difference, and the normal to both.
     gate2 : (48,)
-        Square of the distance up to which a guide star is one's own.
+        Square of the gate of each.
     near : uint8 (48,)
-        Scratch: whether a guide star may be there.
+        Scratch: whether a guide star may be within the gate.
     frame : (3, 3)
-        Scratch.
+        Scratch: frame of the pair.
     """
 
     along: FloatArray
@@ -49,33 +49,33 @@ class Others(NamedTuple):
 
 
 class Confirmation(NamedTuple):
-    """How many other stars must confirm a candidate, and what looking costs.
+    """How many other stars must confirm a candidate, and what the test costs.
 
     Parameters
     ----------
     gate : float
-        Distance to a guide star, in stated errors, at most.
+        Largest distance to a guide star, in stated errors.
     chance : float
-        How often so many may be hit by chance, at most.
+        Largest probability that so many match by chance.
     enough : int
-        Hits that are enough where they come by chance in 1 of 10,000 at most, even if that is more often.
-    marks : Marks
-        Where no guide star is near.
-    candidate_work, look_work : float
-        Operations of a candidate and of each further star.
+        Number of matches that is enough if it occurs by chance in at most 1 of 10,000 candidates.
+    occupancy : Occupancy
+        Map of the guide stars, if one was made.
+    candidate_work, star_work : float
+        Operations of a candidate and of each other star.
     """
 
     gate: float
     chance: float
     enough: int
-    marks: Marks
+    occupancy: Occupancy
     candidate_work: float
-    look_work: float
+    star_work: float
 
 
 @kernel
-def pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
-    """Rows of `frame` (3, 3): the middle of two directions, their difference, and the normal to both."""
+def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
+    """Rows of `frame` (3, 3): the midpoint of two directions, their difference, and the normal to both."""
     sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     # the sum and the difference of unit vectors are at right angles
@@ -87,25 +87,26 @@ def pair_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
 
 
 @kernel
-def no_others() -> Others:
-    """Room for them."""
-    n = _LOOK_AT
+def room() -> Others:
+    """Empty arrays for the other stars."""
+    n = _MOST_OTHERS
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
 @kernel
-def look_beyond(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
-    """Fill in the brightest other stars in the frame of the pair j, k; how many, at gates of so many sigma.
+def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
+    """Write the brightest stars except j, k and i into `others`, in the frame of the pair j, k; how many.
 
-    The pair's middle errs by half the variance of one star, and its bearing the more the closer the two are.
+    `gate` is in standard errors. The pair's midpoint has half the variance of one star, and its bearing an error that
+    is the larger the closer the two are.
     """
     frame, u, w = others.frame, stars.vectors[j], stars.vectors[k]
-    pair_frame(u, w, frame)
+    midpoint_frame(u, w, frame)
     shared = stars.sigma[j] ** 2 + stars.sigma[k] ** 2
     apart2 = (u[0] - w[0]) ** 2 + (u[1] - w[1]) ** 2 + (u[2] - w[2]) ** 2
     count = 0
     for star in range(len(stars.vectors)):
-        if count == _LOOK_AT:
+        if count == _MOST_OTHERS:
             break
         if star == i or star == j or star == k:  # noqa: PLR1714, SIM109  # a tuple costs 0.3 s of compiling
             continue
@@ -118,70 +119,73 @@ def look_beyond(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
     return count
 
 
+@kernel_with(inline="always")
+def _position(others: Others, star: int, shrink: float) -> tuple[float, float, float]:
+    """Direction in the sky of one of the other stars, with the pair where `others.frame` is."""
+    frame = others.frame
+    p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
+    x = p * frame[0, 0] + q * frame[1, 0] + r * frame[2, 0]
+    y = p * frame[0, 1] + q * frame[1, 1] + r * frame[2, 1]
+    z = p * frame[0, 2] + q * frame[1, 2] + r * frame[2, 2]
+    return x, y, z
+
+
 @kernel
-def enough_hits(
-    u: FloatArray, w: FloatArray, shrink: float, others: Others, looked: int, need: int, sky: SkyView, marks: Marks
+def enough_matches(
+    u: FloatArray, w: FloatArray, shrink: float, others: Others, count: int, need: int, sky: SkyView, map_: Occupancy
 ) -> bool:
-    """Whether enough of the other stars fall on guide stars when the pair is where `u` and `w` are."""
+    """Whether at least `need` of the `count` other stars are near guide stars if the pair is at `u` and `w`."""
     if need == 0:
         return True
-    frame, near, marked, possible = others.frame, others.near, marks.reach2 > 0.0, looked
-    pair_frame(u, w, frame)
-    a, b, c = frame[0, 0], frame[1, 0], frame[2, 0]
-    d, e, f = frame[0, 1], frame[1, 1], frame[2, 1]
-    g, h, i = frame[0, 2], frame[1, 2], frame[2, 2]
-    if marked:
+    near, mapped, possible = others.near, map_.reach2 > 0.0, count
+    midpoint_frame(u, w, others.frame)
+    if mapped:
         possible = 0
-        for star in range(looked):  # no branches: several stars at a time
-            p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
-            x, y, z = p * a + q * b + r * c, p * d + q * e + r * f, p * g + q * h + r * i
-            near[star] = is_marked(x, y, z, marks) | (others.gate2[star] > marks.reach2)
+        for star in range(count):  # no branches: several stars at a time
+            x, y, z = _position(others, star, shrink)
+            near[star] = is_occupied(x, y, z, map_) | (others.gate2[star] > map_.reach2)
             possible += near[star]
-    hits = 0
-    for star in range(looked):
-        if hits + possible < need:
+    matches = 0
+    for star in range(count):
+        if matches + possible < need:
             return False
-        if marked and not near[star]:
+        if mapped and not near[star]:
             continue
         possible -= 1
-        p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
-        x, y, z = p * a + q * b + r * c, p * d + q * e + r * f, p * g + q * h + r * i
+        x, y, z = _position(others, star, shrink)
         if star_within(x, y, z, others.gate2[star], sky.directions, sky.grid):
-            hits += 1
-            if hits >= need:
+            matches += 1
+            if matches >= need:
                 return True
     return False
 
 
 @kernel
-def least_hits(mean: float, chance: float) -> int:
-    """Fewest hits that come by chance with a probability of at most `chance` where `mean` come on average (Poisson)."""
-    if mean > _MANY_HITS:  # e^−mean would vanish; a normal distribution's far end instead
+def least_matches(mean: float, chance: float) -> int:
+    """Fewest matches with a probability of at most `chance` where `mean` occur by chance on average (Poisson)."""
+    if mean > _MANY:  # e^−mean would underflow; the tail of a normal distribution instead
         return int(mean + 5.0 * math.sqrt(mean)) + 1
-    term, tail, hits = math.exp(-mean), 1.0, 0
+    term, tail, matches = math.exp(-mean), 1.0, 0
     while tail > chance:
         tail -= term
-        hits += 1
-        term *= mean / hits
-    return hits
+        matches += 1
+        term *= mean / matches
+    return matches
 
 
 @kernel
-def _attitude_of_pair(
-    stars: Stars, j: int, k: int, focal: float, u: FloatArray, w: FloatArray, scratch: FloatArray
-) -> FloatArray:
-    """Attitude (3, 3) that takes the middle of two guide directions and their difference to two observed stars'."""
-    out, ends = np.zeros((3, 3)), np.empty((2, 3))
+def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray, w: FloatArray) -> FloatArray:
+    """Attitude (3, 3) that takes the midpoint of two guide directions and their difference to two observed stars'."""
+    out, ends, seen, known = np.zeros((3, 3)), np.empty((2, 3)), np.empty((3, 3)), np.empty((3, 3))
     for axis in range(3):
         ends[0, axis] = stars.vectors[j, axis] + focal * stars.slopes[j, axis]
         ends[1, axis] = stars.vectors[k, axis] + focal * stars.slopes[k, axis]
-    seen = np.empty((3, 3))
-    pair_frame(ends[0], ends[1], seen)
-    pair_frame(u, w, scratch)
+    midpoint_frame(ends[0], ends[1], seen)
+    midpoint_frame(u, w, known)
     for row in range(3):
         for column in range(3):
             for axis in range(3):
-                out[row, column] += seen[axis, row] * scratch[axis, column]
+                out[row, column] += seen[axis, row] * known[axis, column]
     return out
 
 
@@ -198,22 +202,22 @@ def next_confirmed(
 
     Returns
     -------
-    Its number, that of the candidates where there is none; its attitude (3, 3); operations.
+    Its number, or the number of candidates if there is none; its attitude (3, 3); operations.
     """
-    others, looked, need, taken, last = no_others(), 0, 0, 0.0, -1
+    others, count, need, taken, last = room(), 0, 0, 0.0, -1
     for c in range(start, len(candidates.focal)):
         row, before = candidates.stars[c], candidates.stars[max(last, 0)]
         j, k, u, w = row[0], row[1], sky.directions[row[2]], sky.directions[row[3]]
         if last < 0 or j != before[0] or k != before[1] or row[4] != before[4]:
-            looked, last = look_beyond(j, k, row[4], stars, confirmation.gate, others), c
+            count, last = other_stars(j, k, row[4], stars, confirmation.gate, others), c
             mean = 0.0
-            for star in range(looked):
+            for star in range(count):
                 mean += 0.25 * others.gate2[star] * len(sky.directions)
-            rare = min(least_hits(mean, _RARE), confirmation.enough)
-            need = min(max(least_hits(mean, confirmation.chance), rare), looked)
-        taken += confirmation.candidate_work + confirmation.look_work * looked
-        if enough_hits(u, w, 1.0 - candidates.focal[c], others, looked, need, sky, confirmation.marks):
-            return c, _attitude_of_pair(stars, j, k, candidates.focal[c], u, w, others.frame), taken
+            rare = min(least_matches(mean, _RARE), confirmation.enough)
+            need = min(max(least_matches(mean, confirmation.chance), rare), count)
+        taken += confirmation.candidate_work + confirmation.star_work * count
+        if enough_matches(u, w, 1.0 - candidates.focal[c], others, count, need, sky, confirmation.occupancy):
+            return c, _attitude_of_pair(stars, j, k, candidates.focal[c], u, w), taken
         if taken > work:
             break
     return len(candidates.focal), others.frame, taken

@@ -1,11 +1,11 @@
 """Identification by patterns of four stars, found by their shape in a hash table.
 
-1. Sets of four of the brightest observed stars are taken one after another, the faintest star changing last, so that a
-   false star among the bright ones is soon left behind.
+1. Sets of four of the brightest observed stars are tried one after another, the faintest star changing last, so that
+   sets without a false star among the bright ones follow soon.
 2. The shape's bins, and all neighbouring ones within the tolerance, are looked up (`pattern_table`). What agrees in
    all six edges, in the size within the range of the focal length, and in its sense (mirror images are refused) gives
    an attitude.
-3. A candidate whose other stars fall upon guide stars more often than chance would have it is checked against all
+3. A candidate whose other stars match guide stars more often than by chance is checked against all
    stars of the field and accepted by probability (`hypothesis`).
 
 Tolerances are those of the stated errors first, then three and ten times as large. The work is bounded. The method is
@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.hypothesis import SCALES, Bench, too_few
+from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
 from startracker.identification.pattern_table import pattern_table
@@ -34,7 +34,7 @@ _ROOM = 8
 _MOST_VERIFIED = 24
 _PASSING, _STRONG = -1.0, -8.0
 _FEW_STARS = 10
-"""Stars up to which a pattern is looked into even where no other star agrees: it may be all that is true."""
+"""Number of stars up to which a pattern is verified even if no other star agrees: there may be no other true star."""
 
 
 def pattern_hash(
@@ -65,30 +65,30 @@ def pattern_hash(
     least = max(settings.min_stars, 4)
     if len(observed) < least:
         return too_few(observed, least)
-    bench = Bench(settings, prior, len(observed))
+    pool = HypothesisPool(settings, prior, len(observed))
     table, sky = pattern_table(guide), guide.view
     vectors, sigma = np.ascontiguousarray(observed.vectors), observed.sigma_rad
     finds = PatternFinds(np.empty(_ROOM), np.empty((_ROOM, 3, 3)), np.empty(_ROOM))
     known = np.empty((0, 3, 3))
     for scale in SCALES:
-        stars, work, looked = np.arange(4), min(_WORK[scale], float(bench.left)), 0
-        bench.cut_short = bench.cut_short or work <= 0.0
+        stars, work, looked = np.arange(4), min(_WORK[scale], float(pool.left)), 0
+        pool.cut_short = pool.cut_short or work <= 0.0
         while work > 0.0 and stars[3] < min(len(observed), MOST_STARS) and len(known) < _MOST_VERIFIED:
             plan = _plan(scale, work, observed, prior)
             count, patterns, left = search_patterns(vectors, sigma, table, sky, plan, stars, known, finds)
-            bench.operations += int(work - left)
+            pool.operations += int(work - left)
             work = left
             looked += patterns
             for k in np.argsort(finds.score[:count]):
                 focal = float(finds.focal[k])
-                bench.check(finds.matrix[k], observed, guide, SCALES[-1], None if focal == 1.0 else focal)
+                pool.check(finds.matrix[k], observed, guide, SCALES[-1], None if focal == 1.0 else focal)
                 known = np.concatenate([known, finds.matrix[k : k + 1]])
-            if bench.surely:
+            if pool.decided:
                 break
-        bench.note(f"errors {scale:g} times as stated: {looked} patterns looked up, {len(known)} attitudes checked")
-        if bench.standing and bench.log_chance <= bench.limit:
+        pool.note(f"errors {scale:g} times as stated: {looked} patterns looked up, {len(known)} attitudes checked")
+        if pool.hypotheses and pool.log_chance <= pool.limit:
             break
-    return bench.judge(observed)
+    return pool.judge(observed)
 
 
 def _plan(scale: float, work: float, observed: Observed, prior: Prior | None) -> Plan:

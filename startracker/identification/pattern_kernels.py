@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
-from startracker.identification.pattern_geometry import correspondence, pattern_attitude
-from startracker.identification.pattern_table import (
-    BINS,
-    EMPTY,
-    SIZE_STEPS,
-    PatternTable,
-    chord,
-    home_slot,
-    sorted_edges,
-)
+from startracker.estimation.directions import normal_equations, pair_rotation
+from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges
+from startracker.identification.verification import is_known, rotation_cosine
 from startracker.kernels import kernel
+from startracker.linalg import chord, rotate_back, solve, transform, triple_product, turned
 
-__all__ = ["PatternFinds", "Plan", "lookup_shape", "next_set", "search_patterns"]
+__all__ = ["PatternFinds", "Plan", "correspondence", "lookup_shape", "next_set", "pattern_attitude", "search_patterns"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,7 +31,10 @@ _MOST_LOOKED = 24
 _GATE_SIGMAS = 5.0
 _SURE_SHAPE = 3.0
 _FOCAL_SIGMAS = 4.0
-_SET_COST, _PROBE_COST, _CHECK_COST, _HITS_COST = 40.0, 4.0, 60.0, 2500.0
+_PERMUTATIONS = np.array(
+    [[a, b, c, 6 - a - b - c] for a in range(4) for b in range(4) for c in range(4) if len({a, b, c}) == 3]
+)
+_SET_COST, _PROBE_COST, _CHECK_COST, _MATCH_COST = 40.0, 4.0, 60.0, 2500.0
 
 
 class Plan(NamedTuple):
@@ -52,9 +49,9 @@ class Plan(NamedTuple):
     most : int
         Stars, brightest first, that make patterns.
     work : float
-        Nanoseconds at most, about.
+        Most operations, of about a nanosecond each.
     passing, strong : float
-        ln of the chance of a candidate's hits below which it is kept, and below which the search stops to verify it.
+        ln of the chance of a candidate's matches below which it is kept, and below which it is verified at once.
     prior : (3, 3)
         Attitude known beforehand.
     prior_cosine : float
@@ -72,7 +69,7 @@ class Plan(NamedTuple):
 
 
 class PatternFinds(NamedTuple):
-    """Candidates: ln of the chance of their hits (H,), attitude (H, 3, 3), factor of the focal length (H,)."""
+    """Candidates: ln of the chance of their matches (H,), attitude (H, 3, 3), factor of the focal length (H,)."""
 
     score: FloatArray
     matrix: FloatArray
@@ -144,6 +141,86 @@ def lookup_shape(
 
 
 @kernel
+def correspondence(
+    observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
+) -> float:
+    """Which star of a catalogue pattern (4, 3) is which of an observed one (4, 3), scale free.
+
+    Of the 24 orders the one whose six edges agree best within the tolerance, all of them, is put into `order` (4,).
+    Mirror images are refused: the largest of the four triangles has to turn the same way in both, unless its area is
+    below what noise can turn over.
+
+    Parameters
+    ----------
+    tolerance : float
+        Of each edge.
+    sense : float
+        Least triple product (twice a triangle's area) whose sign is sure.
+
+    Returns
+    -------
+    Factor of the observed edges against the catalogue's; 0 where nothing agrees.
+    """
+    mine, theirs = np.empty((4, 4)), np.empty((4, 4))
+    total, other = 0.0, 0.0
+    for i in range(4):
+        for j in range(i):
+            mine[i, j] = mine[j, i] = chord(observed[i], observed[j])
+            theirs[i, j] = theirs[j, i] = chord(reference[i], reference[j])
+            total += mine[i, j]
+            other += theirs[i, j]
+    scale = total / other
+    best, best_order = np.inf, -1
+    for p in range(24):
+        rss = 0.0
+        fits = True
+        for i in range(4):
+            for j in range(i):
+                difference = abs(mine[i, j] - scale * theirs[_PERMUTATIONS[p, i], _PERMUTATIONS[p, j]])
+                if difference > tolerance:
+                    fits = False
+                    break
+                rss += difference * difference
+            if not fits:
+                break
+        if fits and rss < best:
+            best, best_order = rss, p
+    if best_order < 0:
+        return 0.0
+    order[:] = _PERMUTATIONS[best_order]
+    largest, mirrored = 0.0, False
+    for left_out in range(4):
+        a, b, c = (1 if left_out == 0 else 0), (2 if left_out <= 1 else 1), (3 if left_out <= 2 else 2)
+        seen = triple_product(observed[a], observed[b], observed[c])
+        if abs(seen) > largest:
+            largest = abs(seen)
+            mirrored = seen * triple_product(reference[order[a]], reference[order[b]], reference[order[c]]) < 0.0
+    return 0.0 if mirrored and largest > sense else scale
+
+
+@kernel
+def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
+
+    From the two of greatest separation, then three Gauss–Newton steps.
+    """
+    n = len(observed)
+    longest, a, b = -1.0, 0, 1
+    for i in range(n):
+        for j in range(i):
+            d = chord(observed[i], observed[j])
+            if d > longest:
+                longest, a, b = d, j, i
+    matrix: FloatArray = pair_rotation(observed, reference, a, b)
+    predicted, every, sigma = np.empty((n, 3)), np.arange(n), np.ones(n)
+    for _ in range(3):
+        transform(matrix, reference, predicted)
+        change = solve(*normal_equations(observed, observed, predicted, every, sigma, 3))
+        matrix = turned(matrix, change[0], change[1], change[2])
+    return matrix
+
+
+@kernel
 def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
     """Directions with their angle to the axis divided by a factor: what a focal length that much longer sees."""
     out = np.empty_like(vectors)
@@ -157,31 +234,28 @@ def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
 
 
 @kernel
-def _log_chance(hits: int, looked: int, share: float) -> float:
-    """ln of Chernoff's bound on so many hits of so many stars, each with probability `share` (Poisson)."""
+def _log_chance(matches: int, looked: int, share: float) -> float:
+    """ln of Chernoff's bound on so many matches of so many stars, each with probability `share` (Poisson)."""
     mean = max(looked * share, 1e-12)
-    return hits * math.log(mean / hits) + hits - mean if hits > mean else 0.0
+    return matches * math.log(mean / matches) + matches - mean if matches > mean else 0.0
 
 
 @kernel
-def _hits(
+def _matches(
     matrix: FloatArray, vectors: FloatArray, gate: FloatArray, a: int, b: int, c: int, d: int, sky: SkyView
 ) -> tuple[int, int]:
     """How many of the brightest stars but a, b, c, d have a guide star in their gate, and how many were looked at."""
-    hits, looked = 0, 0
+    matches, looked = 0, 0
     for i in range(len(vectors)):
         if i in (a, b, c, d):
             continue
         if looked == _MOST_LOOKED:
             break
-        v = vectors[i]
-        x = matrix[0, 0] * v[0] + matrix[1, 0] * v[1] + matrix[2, 0] * v[2]
-        y = matrix[0, 1] * v[0] + matrix[1, 1] * v[1] + matrix[2, 1] * v[2]
-        z = matrix[0, 2] * v[0] + matrix[1, 2] * v[1] + matrix[2, 2] * v[2]
+        x, y, z = rotate_back(matrix, vectors[i])
         if star_within(x, y, z, gate[i] ** 2, sky.directions, sky.grid):
-            hits += 1
+            matches += 1
         looked += 1
-    return hits, looked
+    return matches, looked
 
 
 @kernel
@@ -191,15 +265,6 @@ def _guides(slot: int, table: PatternTable, sky: SkyView, out: FloatArray) -> No
         star = table.members[table.stars[slot, i]]
         for axis in range(3):
             out[i, axis] = sky.directions[star, axis]
-
-
-@kernel
-def _is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool:
-    """Whether an attitude is one of those (K, 3, 3), within a rotation of some cosine."""
-    closest = -1.0
-    for m in range(len(known)):
-        closest = max(closest, _cosine_between(matrix, known[m]))
-    return closest > least_cosine
 
 
 @kernel
@@ -258,7 +323,7 @@ def search_patterns(
             scale = correspondence(mine, theirs, limit, _SURE_SHAPE * error * edges[5], order)
             if scale == 0.0 or abs(scale - 1.0) > plan.focal_range + tolerance:
                 continue
-            work -= _HITS_COST
+            work -= _MATCH_COST
             focal = scale if abs(scale - 1.0) > _FOCAL_SIGMAS * error / (2.0 * edges[5]) else 1.0
             seen = vectors if focal == 1.0 else _zoomed(vectors, focal)
             for i, star in enumerate((a, b, c, d)):
@@ -266,12 +331,12 @@ def search_patterns(
                     zoomed[i, axis] = seen[star, axis]
                     ordered[i, axis] = theirs[order[i], axis]
             matrix = pattern_attitude(zoomed, ordered)
-            if plan.prior_cosine > -1.5 and _cosine_between(matrix, plan.prior) < plan.prior_cosine:
+            if plan.prior_cosine > -1.5 and rotation_cosine(matrix, plan.prior) < plan.prior_cosine:
                 continue
-            if _is_known(matrix, known, math.cos(8.0 * gate[d])):
+            if is_known(matrix, known, math.cos(8.0 * gate[d])):
                 continue
-            hits, others = _hits(matrix, seen, gate, a, b, c, d, sky)
-            score = _log_chance(hits, others, 0.25 * gate[d] ** 2 * len(sky.directions))
+            matches, others = _matches(matrix, seen, gate, a, b, c, d, sky)
+            score = _log_chance(matches, others, 0.25 * gate[d] ** 2 * len(sky.directions))
             if score > plan.passing:
                 continue
             count = _keep(finds, count, score, matrix, focal)
@@ -281,21 +346,11 @@ def search_patterns(
 
 
 @kernel
-def _cosine_between(matrix: FloatArray, other: FloatArray) -> float:
-    """Cosine of the rotation between two attitudes."""
-    trace = 0.0
-    for i in range(3):
-        for j in range(3):
-            trace += matrix[i, j] * other[i, j]
-    return 0.5 * (trace - 1.0)
-
-
-@kernel
 def _keep(finds: PatternFinds, count: int, score: float, matrix: FloatArray, focal: float) -> int:
     """Add a candidate; where there is no room the worst gives way. An attitude that repeats one keeps the better."""
     at = count
     for k in range(count):
-        if _cosine_between(matrix, finds.matrix[k]) > 0.99999:
+        if rotation_cosine(matrix, finds.matrix[k]) > 0.99999:
             if finds.score[k] <= score:
                 return count
             at = k

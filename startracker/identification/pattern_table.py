@@ -1,12 +1,12 @@
 """Table of four-star patterns of the whole sky, found by their shape in constant time.
 
-A pattern's shape is its five smaller edges over the largest, ascending: numbers that neither turn, nor shift, nor
-scale changes. Binned they make the key under which an open-addressing hash table with linear probing keeps the
+A pattern's shape is its five smaller edges over the largest, ascending: which rotation, shift and
+scale do not change. Binned they make the key under which an open-addressing hash table with linear probing keeps the
 pattern; patterns of one key follow each other.
 
-Which patterns: the camera is set down on a lattice of attitudes that covers the sky, and four-star sets of the
+Which patterns: the camera is placed on a lattice of attitudes that covers the sky, and four-star sets of the
 brightest pattern stars of each field enter, brightest first. An image's brightest stars are therefore in the table
-wherever it looks, and sparse fields enter with all they have.
+for every attitude, and sparse fields enter with all their stars.
 
 Source of the method: tetra3's documentation (Pettersson 2019, ESA) after Brown, Stubis & Cahoy 2017, "TETRA: Star
 identification with hash tables"; the choice of patterns by the camera's own fields is ours.
@@ -28,6 +28,7 @@ from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
 from startracker.kernels import kernel
+from startracker.linalg import chord
 
 __all__ = ["PatternTable", "build_table", "insert", "pattern_table", "shape_key", "sorted_edges"]
 
@@ -40,7 +41,7 @@ BINS = 32
 EMPTY = np.uint32(0xFFFFFFFF)
 LOAD = 0.62
 SMALLEST = 0.12
-"""Least extent of a pattern, of the field's diagonal: smaller ones measure their shape too badly."""
+"""Least extent of a pattern, of the field's diagonal: the shape of smaller ones is too uncertain."""
 SIZE_STEPS = 65535
 PATTERNS_PER_FIELD = 500
 FEWEST_PATTERNS = 120_000
@@ -150,12 +151,6 @@ def insert(
         keys[slot] = key
         stars[slot, 0], stars[slot, 1], stars[slot, 2], stars[slot, 3] = a, b, c, d
         sizes[slot] = min(int(edges[5] / largest * SIZE_STEPS + 0.5), SIZE_STEPS)
-
-
-@kernel
-def chord(u: FloatArray, v: FloatArray) -> float:
-    """Distance of two unit vectors."""
-    return math.sqrt((u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2 + (u[2] - v[2]) ** 2)
 
 
 # ---------------------------------------------------------------------- which patterns
@@ -271,7 +266,7 @@ def choose_patterns(directions: FloatArray, camera: Camera) -> NDArray[np.int32]
     if len(first) >= wanted:
         words = first[np.linspace(0, len(first) - 1, wanted).astype(np.int64)]
     else:
-        sample = len(further(_SAMPLE)) - len(first)  # tells how large a share there is room for
+        sample = len(further(_SAMPLE)) - len(first)  # determines how large a share fits
         share = min(1.0, _SAMPLE * (wanted - len(first)) / max(sample, 1))
         words = further(share)
     return np.stack([(words >> np.uint64(16 * k)) & np.uint64(_MOST_NUMBER) for k in (3, 2, 1, 0)], axis=1).astype(

@@ -1,10 +1,10 @@
 """Kernels that find a star's position in the sky by the votes of the stars around it.
 
-An observed star is taken for the pole, as in the grid algorithm of Padgett & Kreutz-Delgado 1997. Every guide pair as
-long as its separation from one of its neighbours says which guide star the pole may be, and by the difference of the
-two bearings how the camera is then rolled about it: one vote for that guide star and that roll. True neighbours agree
-in both; false ones scatter. Where enough votes meet, the pairs that gave them are the candidates, which the other
-observed stars have to confirm (`other_stars`) before one is verified against all (`verification`).
+An observed star is taken as the pole, as in the grid algorithm of Padgett & Kreutz-Delgado 1997. Every guide pair as
+long as its separation from one of its neighbours is one vote: for the guide star that the pole may be, and for the roll
+about it, by the difference of the two bearings. True neighbours agree in both; false ones scatter. The pairs of a guide
+star and roll with enough votes are the candidates, which the other observed stars have to confirm (`other_stars`)
+before one is verified against all (`verification`).
 
 A pole costs one look at the guide pairs of each of its neighbours, where triangles would cost one of each two of them.
 The votes of a guide star are counted for 64 rolls at a time, bit by bit: four words hold a digit of all 64 counts each.
@@ -34,14 +34,14 @@ _TURN = 65536
 _ROLL = 1024
 """The same to one of the 64 rolls."""
 VOTE_SIGMAS = 2.6
-"""A true side is measured within this many standard errors but for 1 in 100, and there are other votes."""
+"""A true side is measured within this many standard errors except for 1 in 100, and there are other votes."""
 _LEAST_ERRORS = 3.0
-"""Errors of a separation that it must be at least for the bearing to say something."""
+"""Least separation, in its errors, for a useful bearing."""
 _VOTE_WORK = 8.0
 
 
-class BallotBox(NamedTuple):
-    """What the votes about any pole take.
+class VoteCounts(NamedTuple):
+    """Arrays for the votes about any pole.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
 
 @kernel
 def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
-    """Those of the nearest stars whose separation and bearing say something."""
+    """Those of the nearest stars whose separation and bearing are useful."""
     n, wide, count = len(nearest), limits.focal_range, 0
     star, separation, spread = np.empty(n, np.int64), np.empty(n), np.empty(n)
     turn, slack, pattern = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.uint64)
@@ -149,9 +149,9 @@ def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits
 
 
 @kernel
-def _elected(neighbours: _Neighbours, need: int, pairs: Pairs, box: BallotBox) -> int:
+def _mark_elected(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
     """Count the votes for each guide star and roll, and mark the stars that have as many as needed; how many."""
-    votes, zero, one, count = box.votes, np.uint64(0), np.uint64(1), 0
+    votes, zero, one, count = counts.votes, np.uint64(0), np.uint64(1), 0
     # the count starts so high that the last vote that is needed carries beyond the third digit
     missing = np.uint64(MOST_VOTES - need)
     units, twos, fours = zero - (missing & one), zero - (missing >> one & one), zero - (missing >> np.uint64(2))
@@ -161,11 +161,11 @@ def _elected(neighbours: _Neighbours, need: int, pairs: Pairs, box: BallotBox) -
         turn, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
         for p in range(neighbours.low[k], neighbours.high[k]):
             # unsigned, as no index counts from the end
-            _vote(votes, np.uint32(pairs.first[p]), _bits(box.there[p] - turn, slack, pattern))
-            _vote(votes, np.uint32(pairs.second[p]), _bits(box.back[p] - turn, slack, pattern))
+            _vote(votes, np.uint32(pairs.first[p]), _bits(counts.there[p] - turn, slack, pattern))
+            _vote(votes, np.uint32(pairs.second[p]), _bits(counts.back[p] - turn, slack, pattern))
     for star in range(len(votes)):
-        box.elected[star] = votes[star, 3] != zero
-        count += box.elected[star]
+        counts.elected[star] = votes[star, 3] != zero
+        count += counts.elected[star]
     return count
 
 
@@ -176,7 +176,7 @@ def _voters(
     stars: Stars,
     sky: Guides,
     pairs: Pairs,
-    box: BallotBox,
+    counts: VoteCounts,
     limits: Limits,
 ) -> Candidates:
     """Votes (V, 5) for guide stars that have enough of them: the neighbour, the guide stars of pole and neighbour, the
@@ -188,10 +188,10 @@ def _voters(
         bearing_there, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
         for p in range(neighbours.low[k], neighbours.high[k]):
             for way in range(2):
-                a, turn = pairs.first[p], box.there[p] - bearing_there
+                a, turn = pairs.first[p], counts.there[p] - bearing_there
                 if way == 1:
-                    a, turn = pairs.second[p], box.back[p] - bearing_there
-                if not box.elected[a] or box.votes[a, 3] & _bits(turn, slack, pattern) == 0:
+                    a, turn = pairs.second[p], counts.back[p] - bearing_there
+                if not counts.elected[a] or counts.votes[a, 3] & _bits(turn, slack, pattern) == 0:
                     continue
                 b = pairs.second[p] if way == 0 else pairs.first[p]
                 if abs(fainter - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
@@ -199,9 +199,9 @@ def _voters(
                 if count == len(focal):
                     rows, focal = grown(rows, focal)
                 rows[count, 0], rows[count, 1], rows[count, 2] = k, a, b
-                rows[count, 3], rows[count, 4] = box.head[a], turn & (_TURN - 1)
+                rows[count, 3], rows[count, 4] = counts.head[a], turn & (_TURN - 1)
                 focal[count] = math.log(neighbours.separation[k] / pairs.separation[p]) if wide else 0.0
-                box.head[a] = count
+                counts.head[a] = count
                 count += 1
     return Candidates(rows[:count], focal[:count])
 
@@ -226,9 +226,9 @@ def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Ar
 
 @kernel
 def vote_about(
-    pole: int, nearest: IntArray, need: int, stars: Stars, sky: Guides, pairs: Pairs, box: BallotBox, limits: Limits
+    pole: int, nearest: IntArray, need: int, stars: Stars, sky: Guides, pairs: Pairs, counts: VoteCounts, limits: Limits
 ) -> tuple[Candidates, float]:
-    """Guide stars that an observed star and one of its neighbours may be, by the votes of all of these.
+    """Guide stars that an observed star and one of its neighbours may be, by the votes of all neighbours.
 
     Parameters
     ----------
@@ -238,8 +238,8 @@ def vote_about(
         Its neighbours.
     need : int
         Votes that must agree.
-    stars, sky, pairs, box, limits
-        What was seen, what there is, and what may be done.
+    stars, sky, pairs, counts, limits
+        Observed stars, guide stars and pairs, scratch, limits.
 
     Returns
     -------
@@ -252,16 +252,16 @@ def vote_about(
     work = 2.0 * len(sky.directions)
     for k in range(len(neighbours.star)):
         work += 1.5 * _VOTE_WORK * (neighbours.high[k] - neighbours.low[k])
-    if _elected(neighbours, need, pairs, box) == 0:
+    if _mark_elected(neighbours, need, pairs, counts) == 0:
         return Candidates(found[:0], focal[:0]), work
     wide = limits.focal_range > 0.0
-    voters = _voters(pole, neighbours, stars, sky, pairs, box, limits)
+    voters = _voters(pole, neighbours, stars, sky, pairs, counts, limits)
     far = median(neighbours.separation.copy())
     for x in range(len(voters.focal)):
         k, a, b = voters.stars[x, 0], voters.stars[x, 1], voters.stars[x, 2]
         if neighbours.separation[k] < far or work > limits.work:
             continue
-        agreeing, compared = _agreeing(x, voters, neighbours, box.head, wide)
+        agreeing, compared = _agreeing(x, voters, neighbours, counts.head, wide)
         work += 2.0 * compared
         j = neighbours.star[k]
         if agreeing < need or not fits_prior(stars.vectors[pole], sky.directions[a], limits):
@@ -274,5 +274,5 @@ def vote_about(
         row[0], row[1], row[2], row[3], row[4], focal[count] = pole, j, a, b, -1, voters.focal[x]
         count += 1
     for x in range(len(voters.focal)):
-        box.head[voters.stars[x, 1]] = -1
+        counts.head[voters.stars[x, 1]] = -1
     return Candidates(found[:count], focal[:count]), work + 3.0 * len(voters.focal)

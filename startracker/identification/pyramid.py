@@ -3,8 +3,8 @@
 1. Triangles of observed stars in the smart order (i, i + dj, i + dj + dk), which leaves a false star behind quickly.
 2. Each side's range of guide pairs from the k-vector; the guide triangles that close and turn the same way round.
 3. A fourth star at the right separations from all three corners confirms a triangle; how many do ranks the rivals.
-4. The attitude of what is confirmed best is checked against all stars of the field and accepted by probability
-   (`hypothesis`), where the paper is content with the expected frequency of random pyramids.
+4. The attitude of the triangle with most confirming stars is checked against all stars of the field and accepted by
+   probability (`hypothesis`); the paper uses the expected frequency of random pyramids.
 
 Errors as stated are assumed first, then 3 and 10 times those; a few triangles each, then more.
 """
@@ -12,20 +12,29 @@ Errors as stated are assumed first, then 3 and 10 times those; a few triangles e
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.identification.hypothesis import SCALES, Bench, too_few, tried_scales
-from startracker.identification.kvector import KVector, k_vector
+from startracker.catalog.sky_view import SkyView
+from startracker.catalog.voxels import stars_in_cone
+from startracker.estimation.directions import pair_rotation
+from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales
+from startracker.identification.kvector import KVector, find_range, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
-from startracker.identification.pyramid_kernels import GuidePairs, Seen, search_pyramids, smart_triples
+from startracker.kernels import kernel
+from startracker.linalg import chord, rotate_back, triple_product
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
 
-__all__ = ["pyramid"]
+__all__ = ["pyramid", "smart_triples"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _ROUNDS = ((60, 3, 500_000), (400, 2, 500_000), (100_000, 1, 500_000))
 """Triangles up to which each round goes, stars that must confirm one, and steps it may take, for each scale."""
@@ -35,6 +44,13 @@ _STEP_WORK = 10
 """Operations of a step."""
 _MOST_CHECKED = 12  # confirmed triangles checked in a round at one scale
 _INDEXES: WeakKeyDictionary[PairList, KVector] = WeakKeyDictionary()
+_MOST_FINDS = 6
+"""Triangles of guide stars kept for one observed triangle, best confirmed first."""
+_GATE_SIGMAS = 4.5
+_ABERRATION = 1.1e-4  # rad a radian of separation, and a little for rounding
+_MOST_CONFIRMING = 24
+_MOST_SILENT = 8  # stars looked at without a confirming one, after which a triangle is dropped
+_SLENDEREST = 4.0  # smallest height of a triangle, in standard errors: below it its sense and roll are unknown
 
 
 def pyramid(
@@ -66,7 +82,7 @@ def pyramid(
     least = max(settings.min_stars, 3)
     if len(observed) < least:
         return too_few(observed, least)
-    bench = Bench(settings, prior, len(observed))
+    pool = HypothesisPool(settings, prior, len(observed))
     n = min(len(observed), settings.max_stars, _MOST_TRIPLED)
     triples = smart_triples(n)
     table, view = _guide_pairs(guide, prior), guide.view
@@ -77,27 +93,27 @@ def pyramid(
         stop, needed = min(most, len(triples)), max(1, min(confirming, len(observed) - 3))
         for scale in scales:
             reached, checked, best = 0, 0, 0
-            left = min(budget, bench.left // _STEP_WORK)
-            bench.cut_short = bench.cut_short or left <= 0
+            left = min(budget, pool.left // _STEP_WORK)
+            pool.cut_short = pool.cut_short or left <= 0
             while reached < stop and left > 0 and checked < _MOST_CHECKED:
                 found = search_pyramids(seen[scale], triples[:stop], reached, table, view, needed, left)
                 reached, finds, matrices, confirmed, after = found
-                bench.operations += _STEP_WORK * (left - after)
+                pool.operations += _STEP_WORK * (left - after)
                 left = after
                 for f in range(finds):
                     if confirmed[f] < best - 1:  # what is confirmed by fewer cannot compete
                         break
                     best = max(best, int(confirmed[f]))
                     checked += 1
-                    bench.check(matrices[f], observed, guide, scale)
-                if finds and bench.surely:
-                    return bench.judge(observed)
-            bench.note(
+                    pool.check(matrices[f], observed, guide, scale)
+                if finds and pool.decided:
+                    return pool.judge(observed)
+            pool.note(
                 f"pyramids within {scale:g} stated errors: {reached} of {len(triples)} triangles, "
                 + (f"the best confirmed by {best} further stars" if best else "none confirmed by a fourth star")
             )
-        verdict = bench.judge(observed)
-        if verdict.status is Status.SOLVED or bench.cut_short:
+        verdict = pool.judge(observed)
+        if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict
 
@@ -120,3 +136,216 @@ def _seen(observed: Observed, n: int, settings: PyramidSettings, scale: float) -
     fixed = settings.separation_tolerance_deg
     tolerance = pair_tolerance(sigma, i, j, apart, None if fixed is None else math.radians(fixed))
     return Seen(vectors, sigma, apart.reshape(n, n), tolerance.reshape(n, n))
+
+
+# ---------------------------------------------------------------------- kernels
+class Seen(NamedTuple):
+    """Observed stars as the kernels take them.
+
+    Parameters
+    ----------
+    vectors : (N, 3)
+    sigma : (N,)
+        Standard errors assumed, rad.
+    separation, tolerance : (n, n)
+        Of the stars that make triangles, rad.
+    """
+
+    vectors: FloatArray
+    sigma: FloatArray
+    separation: FloatArray
+    tolerance: FloatArray
+
+
+@kernel
+def smart_triples(n: int) -> IntArray:
+    """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
+
+    Successive triples share few stars, so that one false star spoils few of them in a row (Mortari et al. 2004).
+    """
+    out = np.empty((n * (n - 1) * (n - 2) // 6, 3), np.int64)
+    count = 0
+    for dj in range(1, n - 1):
+        for dk in range(1, n - dj):
+            for i in range(n - dj - dk):
+                out[count, 0], out[count, 1], out[count, 2] = i, i + dj, i + dj + dk
+                count += 1
+    return out
+
+
+@kernel
+def _confirming(
+    seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
+) -> tuple[int, int]:
+    """Further observed stars at the right separations from all three corners of a triangle of guide stars, and steps.
+
+    The three pair lists meet at the star that lies where the triangle's attitude puts it: it is looked up there, and
+    the separations are checked then.
+    """
+    matches, looked, steps = 0, 0, 0
+    apart, limit = np.empty(3), np.empty(3)
+    three = seen.sigma[corners[0]] + seen.sigma[corners[1]] + seen.sigma[corners[2]]
+    shortest = min(
+        seen.separation[corners[0], corners[1]],
+        seen.separation[corners[0], corners[2]],
+        seen.separation[corners[1], corners[2]],
+    )
+    for e in range(len(seen.vectors)):
+        if e == corners[0] or e == corners[1] or e == corners[2]:
+            continue
+        if looked >= wanted:
+            break
+        looked += 1
+        if matches == 0 and looked > _MOST_SILENT:
+            break
+        v = seen.vectors[e]
+        far = 0.0
+        for m in range(3):
+            apart[m] = chord(v, seen.vectors[corners[m]])
+            limit[m] = _GATE_SIGMAS * math.hypot(seen.sigma[e], seen.sigma[corners[m]]) + _ABERRATION * apart[m]
+            far = max(far, apart[m])
+        # the triangle's roll has an error of its stars' over its side, with a long lever for distant stars
+        gate = _GATE_SIGMAS * (seen.sigma[e] + three / 3.0 * (1.0 + far / shortest))
+        x, y, z = rotate_back(rotation, v)
+        steps += 2
+        for star in stars_in_cone(x, y, z, 1.0 - 0.5 * gate * gate, sky.directions, sky.grid):
+            steps += 1
+            right = star != guides[0] and star != guides[1] and star != guides[2]
+            for m in range(3):
+                # chords differ by no more than the angles do
+                if not right or abs(chord(sky.directions[star], sky.directions[guides[m]]) - apart[m]) > limit[m]:
+                    right = False
+                    break
+            if right:
+                matches += 1
+                break
+    return matches, steps
+
+
+class GuidePairs(NamedTuple):
+    """Guide stars (L,) of each pair in the order of their k-vector, with scratch (G,) that is −1 throughout."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    vector: KVector
+    head: IntArray
+
+
+class _Finds(NamedTuple):
+    """Confirmed triangles, best first: attitude (_MOST_FINDS, 3, 3), confirming stars; and how many there are (1,)."""
+
+    matrix: FloatArray
+    confirmed: IntArray
+    found: IntArray
+
+
+@kernel
+def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArray]:
+    """Partners of each guide star over some pairs, as chains that begin at its `head`: the next link, the partner."""
+    chain, partner = np.empty(2 * (high - low), np.int64), np.empty(2 * (high - low), np.int64)
+    count = 0
+    for p in range(low, high):
+        a, b = pairs.first[p], pairs.second[p]
+        partner[count], chain[count], pairs.head[a] = b, pairs.head[a], count
+        partner[count + 1], chain[count + 1], pairs.head[b] = a, pairs.head[b], count + 1
+        count += 2
+    return chain, partner
+
+
+@kernel
+def _keep(finds: _Finds, rotation: FloatArray, matches: int) -> None:
+    """Insert a confirmed triangle in the order of its matches, if there is room."""
+    slot = min(finds.found[0], _MOST_FINDS - 1)
+    if finds.found[0] == _MOST_FINDS and matches <= finds.confirmed[slot]:
+        return
+    while slot > 0 and finds.confirmed[slot - 1] < matches:
+        finds.confirmed[slot], finds.matrix[slot] = finds.confirmed[slot - 1], finds.matrix[slot - 1]
+        slot -= 1
+    finds.confirmed[slot], finds.matrix[slot] = matches, rotation
+    finds.found[0] = min(finds.found[0] + 1, _MOST_FINDS)
+
+
+@kernel
+def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> FloatArray:
+    """Attitude (3, 3) of a triangle by its longest side, of i–j, i–k, j–k."""
+    one, other = 1, 2
+    if sides[0] >= max(sides[1], sides[2]):
+        one, other = 0, 1
+    elif sides[1] >= sides[2]:
+        one = 0
+    rotation: FloatArray = pair_rotation(observed, reference, one, other)
+    return rotation
+
+
+@kernel
+def _triangle(
+    seen: Seen, corners: IntArray, pairs: GuidePairs, sky: SkyView, least: int, budget: int, finds: _Finds
+) -> int:
+    """Find the triangles of guide stars that an observed one may be and that fourth stars confirm; the budget left."""
+    i, j, k = corners
+    sides = np.array([seen.separation[i, j], seen.separation[i, k], seen.separation[j, k]])
+    observed, reference, guides = np.empty((3, 3)), np.empty((3, 3)), np.empty(3, np.int64)
+    for m in range(3):
+        observed[m] = seen.vectors[corners[m]]
+    sense = triple_product(observed[0], observed[1], observed[2])
+    if abs(sense) < _SLENDEREST * max(seen.sigma[i], seen.sigma[j], seen.sigma[k]) * max(sides[0], sides[1], sides[2]):
+        return budget
+    low_ij, high_ij = find_range(pairs.vector, sides[0] - seen.tolerance[i, j], sides[0] + seen.tolerance[i, j])
+    low_ik, high_ik = find_range(pairs.vector, sides[1] - seen.tolerance[i, k], sides[1] + seen.tolerance[i, k])
+    budget -= high_ij - low_ij + high_ik - low_ik
+    chain, partner = _partners(pairs, low_ij, high_ij)
+    shortest_jk = 4.0 * math.sin(0.5 * max(sides[2] - seen.tolerance[j, k], 0.0)) ** 2
+    longest_jk = 4.0 * math.sin(0.5 * min(sides[2] + seen.tolerance[j, k], math.pi)) ** 2
+    for p in range(low_ik, high_ik):
+        for turn in range(2):
+            a, c = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
+            link = pairs.head[a]
+            while link >= 0:
+                b, link = partner[link], chain[link]
+                budget -= 1
+                chord = 0.0
+                for axis in range(3):
+                    chord += (sky.directions[b, axis] - sky.directions[c, axis]) ** 2
+                if b == c or not shortest_jk <= chord <= longest_jk:
+                    continue
+                if triple_product(sky.directions[a], sky.directions[b], sky.directions[c]) * sense <= 0.0:
+                    continue
+                guides[0], guides[1], guides[2] = a, b, c
+                for m in range(3):
+                    reference[m] = sky.directions[guides[m]]
+                rotation = _laid_on(observed, reference, sides)
+                matches, steps = _confirming(seen, sky, rotation, corners, guides, _MOST_CONFIRMING)
+                budget -= steps + 20
+                if matches >= least:
+                    _keep(finds, rotation, matches)
+                elif budget <= 0:
+                    break
+    for p in range(low_ij, high_ij):
+        pairs.head[pairs.first[p]] = pairs.head[pairs.second[p]] = -1
+    return budget
+
+
+@kernel
+def search_pyramids(
+    seen: Seen, triples: IntArray, start: int, pairs: GuidePairs, sky: SkyView, least: int, budget: int
+) -> tuple[int, int, FloatArray, IntArray, int]:
+    """Go through the triples (T, 3) from `start` until one has a triangle of guide stars that a fourth star confirms.
+
+    Parameters
+    ----------
+    least : int
+        Confirming stars that a triangle must have.
+    budget : int
+        Steps (pairs and triangles looked at) after which to give up.
+
+    Returns
+    -------
+    Triple to go on from; finds; their attitudes (_MOST_FINDS, 3, 3); confirming stars of each, most first; budget left.
+    No finds: none was confirmed, or the budget is used up.
+    """
+    finds = _Finds(np.empty((_MOST_FINDS, 3, 3)), np.zeros(_MOST_FINDS, np.int64), np.zeros(1, np.int64))
+    t = start
+    while t < len(triples) and budget > 0 and finds.found[0] == 0:
+        budget = _triangle(seen, triples[t], pairs, sky, least, budget, finds)
+        t += 1
+    return t, finds.found[0], finds.matrix, finds.confirmed, budget

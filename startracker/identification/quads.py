@@ -1,8 +1,8 @@
 """Patterns of four stars whose shape does not depend on scale, and an index of them over the whole sky.
 
-The two stars farthest apart, A and B, set a frame in which A = (0, 0) and B = (1, 1); the places of the other two, C
-and D, are the pattern's code (four numbers). The order is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. The code stays the
-same under shift, turn and scale; a mirrored image has the codes of the mirrored pattern.
+The two stars farthest apart, A and B, define a frame with A = (0, 0) and B = (1, 1); the positions of the other two,
+C and D, are the pattern's code (four numbers). The order is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. Shift, rotation and
+scale do not change the code; a mirrored image has the codes of the mirrored pattern.
 
 Patterns are made of neighbours among stars picked evenly over the sky, on levels a factor √2 apart in size, so that an
 image of any field finds its brightest stars on one of them.
@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.catalog.guide import brightest_everywhere
-from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,9 +31,10 @@ NEIGHBOURS = 6
 STARS_IN_CIRCLE = 10
 LEVEL_RADII_DEG = tuple(1.8 * math.sqrt(2.0) ** k for k in range(10))
 _TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
+_EDGES = np.array(list(combinations(range(4), 2)))
+"""Of a pattern; the opposite edge of the first is the last, and so on."""
 
 
-@kernel
 def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
     """Codes of patterns in a plane.
 
@@ -47,47 +47,26 @@ def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArra
 
     Returns
     -------
-    codes (Q, 4): x_C, y_C, x_D, y_D; indices (Q, 4) in the order A, B, C, D; distance AB (Q,). NaN where two stars
+    codes (Q, 4): x_C, y_C, x_D, y_D; indices (Q, 4) in the order A, B, C, D; distance AB (Q,). NaN if two stars
     coincide.
     """
-    n = quads.shape[0]
-    codes = np.empty((n, 4))
-    order = np.empty((n, 4), np.int64)
-    baseline = np.empty(n)
-    for q in range(n):
-        longest, a, b = -1.0, 0, 1
-        for i in range(4):
-            for j in range(i + 1, 4):
-                d = (points[q, i, 0] - points[q, j, 0]) ** 2 + (points[q, i, 1] - points[q, j, 1]) ** 2
-                if d > longest:
-                    longest, a, b = d, i, j
-        c, d_ = -1, -1
-        for i in range(4):
-            if i not in (a, b):
-                if c < 0:
-                    c = i
-                else:
-                    d_ = i
-        ux, uy = points[q, b, 0] - points[q, a, 0], points[q, b, 1] - points[q, a, 1]
-        # z → z · (1 + i) / u takes A to 0 and B to 1 + i
-        place = np.empty((2, 2))
-        for k in range(2):
-            star = c if k == 0 else d_
-            vx, vy = points[q, star, 0] - points[q, a, 0], points[q, star, 1] - points[q, a, 1]
-            along, across = (vx * ux + vy * uy) / longest, (vy * ux - vx * uy) / longest
-            place[k, 0], place[k, 1] = along - across, along + across
-        if place[0, 0] + place[1, 0] > 1.0:
-            a, b = b, a
-            for k in range(2):
-                place[k, 0], place[k, 1] = 1.0 - place[k, 0], 1.0 - place[k, 1]
-        if place[0, 0] > place[1, 0]:
-            c, d_ = d_, c
-            for axis in range(2):
-                place[0, axis], place[1, axis] = place[1, axis], place[0, axis]
-        codes[q, 0], codes[q, 1], codes[q, 2], codes[q, 3] = place[0, 0], place[0, 1], place[1, 0], place[1, 1]
-        order[q, 0], order[q, 1], order[q, 2], order[q, 3] = quads[q, a], quads[q, b], quads[q, c], quads[q, d_]
-        baseline[q] = math.sqrt(longest)
-    return codes, order, baseline
+    one, other = _EDGES.T
+    square = ((points[:, one] - points[:, other]) ** 2).sum(axis=2)
+    longest = square.argmax(axis=1)
+    order = np.concatenate([_EDGES[longest], _EDGES[::-1][longest]], axis=1)
+    corners = np.take_along_axis(points, order[:, :, None], axis=1)
+    # z → z · (1 + i) / u takes A to 0 and B to 1 + i
+    ux, uy = (corners[:, 1] - corners[:, 0]).T[:, :, None]
+    vx, vy = np.moveaxis(corners[:, 2:] - corners[:, :1], 2, 0)
+    u2 = np.take_along_axis(square, longest[:, None], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along, across = (vx * ux + vy * uy) / u2, (vy * ux - vx * uy) / u2
+    codes = np.stack([along - across, along + across], axis=2)
+    turn = codes[:, :, 0].sum(axis=1) > 1.0
+    codes[turn], order[turn] = 1.0 - codes[turn], order[turn][:, [1, 0, 2, 3]]
+    turn = codes[:, 0, 0] > codes[:, 1, 0]
+    codes[turn], order[turn] = codes[turn][:, ::-1], order[turn][:, [0, 1, 3, 2]]
+    return codes.reshape(-1, 4), np.take_along_axis(quads, order, axis=1), np.sqrt(u2[:, 0])
 
 
 def neighbour_quads(vectors: FloatArray, index: IntArray) -> IntArray:
@@ -115,7 +94,7 @@ def sky_codes(vectors: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArra
     stars = vectors[quads]  # (Q, 4, 3)
     centre = stars.sum(axis=1)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    # any axis across the line of sight serves, as codes do not turn
+    # any axis across the line of sight, as codes do not depend on rotation
     helper = np.where(np.abs(centre[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     x_axis = np.cross(helper, centre)
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
@@ -206,7 +185,7 @@ _CODE_LOW, _CODE_STEP = -0.5, 2.0**-15
 def pack_quads(codes: NDArray[np.float32], quads: NDArray[np.int32]) -> dict[str, NDArray[Any]]:
     """Arrays of half the size, for a file: codes to 1.5e-5 (a four-hundredth of the tolerance), stars in 18 bits.
 
-    The angles AB are left out, as the stars' places tell them.
+    The angles AB are left out, as they follow from the stars' positions.
     """
     steps = np.round((codes - _CODE_LOW) / _CODE_STEP).astype(np.uint16)
     high = np.zeros(len(quads), dtype=np.uint8)
@@ -220,7 +199,7 @@ def unpack_quads(stored: Mapping[str, NDArray[Any]], directions: FloatArray) -> 
     codes = (stored["codes"] * np.float32(_CODE_STEP) + np.float32(_CODE_LOW)).astype(np.float32)
     high = stored["high"].astype(np.int32)
     quads = np.stack([stored["low"][:, k].astype(np.int32) | (high >> 2 * k & 3) << 16 for k in range(4)], axis=1)
-    places = directions.astype(np.float32)
-    chord = np.linalg.norm(places[quads[:, 0]] - places[quads[:, 1]], axis=1)
+    positions = directions.astype(np.float32)
+    chord = np.linalg.norm(positions[quads[:, 0]] - positions[quads[:, 1]], axis=1)
     baseline = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
     return QuadIndex.of(codes, quads, baseline.astype(np.float32))

@@ -1,8 +1,8 @@
-"""How many true stars an accepted answer needs, and the cheapest search that hardly misses as many.
+"""How many true stars an accepted answer needs, and the cheapest search that rarely misses that many.
 
-Of n points of which m are true H are taken for the pole, and the L nearest neighbours of each vote. A pole is a true
-star with a chance of m/n, and about (m − 1) L/(n − 1) of its neighbours are true: with h the (binomial) chance that
-enough of them are for the votes asked for, the field is missed with a chance of about (1 − H h/n)^m.
+Of n points, m of which are true, H are taken as the pole, and the L nearest neighbours of each vote. A pole is a true
+star with a probability of m/n, and about (m − 1) L/(n − 1) of its neighbours are true: with h the (binomial)
+probability that enough of them are for the required votes, the field is missed with a probability of (1 − H h/n)^m.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from startracker.identification.verification import MOST_EXTRA
 FloatArray = NDArray[np.float64]
 
 ROLLS = 64
-"""Rolls told apart by the votes for a guide star."""
+"""Rolls that the votes for a guide star distinguish."""
 MOST_VOTES = 8
 _NEIGHBOURS = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 119)
 _PAIR_NS, _CANDIDATE_NS, _STAR_NS = 12.0, 700.0, 6.0
-"""Of a guide pair looked at, an attitude tried and a guide star whose votes are counted."""
+"""Cost of a guide pair, of an attitude that is tried, and of a guide star whose votes are counted."""
 _LOG_SPHERE_OF_ROTATIONS, _LOG_2PI = math.log(8.0 * math.pi**2), math.log(2.0 * math.pi)
 
 
 class Plan(NamedTuple):
-    """A search by votes: how many stars are taken for the pole, how many of the nearest vote, how many must agree, and
-    whether more stars would have to be taken than it may cost."""
+    """A search by votes: how many stars are taken as the pole, how many of the nearest vote, how many must agree, and
+    whether more poles would be needed than the permitted cost allows."""
 
     poles: int
     neighbours: int
@@ -40,13 +40,13 @@ class Plan(NamedTuple):
 
 
 def crowding_price(excess: FloatArray) -> FloatArray:
-    """What ln B of 1 to n matches is less, at least, for the crowding of the points (widths, n) (`clustering_null`):
-    m of them cost no less than the m that are crowded least."""
+    """By how much ln B of 1 to n matches is at least less for crowded points (widths, n) (`clustering_null`): that of
+    the m that are crowded least."""
     return np.asarray(np.maximum(np.cumsum(np.sort(excess, axis=1), axis=1).max(axis=0), 0.0))
 
 
 def fewest_matches(evidence: FloatArray, price: FloatArray, least_log_b: float) -> int:
-    """Matches from which on ln B exceeds a limit; one more than there are stars where it never does.
+    """Fewest matches for which ln B exceeds a limit; one more than there are stars if none does.
 
     Parameters
     ----------
@@ -93,20 +93,20 @@ def evidence_of_matches(n: int, in_field: int, log_area: float, scale: float, un
 
 
 class Setting(NamedTuple):
-    """What a search by votes meets.
+    """Conditions of a search by votes.
 
     Parameters
     ----------
     pairs : float
-        Guide pairs looked at for a neighbour as far away as the field is wide; in proportion for others.
+        Guide pairs for a neighbour as far away as the field is wide; in proportion for others.
     guides : int
         Guide stars.
     rolls : float
-        Of the 64, how many a vote covers.
+        Number of the 64 rolls that a vote covers.
     gate : float
-        Guide stars that come by chance into the gate of a star close to the pair that says where it is.
+        Guide stars by chance in the gate of a star close to the pair.
     rare : float
-        Chance with which so many others may be hit that an attitude is verified.
+        Largest probability that a false attitude is verified.
     """
 
     pairs: float
@@ -118,16 +118,16 @@ class Setting(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def plan(n: int, fewest: int, miss: float, most_ns: float, setting: Setting, multiples: tuple[float, ...]) -> Plan:
-    """Cheapest search that misses `fewest` true stars of n with a chance of at most `miss`.
+    """Cheapest search that misses `fewest` true stars of n with a probability of at most `miss`.
 
-    Where that takes more than it may cost, the one that misses the multiples of so many least often on average.
+    If that is too expensive, the one that misses the multiples of `fewest` least often on average.
 
     Parameters
     ----------
     n, fewest, miss
         As above.
     most_ns : float
-        What it may cost.
+        Largest cost.
     setting : Setting
     multiples : tuple of float
         The first is 1.
@@ -136,18 +136,17 @@ def plan(n: int, fewest: int, miss: float, most_ns: float, setting: Setting, mul
     neighbours = np.array([count for count in _NEIGHBOURS if count < n - 1] + [n - 1])[:, None]
     votes = np.arange(2, min(fewest - 1, MOST_VOTES) + 1)[None, :]
     true = np.minimum(np.ceil(fewest * np.array(multiples)), n)[:, None, None]
-    hits = bdtrc(np.minimum(votes - 1, neighbours), neighbours, (true - 1.0) / (n - 1)) * (votes <= neighbours)
-    hit = hits[0]
+    found = bdtrc(np.minimum(votes - 1, neighbours), neighbours, (true - 1.0) / (n - 1)) * (votes <= neighbours)
     # the L nearest of n on a square lie within a circle of L/n of its area, at 2/3 of its radius on average
     looked = pairs * neighbours * (2.0 / 3.0) * np.sqrt(neighbours / n / math.pi)
     by_chance = pdtrc(votes - 1, 2.0 * looked * rolls / (ROLLS * guides)) * ROLLS * guides * votes
     each = _PAIR_NS * looked + _CANDIDATE_NS * by_chance + _STAR_NS * guides
-    enough = np.ceil(n * (1.0 - miss ** (1.0 / fewest)) / np.maximum(hit, 1e-9))
+    enough = np.ceil(n * (1.0 - miss ** (1.0 / fewest)) / np.maximum(found[0], 1e-9))
     poles = np.minimum(np.minimum(enough, most_ns // each), n)
-    # the others are about half a field's width from the pair, which errs by a long lever
+    # the others are about half a field's width from the pair, a long lever for its error
     others = (n - 2) * gate * (1.5 + 0.5 * n * math.pi / neighbours)
-    hopeless = (_poisson_quantile(1.0 - rare, others) + 1 > true - 2) | (hits == 0.0)
-    missed = np.maximum((1.0 - poles / n * hits) ** true, miss)
+    hopeless = (_poisson_quantile(1.0 - rare, others) + 1 > true - 2) | (found == 0.0)
+    missed = np.maximum((1.0 - poles / n * found) ** true, miss)
     certain = np.where(hopeless, 1.0, missed).mean(axis=0)
     order = np.lexsort([(poles * each).ravel(), missed.mean(axis=0).ravel(), certain.ravel()])
     row, column = np.unravel_index(order[0], each.shape)

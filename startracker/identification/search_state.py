@@ -1,4 +1,4 @@
-"""What a search is given and what it finds, as kernels take it."""
+"""Input and output of a search, as kernels take it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ IntArray = NDArray[np.int64]
 
 
 class Stars(NamedTuple):
-    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), what
-    their number says, and how much denser they lie than evenly (`clustering_null`)."""
+    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), the
+    probabilities of their number, and how much denser than evenly they are spread (`clustering_null`)."""
 
     vectors: FloatArray
     slopes: FloatArray
@@ -41,18 +41,18 @@ class Guides(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a search may do.
+    """Limits of a search.
 
     Parameters
     ----------
     scale : float
         Multiple of the stated errors.
     focal_range : float
-        Largest relative error of the focal length; 0: it is known.
+        Largest relative error of the focal length; 0: known.
     magnitude_tolerance : float
         Between the brightness differences of two stars observed and catalogued.
-    chance_hits : float
-        How often chance may pass a candidate on to verification.
+    chance : float
+        Largest probability that a false candidate is verified.
     work : float
         Operations after which it ends.
     prior : (3, 3)
@@ -64,7 +64,7 @@ class Limits(NamedTuple):
     scale: float
     focal_range: float
     magnitude_tolerance: float
-    chance_hits: float
+    chance: float
     work: float
     prior: FloatArray
     prior_cosine: float

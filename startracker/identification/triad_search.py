@@ -1,7 +1,7 @@
 """Triads of catalogue stars for every three image stars, tested and grouped (Yee 1999, sections 2.3.4.1 to 2.3.4.3).
 
 One algorithm for every `Arithmetic`. The order of triads, on which the grouping may depend and which an export in C
-repeats, does not depend on how they were found: image triangles 1-2-3, 1-2-4, ..., those of one triangle by the place
+repeats, does not depend on how they were found: image triangles 1-2-3, 1-2-4, ..., those of one triangle by the index
 in the sub-catalogue of their first star, then their second, then their third.
 """
 
@@ -94,7 +94,7 @@ class Triads:
     stars : int (T, 3)
         Image stars.
     catalog : int (T, 3)
-        Place in the sub-catalogue of the star that each may be.
+        Index in the sub-catalogue of the star that each may be.
     rotations : (T, 2)
         Angles that turn the vectors 1-2 and 1-3 of the image into the catalogue's, in the arithmetic's format.
     group : int (T,)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.identification.arithmetic import Arithmetic, Numbers
 
@@ -28,17 +29,17 @@ class TriadTables:
     Parameters
     ----------
     arithmetic : Arithmetic
-        Whose numbers these are.
+        Its format is that of the separations.
     id : int (G,)
         Catalogue number of each star, HR for the Bright Star Catalogue.
     v_mag : (G,)
-        Visual magnitudes, which say which of several stars is the brightest.
+        Visual magnitudes, by which the brightest of several stars is determined.
     sky : object
         The stars' coordinates as the arithmetic keeps them.
     separation : (P,)
         Separations of the pairs, ascending; equal ones in the order of `first`, then `second`.
     first, second : int (P,)
-        Places of the two stars in the sub-catalogue, `first` < `second`.
+        Indices of the two stars in the sub-catalogue, `first` < `second`.
     """
 
     arithmetic: Arithmetic
@@ -77,8 +78,7 @@ class TriadTables:
             raise InputError("a sub-catalogue needs finite coordinates and magnitudes")
         if not 0.0 < max_separation_deg <= 180.0:
             raise InputError(f"the largest separation is {max_separation_deg}°; it must be in (0, 180]")
-        a, d = np.radians(ra), np.radians(dec)
-        vectors = np.column_stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
+        vectors = radec_to_direction(np.radians(ra), np.radians(dec))
         chord = 2.0 * np.sin(np.radians(max_separation_deg) / 2.0)
         pairs = np.empty((0, 2), dtype=np.int64)
         if len(vectors):

@@ -24,14 +24,14 @@ COMBINED_ID = 10_000
 
 @dataclass(frozen=True)
 class Vote:
-    """A catalogue star, or several too close to be told apart, that an image star may be.
+    """A catalogue star, or several unresolved ones, that an image star may be.
 
     Parameters
     ----------
     catalog : int
-        Place in the sub-catalogue; of several the brightest.
+        Index in the sub-catalogue; of several that of the brightest.
     members : tuple of int
-        Places of all of them.
+        Indices of all of them.
     frequency : int
         Triads of the group that name it.
     """
@@ -73,7 +73,7 @@ class GroupMatch:
 
     @property
     def pairs(self) -> IntArray:
-        """Image star and place in the sub-catalogue of each match (M, 2)."""
+        """Image star and index in the sub-catalogue of each match (M, 2)."""
         found = [(star, match.catalog) for star, match in enumerate(self.matches) if match is not None]
         return np.array(found, dtype=np.int64).reshape(-1, 2)
 
@@ -168,7 +168,7 @@ class TriadMatch:
 
 def combine_separation(arithmetic: Arithmetic, scale_deg: ArrayLike, radius_px: float) -> Any:
     """Separation up to which stars are one in the image: the larger of τ pixels across and τ pixels down (eq. 2.4)."""
-    probe = arithmetic.image([[0.0, 0.0], [radius_px, 0.0], [0.0, radius_px]], scale_deg)
+    probe: Any = arithmetic.image([[0.0, 0.0], [radius_px, 0.0], [0.0, radius_px]], scale_deg)
     apart = arithmetic.image_separations(probe, np.array([0, 0]), np.array([1, 2]))
     return apart.max()
 
@@ -201,7 +201,7 @@ def match_triads(
     """
     limits = limits or TriadLimits()
     arithmetic = tables.arithmetic
-    image = arithmetic.image(xy_px, scale_deg)
+    image: Any = arithmetic.image(xy_px, scale_deg)
     stars = len(np.asarray(xy_px))
     separations = arithmetic.image_separations(image, *image_pairs(stars))
     triads, counts = find_triads(image, stars, separations, tables, limits)
@@ -216,13 +216,13 @@ def _votes(
     Several stars in one image have the sum of their frequencies, or the number of triads that stay different once
     each of them is called by the brightest.
     """
-    place, frequency = np.unique(catalog[seen == star], return_counts=True)
-    order = np.lexsort((place, tables.v_mag[place]))
-    place, frequency = place[order], frequency[order]
-    single = [Vote(int(p), (int(p),), int(f)) for p, f in zip(place, frequency, strict=True)]
+    index, frequency = np.unique(catalog[seen == star], return_counts=True)
+    order = np.lexsort((index, tables.v_mag[index]))
+    index, frequency = index[order], frequency[order]
+    single = [Vote(int(p), (int(p),), int(f)) for p, f in zip(index, frequency, strict=True)]
     combined = []
-    for members in _chains(tables, place, close):
-        stars = tuple(int(p) for p in place[members])
+    for members in _chains(tables, index, close):
+        stars = tuple(int(p) for p in index[members])
         count = int(frequency[members].sum())
         if reprocess:
             naming = (np.isin(catalog, stars) & (seen == star)).any(axis=1)
@@ -234,15 +234,15 @@ def _votes(
     return tuple(single + combined)
 
 
-def _chains(tables: TriadTables, place: IntArray, close: Any) -> list[IntArray]:
-    """Sets of several stars that hang together by separations of at most `close`, as rising indices into `place`."""
-    label = np.arange(len(place))
-    i, j = image_pairs(len(place))
-    near = tables.arithmetic.catalog_separations(tables.sky, place[i], place[j]) <= close
+def _chains(tables: TriadTables, index: IntArray, close: Any) -> list[IntArray]:
+    """Sets of several stars that are connected by separations of at most `close`, as ascending positions in `index`."""
+    label = np.arange(len(index))
+    i, j = image_pairs(len(index))
+    near = tables.arithmetic.catalog_separations(tables.sky, index[i], index[j]) <= close
     for a, b in zip(i[near], j[near], strict=True):
         low, high = sorted((label[a], label[b]))
         label[label == high] = low
-    several = np.flatnonzero(np.bincount(label, minlength=len(place)) > 1)
+    several = np.flatnonzero(np.bincount(label, minlength=len(index)) > 1)
     return [np.flatnonzero(label == value) for value in several]
 
 

@@ -4,12 +4,12 @@
    separations, the rotations of two sides, the inner angles.
 2. Triads are grouped by rotation, and the votes of a group name each star (`triad_votes`), the largest group first.
 3. The attitude of each group that names three stars is checked against all stars of the field and accepted by
-   probability (`hypothesis`), where Yee 1999 takes the largest group as it is.
+   probability (`hypothesis`), while Yee 1999 accepts the largest group as it is.
 
-The image is laid in the plane that touches the sphere at the boresight, and the geometry is exact
+The image is projected to the plane that touches the sphere at the boresight, and the geometry is exact
 (`FloatArithmetic(exact=True)`), so that separations are matched within the centroids' errors: those stated first, then
-within 3 and 10 times those. Rotations refer to the celestial pole. In its neighbourhood the meridians run together, and
-triads agree on one only where they share their first star; the groups are smaller there, but large enough.
+within 3 and 10 times those. Rotations refer to the celestial pole. Near it the meridians converge, and
+triads agree on one only if they share their first star; the groups are smaller there, but large enough.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from startracker.estimation.wahba import fit_rotation
 from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
-from startracker.identification.hypothesis import SCALES, Bench, too_few, tried_scales
+from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
@@ -43,7 +43,7 @@ _MOST_TRIPLED = 64
 _MOST_GROUPS = 12
 """Groups checked at one scale."""
 _LOWEST = 0.2
-"""Cosine from the boresight below which a star is not laid in the tangent plane."""
+"""Cosine of the angle to the boresight below which a star is not projected to the tangent plane."""
 _COMBINE_PX = 4.0
 """Guide stars this close in the image are one; closer doubles than the camera resolves are merged already."""
 _TABLES: WeakKeyDictionary[PairList, dict[Arithmetic, TriadTables]] = WeakKeyDictionary()
@@ -103,7 +103,7 @@ def _identify(
     least = max(settings.min_stars, 3)
     if len(observed) < least:
         return too_few(observed, least)
-    bench = Bench(settings, prior, len(observed))
+    pool = HypothesisPool(settings, prior, len(observed))
     most = min(settings.max_stars, _MOST_TRIPLED)
     before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[:most]
     vectors = observed.vectors[before]
@@ -114,7 +114,7 @@ def _identify(
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
-    verdict = bench.judge(observed)
+    verdict = pool.judge(observed)
     for scale in scales:
         tolerance = pair_tolerance(
             observed.sigma_rad[before] * scale, i, j, separations, None if fixed is None else math.radians(fixed)
@@ -127,33 +127,33 @@ def _identify(
             vote_number=settings.vote_number,
             combine_px=_COMBINE_PX,
             three_stars=settings.three_stars,
-            most_operations=max(bench.left, 0),
+            most_operations=max(pool.left, 0),
         )
         match = match_triads(tables, xy, (pixel_deg, pixel_deg), limits)
-        bench.operations += match.triads.operations
-        bench.cut_short = bench.cut_short or not match.triads.complete
+        pool.operations += match.triads.operations
+        pool.cut_short = pool.cut_short or not match.triads.complete
         checked = 0
         for found in match.candidates():
             seen, stars = before[found.pairs[:, 0]], found.pairs[:, 1]
             weight = 1.0 / observed.sigma_rad[seen] ** 2
             matrix = fit_rotation(observed.vectors[seen], guide.directions[stars], weight)
-            bench.check(matrix, observed, guide, scale)
+            pool.check(matrix, observed, guide, scale)
             checked += 1
-            if bench.surely or bench.cut_short or checked == _MOST_GROUPS:
+            if pool.decided or pool.cut_short or checked == _MOST_GROUPS:
                 break
         sizes = match.triads.group_sizes
-        bench.note(
+        pool.note(
             f"triads within {scale:g} stated errors: {len(match.triads)} in {len(sizes)} groups, the largest of "
             f"{sizes.max(initial=0)}; {checked} groups name three stars"
         )
-        verdict = bench.judge(observed)
-        if verdict.status is Status.SOLVED or bench.cut_short:
+        verdict = pool.judge(observed)
+        if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict
 
 
 def _tables(guide: GuideDatabase, prior: Prior | None, arithmetic: Arithmetic) -> TriadTables:
-    """Tables of the guide stars, of the whole sky or about a prior attitude; places are the guide's own."""
+    """Tables of the guide stars, of the whole sky or about a prior attitude; indices are those of the guide stars."""
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
     known = _TABLES.setdefault(pairs, {})
     if arithmetic not in known:

@@ -2,10 +2,10 @@
 
 For an observed triangle (i, j, k) with i opposite its longest side the guide pairs of the two shorter sides are looked
 up in the sorted list and joined at i's star; the longest side, the sense of rotation and the brightnesses are checked
-on the way. The two stars of the longest side are the candidate, which the other stars confirm (`other_stars`).
+as well. The two stars of the longest side are the candidate, which the other stars confirm (`other_stars`).
 
-Where the focal length may be off, all sides may be longer or shorter by one factor: the windows are wider by it, and
-the sides must agree on the factor.
+If the focal length may be wrong, all sides may be longer or shorter by one factor: the windows are wider by it, and the
+sides must agree on the factor.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_with
 from startracker.linalg import triple_product
+from startracker.sorting import order_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,7 +28,10 @@ Int32Array = NDArray[np.int32]
 PAIR_SIGMAS = 3.7
 """A true side is measured within this many standard errors: 2e-4 of them are lost, and there are other triangles."""
 ABERRATION = 1.02e-4
-"""Of a separation, where the pairs are those without aberration."""
+"""Relative error of a separation, as the pairs are those without aberration."""
+_BRIGHT = 9
+_LEAST_SIDE = 0.12
+"""Of the field's diagonal."""
 _PAIR_WORK = 4.0
 """Operations, each of about a nanosecond, of a guide pair looked at."""
 
@@ -87,14 +91,29 @@ def fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
 
 
 @kernel
-def triangle_costs(triples: IntArray, vectors: FloatArray, least_rad: float) -> FloatArray:
-    """Sum of the two shorter sides (T,), rad; 2π more where the longest is below `least_rad`."""
-    out = np.empty(len(triples))
-    for t in range(len(triples)):
-        a, b, c = vectors[triples[t, 0]], vectors[triples[t, 1]], vectors[triples[t, 2]]
-        ab, bc, ca = chord_angle(a, b), chord_angle(b, c), chord_angle(c, a)
-        longest = max(ab, bc, ca)
-        out[t] = ab + bc + ca - longest + (2.0 * math.pi if longest < least_rad else 0.0)
+def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> IntArray:
+    """Triangles (T, 3) of the brightest nine stars (N, 3), those first that are searched quickly.
+
+    The shorter its two shorter sides, the fewer guide pairs have the length of a side, and small triangles agree by
+    chance more rarely; those very small for a field of this diagonal determine the attitude poorly and come last.
+    """
+    n, at = min(len(vectors), _BRIGHT), 0
+    total = n * (n - 1) * (n - 2) // 6
+    triples, cost, order = np.empty((total, 3), np.int64), np.empty(total), np.empty(total, np.int64)
+    for k in range(2, n):
+        for i in range(k - 1):
+            for j in range(i + 1, k):
+                ij, jk = chord_angle(vectors[i], vectors[j]), chord_angle(vectors[j], vectors[k])
+                ki = chord_angle(vectors[k], vectors[i])
+                longest = max(ij, jk, ki)
+                cost[at] = ij + jk + ki - longest + (2.0 * math.pi if longest < _LEAST_SIDE * diagonal_rad else 0.0)
+                triples[at, 0], triples[at, 1], triples[at, 2] = i, j, k
+                at += 1
+    order_of(cost, order)
+    out = np.empty((min(count, total), 3), np.int64)
+    for t in range(len(out)):
+        for corner in range(3):
+            out[t, corner] = triples[order[t], corner]
     return out
 
 
@@ -127,7 +146,7 @@ def _chained(
     for p in range(low, high):
         a, b = pairs.first[p], pairs.second[p]
         step = v_mag[a] - v_mag[b]
-        # no branches: which way round a pair fits is not to be foreseen
+        # no branches: which way round a pair fits cannot be predicted
         known, fits = head[a], not abs(fainter_by - step) > tolerance
         following[filled], partner[filled] = known, b
         head[a] = filled if fits else known
@@ -168,7 +187,7 @@ def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> floa
 
 
 @kernel
-def _add_alike(
+def _add_similar(
     t: _Triangle,
     stars: Stars,
     sky: Guides,
@@ -222,7 +241,7 @@ def _add_alike(
 
 
 @kernel
-def triangles_alike(
+def similar_triangles(
     triples: IntArray, stars: Stars, sky: Guides, pairs: Pairs, limits: Limits, head: Int32Array
 ) -> tuple[Candidates, float]:
     """Triangles of guide stars that triples (T, 3) of observed stars may be.
@@ -240,7 +259,7 @@ def triangles_alike(
     for number in range(len(triples)):
         t = _triangle(triples[number], stars, limits.scale)
         if min(t.ij - t.error_ij, t.ik - t.error_ik) > 0.0 and work <= limits.work:
-            rows, focal, count, cost = _add_alike(t, stars, sky, pairs, limits, head, Candidates(rows, focal), count)
+            rows, focal, count, cost = _add_similar(t, stars, sky, pairs, limits, head, Candidates(rows, focal), count)
             work += cost
     return Candidates(rows[:count], focal[:count]), work
 

@@ -38,7 +38,7 @@ def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
 def quad_index(catalog: str | StarCatalog) -> QuadIndex:
     """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (24 MB)."""
     stars = all_stars(catalog)
-    # the stars' number and places are part of the name: another edition of the catalogue is another index
+    # the stars' number and positions are part of the name: another edition of the catalogue has another index
     mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
     key = f"{_CACHE_KEY}-{mark:08x}"
     stored = cache.load_arrays(key)

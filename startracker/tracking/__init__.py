@@ -8,3 +8,7 @@ from startracker.tracking.session import TrackingSession
 from startracker.tracking.state import TrackingState
 
 __all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "TrackingSession", "TrackingSettings", "TrackingState"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,10 +1,10 @@
-"""Whether the innovations of the last frames together are what the filter says they should be.
+"""Consistency test of the innovations of recent frames.
 
-One innovation says little of a filter that is far more certain than a frame: an error of several of its standard
-deviations is lost in the frame's. Over a window the innovations, whitened, are independent Gaussian deviates of
-variance 1, and there are two sums with known distributions: that of their squares, χ² of all their degrees of freedom,
-and the square of their vector sum over the number of frames, χ² of three, which finds an error that stays (Bar-Shalom,
-Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
+A single innovation is not informative if the filter is much more accurate than a frame: an error of several of its
+standard deviations is hidden by the noise of the frame. Over a window the whitened innovations are independent Gaussian
+deviates of variance 1, and two sums have known distributions: the sum of their squares, χ² of all degrees of freedom,
+and the square of their vector sum divided by the number of frames, χ² of three, which detects a constant error
+(Bar-Shalom, Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from startracker.tracking.mekf import Innovation, chi_square_limit
 __all__ = ["InnovationWindow"]
 
 _Sums = tuple[float, float, float, float, float, float]
-"""Of squares, of degrees of freedom, of frames with a whitened innovation, and of its three components."""
+"""Sums of squares, of degrees of freedom, of frames with a whitened innovation, and of its three components."""
 _NOTHING: _Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _LENGTH = 32
 _FALSE_ALARM = 1e-3
-"""Probability of either sum's exceeding its limit by chance. A false alarm costs some of the averaging, no frame."""
+"""Probability that either sum exceeds its limit by chance. A false alarm reduces the averaging but loses no frame."""
 _TOO_SMALL = 0.99
-"""The sum of squares exceeds its limit with this probability: below it, the raised noise is too much."""
+"""Probability of a lower limit of the sum of squares, below which the increased noise is too large."""
 _FEWEST = 2
 _RAISE = 10.0
-"""Factor of the variances after an alarm."""
+"""Factor on the variances after an alarm."""
 _FADE = 1.0 / 256.0
-"""Share of the excess of the process noise that is taken back with every frame that fits."""
+"""Fraction by which the excess process noise is reduced with every consistent frame."""
 _LARGEST = 1e8
 
 
 class InnovationWindow:
-    """The innovations of the last frames, and the factor by which the process noise must exceed the configured one."""
+    """Innovations of recent frames, and the factor on the configured process noise."""
 
     def __init__(self) -> None:
         self.noise_factor = 1.0
@@ -41,7 +41,7 @@ class InnovationWindow:
         self._last: tuple[Innovation, _Sums] | None = None
 
     def contradicts(self, innovation: Innovation) -> bool:
-        """Whether the last frames together with one more contradict the filter."""
+        """Whether the recent frames and one more contradict the filter."""
         self._last = innovation, _sums(innovation)
         total = _add(self._total, self._last[1])
         if len(self._frames) == _LENGTH:
@@ -54,7 +54,7 @@ class InnovationWindow:
         return number >= _FEWEST and (x * x + y * y + z * z) / number > chi_square_limit(3, _FALSE_ALARM)
 
     def add(self, innovation: Innovation) -> None:
-        """Take in an innovation that fits."""
+        """Add a consistent innovation."""
         if len(self._frames) == _LENGTH:
             self._total = _add(self._total, self._frames.popleft(), -1.0)
         sums = self._last[1] if self._last is not None and self._last[0] is innovation else _sums(innovation)
@@ -67,7 +67,7 @@ class InnovationWindow:
             self.noise_factor = max(1.0, self.noise_factor / _RAISE)
 
     def alarm(self) -> float:
-        """Raise the process noise and begin a new window; the factor by which to raise the covariance too."""
+        """Increase the process noise and begin a new window; returns the factor for the covariance."""
         self.forget()
         self.noise_factor = min(self.noise_factor * _RAISE, _LARGEST)
         return _RAISE
@@ -79,7 +79,7 @@ class InnovationWindow:
         self.forget()
 
     def forget(self) -> None:
-        """Begin a new window: the filter has begun anew."""
+        """Begin a new window after a restart of the filter."""
         self._frames.clear()
         self._total = _NOTHING
 

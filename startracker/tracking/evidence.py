@@ -1,4 +1,4 @@
-"""Kernels that weigh a match: how likely chance does as well."""
+"""Kernels for the evidence of a match against chance."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ IntArray = NDArray[np.int64]
 
 @kernel
 def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> float:
-    """ln of the likelihood ratio of matches, averaged over how deep the camera sees and how many stars are true.
+    """ln of the likelihood ratio of matches, averaged over the detection limit and the number of true stars.
 
-    The brightest D guide stars of the field can be seen, all D from 1 to K alike; M of the n observed stars are true,
-    all M from 0 to min(n, D) alike, which ones and which guide stars they are too: 1/C(n, M) and (D − M)!/D!. Of the
-    matches within a depth the best M are taken; the rest would only add.
+    The brightest D guide stars of the field are detectable, with equal probability for D from 1 to K; M of the n
+    observed stars are true, with equal probability for M from 0 to min(n, D) and for all assignments: 1/C(n, M) and (D
+    − M)!/D!. Of the matches within a depth only the best M are used; the others would increase the result.
 
     Parameters
     ----------
     gain : (m,)
-        ln of each match's density times the area, largest first.
+        ln of the density of each match times the area, in descending order.
     rank : (m,)
-        Place of its guide star in the order of brightness, from 0.
+        Rank of its guide star by brightness, from 0.
     n, in_field : int
         Observed stars, and guide stars expected, K.
     """
@@ -38,7 +38,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
             if rank[k] >= depth:
                 continue
             m += 1
-            # the match, less ln of (D − M + 1) guide stars it could be, and of C(n, M) / C(n, M − 1)
+            # the match, minus ln of (D − M + 1) possible guide stars, and of C(n, M) / C(n, M − 1)
             cumulative += gain[k] - math.log(depth - m + 1) - math.log((n - m + 1) / m)
             value = max(value, cumulative)
         value -= math.log(min(n, depth) + 1.0)
@@ -61,7 +61,7 @@ def log_evidence(
     information: FloatArray,
     area: float,
 ) -> float:
-    """ln B of a match: see `startracker.tracking.matching.track`, whose names these are."""
+    """ln B of a match: see `startracker.tracking.matching.track`, for the names of the arguments."""
     seen = np.flatnonzero(index >= 0)
     if len(seen) == 0:
         return -math.inf

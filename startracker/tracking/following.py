@@ -1,4 +1,4 @@
-"""A frame matched with the prediction and taken into the filter, star by star."""
+"""Match of a frame with the prediction, and filter update with its stars."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LEAST_WORTH = math.log(100.0)
-"""Evidence of stars too few for an attitude, from which the filter takes them in all the same."""
+"""Minimum evidence for a filter update with stars that are too few for an attitude."""
 _REJECT_SIGMAS = 3.7
 _FEWEST_TO_REJECT = 4
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
@@ -30,10 +30,11 @@ _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A frame matched with the prediction: the filter after it, and the stars that it took in.
+    """A frame matched with the prediction: the updated filter, and the stars used.
 
     `log_chance` is that of `startracker.identification.acceptance`. The prior is the prediction's Gaussian, over which
-    the Bayes factor of `startracker.tracking.evidence` is an integral: no further gain, and no rivals.
+    the Bayes factor of `startracker.tracking.evidence` is integrated; there is no other prior, and no competing
+    hypothesis.
     """
 
     filter: Mekf
@@ -46,16 +47,16 @@ class Followed:
     log_chance: float
 
     def solution(self, tracker: StarTracker, covariance: FloatArray, note: str, times_ms: dict[str, float]) -> Solution:
-        """The frame's answer: the filter's attitude, its covariance (3, 3) as it is to be given out, and the stars.
+        """Solution of the frame: attitude of the filter, the given covariance (3, 3), and the stars.
 
-        A note is added to the reason.
+        The note is appended to the reason.
         """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
         return Solution(
             Status.SOLVED,
-            f"tracked: {len(stars)} of {len(seen.xy)} stars are where predicted, {len(self.expected.index)} expected; "
-            f"by chance with probability {power_of_ten(self.log_chance)}" + note,
+            f"tracked: {len(stars)} of {len(seen.xy)} stars at predicted positions, {len(self.expected.index)} "
+            f"expected; chance probability {power_of_ten(self.log_chance)}" + note,
             self.filter.attitude,
             covariance,
             MatchedStars(
@@ -76,18 +77,18 @@ class Followed:
 
 
 def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, false_rejection: float) -> Followed | None:
-    """Match with the prediction and filter; None where too little agrees, or what agrees contradicts the filter.
+    """Match with the prediction and update the filter; None if too few stars match, or the matched ones contradict it.
 
     Parameters
     ----------
     prediction : Mekf
-        At the time of the frame; left as it is.
+        Filter at the time of the frame; not modified.
     camera : Camera
-        The tracker's.
+        Camera of the tracker.
     seen, expected : Seen, Expected
-        Star images, and guide stars where the prediction puts them.
+        Detected stars, and guide stars at their predicted positions.
     false_rejection : float
-        Probability that the filter may refuse what is right (`TrackingSettings`).
+        Probability of rejecting a correct measurement (`TrackingSettings`).
     """
     if not len(seen.xy):
         return None
@@ -113,7 +114,7 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
 
 
 def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """Stars (M,) whose residual is below 3.7 standard errors, stated ones or the frame's own where these are larger."""
+    """Stars (M,) whose residual is below 3.7 standard errors, the stated ones or those of the frame if larger."""
     length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
     if len(length) < _FEWEST_TO_REJECT or float(length.max()) <= _REJECT_SIGMAS:
         return np.ones(len(length), np.bool_)

@@ -1,4 +1,4 @@
-"""Times of frames: which of them the filter can step to."""
+"""Times of frames, and whether the filter can be propagated to them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["FrameClock"]
 
 
 class FrameClock:
-    """Time of the last frame that was used, and what a next one's time makes of it."""
+    """Time of the last frame used, and checks of the next."""
 
     def __init__(self) -> None:
         self.now_s: float | None = None
@@ -19,12 +19,12 @@ class FrameClock:
 
     @staticmethod
     def read(t_s: float) -> float:
-        """A time as a float; NaN and infinities too.
+        """A time as a float, including NaN and infinities.
 
         Raises
         ------
         InputError
-            For what is no number.
+            If it is not a number.
         """
         try:
             return float(t_s)
@@ -32,26 +32,27 @@ class FrameClock:
             raise InputError(f"a frame's time must be a number of seconds; got {t_s!r}") from error
 
     def fault(self, t_s: float) -> str:
-        """Why a frame's time cannot be used; empty where it can.
+        """Reason why a frame's time cannot be used; empty if it can.
 
-        A frame from before the last one is a straggler. A second one in a row, later than the first, means that the
-        clock was set back: it can be used, and `is_before` is set.
+        A single frame with an earlier time is late. A second one, later than the first, indicates that the clock was
+        set back: it can be used, and `is_before` is true.
         """
         if not math.isfinite(t_s):
-            return f"the frame's time is no finite number of seconds: {t_s}"
+            return f"the frame's time is not a finite number of seconds: {t_s}"
         if not self.is_before(t_s):
             return ""
         before, self._refused_s = self._refused_s, t_s
         if before is not None and before < t_s:
             return ""
-        return f"the frame is at {t_s} s, before the last one, at {self.now_s} s"
+        return f"the frame's time, {t_s} s, is before that of the last one, {self.now_s} s"
 
     def is_before(self, t_s: float) -> bool:
-        """Whether a time is before the last frame's."""
+        """Whether a time is before that of the last frame."""
         return self.now_s is not None and t_s < self.now_s
 
     def advance(self, t_s: float) -> float:
-        """Step to a frame's time: seconds since the last frame; 0 for the first one, and after a clock was set back."""
+        """Advance to a frame's time; returns the seconds since the last frame, 0 for the first one and after the clock
+        was set back."""
         step_s = 0.0 if self.now_s is None else max(t_s - self.now_s, 0.0)
         self.now_s, self._refused_s = t_s, None
         return step_s

@@ -1,7 +1,7 @@
-"""Kernels of the filter: how an attitude error and a rate error grow, and the exact noise that joins them.
+"""Kernels of the filter: propagation of attitude and rate errors with exact process noise, and updates.
 
 With ω the rate in camera axes and δθ, δr the errors of attitude and of the rate, δθ' = −ω × δθ + δr and δr' = white
-noise. While ω is constant everything has a closed form: with K = [ω×] all integrals are polynomials I, K, K².
+noise. For constant ω there are closed forms: with K = [ω×] all integrals are polynomials in I, K, K².
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from startracker.linalg import factorise, transform
 FloatArray = NDArray[np.float64]
 
 _SMALL = 0.03
-"""Angle of a step, rad, below which series replace the closed forms, which lose digits there."""
+"""Angle of a step, rad, below which series are used, as the closed forms lose precision."""
 BLIND = 1e-12
-"""Information about an axis below this fraction of that of the best known axis is rounding: one star has no roll."""
+"""Relative limit of the information about an axis, below which it is rounding error: a single star gives no roll."""
 
 
 @kernel
 def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
 
-    Φ = exp(−K t). Markley & Crassidis 2014, section 6.2.4, has the first two; the noise integrals are usually given
-    for ω t ≪ 1 (Farrenkopf 1978) and here in full.
+    Φ = exp(−K t). Markley & Crassidis 2014, section 6.2.4, gives the first two; the noise integrals are usually given
+    for ω t ≪ 1 (Farrenkopf 1978), here exactly.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, Flo
 
 @kernel
 def turn_quaternion(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """Unit quaternion (x, y, z, w) of the frame `quat` after it has turned by a rotation vector in its own axes."""
+    """Unit quaternion (x, y, z, w) of the frame `quat` rotated by a rotation vector in its own axes."""
     x2, y2, z2 = vector[0], vector[1], vector[2]
     angle = math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
     share = 0.5 - angle**2 / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
@@ -103,10 +103,10 @@ def propagate(
     Parameters
     ----------
     sign : float
-        +1 where the second state is the rate, −1 where it is the bias taken off a measured rate.
+        +1 if the second state is the rate, −1 if it is the bias subtracted from a measured rate.
     angle_psd, rate_psd, extra_psd : float
-        White noise of the angle's rate, rad²/s, of the second state's, rad²/s³, and of a rate held without being a
-        state, rad²/s³.
+        White noise of the derivative of the angle, rad²/s, of that of the second state, rad²/s³, and of a rate that is
+        constant but not a state, rad²/s³.
     """
     phi, psi, twice, squared = transition(rate, dt)
     full = np.eye(len(covariance))
@@ -129,7 +129,7 @@ def propagate(
 def correct(
     covariance: FloatArray, axes: FloatArray, innovation: FloatArray, noise: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Kalman update with a measurement of the attitude's error along `axes`, in Joseph's form.
+    """Kalman update with a measurement of the attitude error along `axes`, in Joseph form.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def correct(
 
     Returns
     -------
-    Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (n,), covariance after it (n, n), and the innovation in camera
-    axes whitened by the Cholesky factor of S there, (3,): NaN where the axes are not three.
+    Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (n,), updated covariance (n, n), and the innovation in camera axes
+    whitened by the Cholesky factor of S, (3,); NaN unless there are three axes.
     """
     h = np.zeros((len(innovation), len(covariance)))
     h[:, :3] = axes
@@ -160,7 +160,7 @@ def correct(
 
 @kernel
 def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
-    """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN where that is not positive."""
+    """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN if it is not positive definite."""
     out = np.full(3, np.nan)
     if factorise(spread, 3):
         for i in range(3):
@@ -175,16 +175,16 @@ def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
 def vector_measurement(
     quat: FloatArray, delta: FloatArray, observed: FloatArray, reference: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Attitude error measured by directions: axes (m, 3), the error along them (m,), its covariance (m, m).
+    """Attitude error measured by directions: axes (m, 3), error along them (m,), covariance (m, m).
 
     With p = A r the prediction, b − p = p × δθ + noise across p (QUEST's measurement model, Shuster & Oh 1981). The
     information of M directions is the normal matrix Σ (I − p pᵀ)/σ² and its right-hand side Σ (b × p)/σ²; along the
-    axes of the matrix they are three measurements independent of each other, or two where there is one star.
+    eigenvectors of the matrix they are three independent measurements, or two for a single star.
 
     Parameters
     ----------
     quat : (4,)
-        Attitude; errors count from it.
+        Attitude to which errors refer.
     delta : (3,)
         Error at which b is linearised.
     observed, reference, sigma : (M, 3), (M, 3), (M,)

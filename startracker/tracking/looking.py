@@ -1,4 +1,4 @@
-"""Where tracking looks: the guide stars that a prediction puts on the image, and the star candidates found there."""
+"""Guide stars expected on the image for a prediction, and the star candidates found in windows around them."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 
-__all__ = ["Expected", "Seen", "Sky", "centroids_seen", "look", "plain", "streak_px", "window_half"]
+__all__ = ["Expected", "Seen", "Sky", "as_pixels", "centroids_seen", "look", "streak_px", "window_half"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _WINDOW_SIGMAS = 4.3
 _SKIRT_PX = 5
-"""Margin in a window for the star image, and for the border in which the background is measured."""
+"""Margin of a window for the star image, and for the border in which the background is measured."""
 _EPOCH_STEP = 1e-3
-"""Years in which stars, but for the fastest three, move by 5 mas at most; so does the parallax of the nearest."""
+"""Years in which all stars except the fastest three move by at most 5 mas, including parallax."""
 _SHORT_STREAK_PX = 2.0
-"""A streak up to this is a star to the centroider's own window."""
+"""Maximum length of a streak that fits into the centroider's window."""
 _LONGEST_STREAK_PX = 10.0
-"""A longer one does not fit into the centroiders' windows; over the whole frame it is measured by its ends."""
+"""Maximum length of a streak in windows; longer ones are measured by their ends over the whole frame."""
 _LARGEST_SHARE = 0.5
-"""Share of the frame above which windows save nothing."""
+"""Fraction of the frame above which windows save no time."""
 _MOSAIC_COLUMNS = 8
 _ROUNDING = 0.29
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Guide stars that a prediction puts on the image: number, direction (K, 3) seen in ICRS axes, in the camera's."""
+    """Guide stars expected on the image: number, apparent direction (K, 3) in ICRS axes, and in camera axes."""
 
     index: IntArray
     directions: FloatArray
@@ -51,47 +51,35 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Star candidates of a frame.
-
-    Parameters
-    ----------
-    xy, flux : (N, 2), (N,)
-        Pixels, and signal (NaN: not known).
-    vectors : (N, 3)
-        Directions in the camera frame.
-    gate_px, sigma_px : (N,)
-        Standard errors for the match, and as measured.
-    stated_px : (N,)
-        Those that the residuals are compared with.
-    windows : int
-        Windows looked at; 0: the whole frame.
-    area_sr : float
-        Solid angle of all that was looked at.
-    window_xy : (windows, 2), optional
-        Central pixels of the windows.
-    window_half_px : int
-        A window has 2 half + 1 pixels a side.
-    """
+    """Star candidates of a frame."""
 
     xy: FloatArray
     flux: FloatArray
+    """Pixels, (N, 2), and signal, (N,); NaN: not known."""
     vectors: FloatArray
+    """Directions in the camera frame, (N, 3)."""
     gate_px: FloatArray
     sigma_px: FloatArray
+    """Standard errors for the match, and as measured, (N,)."""
     stated_px: FloatArray
+    """Standard errors to which the residuals are compared, (N,)."""
     windows: int
+    """Number of windows; 0: the whole frame."""
     area_sr: float
+    """Solid angle searched."""
     window_xy: FloatArray | None = None
+    """Central pixels of the windows, (windows, 2)."""
     window_half_px: int = 0
+    """A window has 2 half + 1 pixels per side."""
 
     def select(self, rows: NDArray[Any]) -> Seen:
-        """Some of them."""
+        """Selection of the candidates."""
         columns = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:6]}
         return replace(self, **columns)
 
 
 class Sky:
-    """Guide stars at the observer's epoch and position, cached until they have moved, without aberration."""
+    """Guide stars at the observer's epoch and position without aberration, cached until they have moved."""
 
     def __init__(self, guide: GuideDatabase) -> None:
         self.guide = guide
@@ -120,7 +108,7 @@ class Sky:
 
 
 def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None, factor: float) -> Seen:
-    """Centroids that come without an error; `factor` times the usual one is taken."""
+    """Given centroids without errors; `factor` times the usual error is assumed."""
     camera = tracker.camera
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
@@ -140,7 +128,7 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
 
 
 def streak_px(tracker: StarTracker, rate_rad_s: FloatArray, exposure_s: float) -> float:
-    """Length of a star's image at a rate (3,), at most, pixels."""
+    """Maximum length of a star image at a rate (3,), pixels."""
     turn = math.hypot(rate_rad_s[0], rate_rad_s[1]) + abs(rate_rad_s[2]) * tracker.guide.half_diagonal_rad
     return float(turn * exposure_s / tracker.camera.pixel_rad)
 
@@ -148,16 +136,16 @@ def streak_px(tracker: StarTracker, rate_rad_s: FloatArray, exposure_s: float) -
 def window_half(
     tracker: StarTracker, expected: Expected, covariance: FloatArray, streak_px: float, largest_half: int
 ) -> int | None:
-    """Half side of the windows about the expected stars; None where windows will not do.
+    """Half side of the windows around the expected stars; None if windows cannot be used.
 
     Parameters
     ----------
     covariance : (3, 3)
-        Of the predicted attitude: windows reach 4.3 standard deviations of the least certain star.
+        Covariance of the predicted attitude: windows extend to 4.3 standard deviations of the least certain star.
     streak_px : float
-        Length of a star's image; above 10 px windows will not do.
+        Length of a star image; above 10 px windows cannot be used.
     largest_half : int
-        Half side of the largest window, the streak left out.
+        Maximum half side, excluding the streak.
     """
     camera, spread = tracker.camera, spreads(expected.predicted, covariance).covariance
     wide = math.sqrt(float(np.max(spread[:, 0] + spread[:, 2]))) / camera.pixel_rad
@@ -177,22 +165,22 @@ def look(
     saturation_dn: float | None,
     gain_e_per_dn: float | None,
 ) -> Seen | None:
-    """Star candidates in windows about the expected stars, found and measured by the tracker's own methods.
+    """Star candidates in windows around the expected stars, found and measured by the tracker's methods.
 
     Parameters
     ----------
     half : int, optional
         See `window_half`.
     streak_px : float
-        Length of a star's image.
+        Length of a star image.
     factor : float
-        Ratio of real to stated centroid errors.
+        Ratio of actual to stated centroid errors.
 
     Returns
     -------
-    Seen, or None where windows will not do.
+    Seen, or None if windows cannot be used.
     """
-    camera, pixels = tracker.camera, plain(image)
+    camera, pixels = tracker.camera, as_pixels(image)
     if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
         return None
     centre = camera.project(expected.predicted)
@@ -207,14 +195,14 @@ def look(
     background = Background(level=level, noise=noise)
     try:
         spots = tracker._detect(mosaic, background, tracker.detection, saturation_dn)
-        # the brightest pixel of a streak is any of it: the window holds all of it wherever that lies
+        # any pixel of a streak may be the brightest: the window must contain all of it
         longer = max(math.ceil(0.5 * (streak_px - _SHORT_STREAK_PX)), 0)
         centroid = replace(tracker.centroid, window_px=tracker.centroid.window_px + 2 * longer)
         found = tracker._measure(mosaic, background, spots, centroid, gain_e_per_dn)
-    except InputError:  # the full frame says what is wrong
+    except InputError:  # the error is reported for the full frame
         return None
     xy = to_image(found.xy, x, y, half, columns)
-    # a star cut off by the image's border is whole on the mosaic's background
+    # a star at the image border appears complete on the background of the mosaic
     room = float(tracker.centroid.window_px // 2)
     rows = first_of_each(xy, camera.width, camera.height, room, SAME_STAR_PX)
     variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0
@@ -239,8 +227,8 @@ def _with_direction(seen: Seen) -> Seen:
     return seen if usable.all() else seen.select(usable)
 
 
-def plain(image: ArrayLike) -> NDArray[Any] | None:
-    """Image as a kernel reads it, without a copy where that can be; None for what is none."""
+def as_pixels(image: ArrayLike) -> NDArray[Any] | None:
+    """Image for kernels, without a copy if possible; None if it is not an image."""
     try:
         pixels = np.asarray(image)
         if np.ma.is_masked(image) and pixels.dtype.kind in "uif":

@@ -1,8 +1,9 @@
-"""Kernels of tracking: where the guide stars should be, which observed star is which, and whether that can be chance.
+"""Kernels of tracking: predicted positions of guide stars, their match with observed stars, and its evidence.
 
-All is done with unit vectors in the camera frame. With p a guide star's predicted direction and δ the attitude's error
-(rotation vector, camera axes, covariance P beforehand), the star is seen at p + p × δ; across p along two unit vectors
-u and v = p × u that is (−v·δ, u·δ), whose covariance is what P gives plus the centroid's σ².
+All vectors are unit vectors in the camera frame. With p the predicted direction of a guide star and δ the attitude
+error (rotation vector, camera axes, prior covariance P), the star is observed at p + p × δ. Along two unit vectors u
+and v = p × u perpendicular to p this displacement is (−v·δ, u·δ), with the covariance from P plus the centroid variance
+σ².
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 GATE2 = 18.4
-"""Squared Mahalanobis distance of a star on the image that a good one exceeds with probability 1e-4 (χ², two axes)."""
+"""Limit of the squared Mahalanobis distance of a star, which is exceeded with probability 1e-4 (χ², two axes)."""
 KEEP2 = 13.7
 """The same for the final match: a residual beyond 3.7 standard errors has probability 1e-3."""
 _TIGHT2 = 1.5
@@ -37,20 +38,21 @@ _ROUNDS = 8
 def expected_stars(
     matrix: FloatArray, sky: SkyView, beta: FloatArray, most: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Guide stars on the image at an attitude, as a moving observer sees them; brightest first, at most `most`.
+    """Guide stars on the image at an attitude, in apparent directions for a moving observer; brightest first, at most
+    `most`.
 
     Parameters
     ----------
     matrix : (3, 3)
         ICRS to camera.
     sky : SkyView
-        Its directions without aberration.
+        Guide stars, without aberration.
     beta : (3,)
-        The observer's velocity over that of light (`startracker.observer.aberrate`).
+        The observer's velocity relative to that of light (`startracker.observer.aberrate`).
 
     Returns
     -------
-    index (K,), directions seen (K, 3) in ICRS axes, and in the camera's (K, 3).
+    index (K,), apparent directions (K, 3) in ICRS axes, and in camera axes (K, 3).
     """
     axis = sky.shape.axes[2]
     b2 = beta[0] ** 2 + beta[1] ** 2 + beta[2] ** 2
@@ -58,7 +60,7 @@ def expected_stars(
     x = matrix[0, 0] * axis[0] + matrix[1, 0] * axis[1] + matrix[2, 0] * axis[2]
     y = matrix[0, 1] * axis[0] + matrix[1, 1] * axis[1] + matrix[2, 1] * axis[2]
     z = matrix[0, 2] * axis[0] + matrix[1, 2] * axis[1] + matrix[2, 2] * axis[2]
-    # aberration can bring a star in from outside by as much as β
+    # aberration can move a star into the field by up to β
     widest = math.cos(min(math.acos(sky.shape.widest_cosine) + 1.1 * math.sqrt(b2), math.pi))
     near = np.sort(stars_in_cone(x, y, z, widest, sky.directions, sky.grid))
     size = min(most, len(near))
@@ -90,7 +92,8 @@ def expected_stars(
 
 
 class Spread(NamedTuple):
-    """Unit vectors u, v (K, 3) across predicted directions, and the stars' covariance along them (K, 3: uu, uv, vv)."""
+    """Unit vectors u, v (K, 3) perpendicular to predicted directions, and the covariance of the stars along them (K, 3:
+    uu, uv, vv)."""
 
     u: FloatArray
     v: FloatArray
@@ -98,7 +101,8 @@ class Spread(NamedTuple):
 
 
 class Match(NamedTuple):
-    """Predicted star of each observed one or −1, squared Mahalanobis distance (N,); observed star of each (K,)."""
+    """Predicted star of each observed one or −1, and squared Mahalanobis distance, (N,); observed star of each
+    predicted one, (K,)."""
 
     partner: IntArray
     distance2: FloatArray
@@ -107,7 +111,7 @@ class Match(NamedTuple):
 
 @kernel
 def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
-    """Two unit vectors across a unit vector p, written to u and v = p × u."""
+    """Two unit vectors perpendicular to a unit vector p, written to u and v = p × u."""
     if abs(p[0]) < 0.7:
         length = math.sqrt(p[1] ** 2 + p[2] ** 2)
         u[0], u[1], u[2] = 0.0, p[2] / length, -p[1] / length
@@ -119,7 +123,7 @@ def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
 
 @kernel
 def spreads(predicted: FloatArray, covariance: FloatArray) -> Spread:
-    """How predicted directions (K, 3) scatter with the covariance (3, 3) of the attitude."""
+    """Covariance of predicted directions (K, 3) for the covariance (3, 3) of the attitude."""
     k = len(predicted)
     us, vs, out = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3))
     for n in range(k):
@@ -139,7 +143,8 @@ def spreads(predicted: FloatArray, covariance: FloatArray) -> Spread:
 def _apart(
     observed: FloatArray, predicted: FloatArray, spread: Spread, k: int, s2: float
 ) -> tuple[float, float, float]:
-    """Squared Mahalanobis distance of a star of variance `s2` from the predicted one `k`, and its way along u and v."""
+    """Squared Mahalanobis distance of a star of variance `s2` from the predicted one `k`, and its displacement along u
+    and v."""
     x, y, z = observed[0] - predicted[0], observed[1] - predicted[1], observed[2] - predicted[2]
     a = spread.u[k, 0] * x + spread.u[k, 1] * y + spread.u[k, 2] * z
     b = spread.v[k, 0] * x + spread.v[k, 1] * y + spread.v[k, 2] * z
@@ -151,9 +156,9 @@ def _apart(
 def match_gated(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, spread: Spread, gate2: float, match: Match
 ) -> int:
-    """Nearest predicted star of each observed one by Mahalanobis distance, each used once; how many have one.
+    """Nearest predicted star of each observed one by Mahalanobis distance, one to one; returns the number of matches.
 
-    Written to `match`. Where two observed stars claim one predicted star the nearer keeps it.
+    Written to `match`. If two observed stars are nearest to the same predicted star, the nearer one is matched.
     """
     index, distance2, owner = match
     owner[:] = -1
@@ -191,16 +196,15 @@ def match_gated(
 def track(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, area: float
 ) -> tuple[IntArray, FloatArray, FloatArray, float]:
-    """Match observed stars with predicted ones, and weigh whether chance would do as well.
+    """Match observed stars with predicted ones, and compute the evidence against chance.
 
-    All stars are off by the same rotation. Where the prediction is so uncertain that a gate can hold several stars,
-    each pair within its gate proposes a rotation, the most probable one of that star alone, and the one under which
-    most stars fit is followed. Then, until nothing changes: the most probable rotation, and the match within 3.7
-    standard errors of it.
+    All stars are displaced by the same rotation. If the prediction is so uncertain that a gate may contain several
+    stars, each pair within its gate proposes a rotation (the most probable one for that star alone), and the one with
+    the most matches is used. Rotation and matches within 3.7 standard errors are then iterated until convergence.
 
     The evidence is the Bayes factor of `startracker.identification.bayes_factor` for an attitude of known covariance:
-    ln B = −½ δᵀ P⁻¹ δ − ½ ln |1 + P N| + ln of the averaged assignments, with N the stars' information. As its mean
-    over random stars is one, they reach ln B = t with a probability of e⁻ᵗ at most.
+    ln B = −½ δᵀ P⁻¹ δ − ½ ln |1 + P N| + ln of the averaged assignments, with N the information of the stars. As the
+    mean of B over random stars is one, they reach ln B = t with a probability of at most e⁻ᵗ.
 
     Parameters
     ----------
@@ -209,12 +213,12 @@ def track(
     predicted, covariance : (K, 3), (3, 3)
         Predicted directions, brightest first, camera frame; covariance of the predicted attitude, rad².
     area : float
-        Solid angle in which stars were looked for, sr.
+        Solid angle searched for stars, sr.
 
     Returns
     -------
-    predicted star of each observed one or −1 (N,), δ (3,), its covariance given prediction and stars (3, 3), ln B
-    (−inf where nothing matches).
+    predicted star of each observed one or −1 (N,), δ (3,), its posterior covariance (3, 3), ln B (−inf without
+    matches).
     """
     n, k = len(observed), len(predicted)
     match = Match(np.full(n, -1), np.full(n, np.inf), np.full(k, -1))
@@ -226,7 +230,7 @@ def track(
     spread, smallest = spreads(predicted, covariance), np.min(sigma)
     if match_gated(observed, sigma, predicted, spread, GATE2, match) == 0:
         return nothing
-    # a gate that the prediction rather than the centroid makes wide may hold the wrong star
+    # a gate that is wide because of the prediction may contain the wrong star
     if np.max(spread.covariance[:, 0] + spread.covariance[:, 2]) > _TIGHT2 * smallest**2:
         turn = _consensus(observed, sigma, predicted, covariance, spread)
         posterior, _ = inverse(precision + np.eye(3) / (4.0 * smallest**2), 3)
@@ -253,7 +257,7 @@ def track(
 def _consensus(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:
-    """The rotation (3,), of those that one pair of stars within its gate proposes, under which the most stars fit."""
+    """The rotation (3,) with the most matches, of those proposed by single pairs within their gates."""
     n, k = len(observed), len(predicted)
     moved, match = np.empty_like(predicted), Match(np.empty(n, np.int64), np.empty(n), np.empty(k, np.int64))
     best_turn, best, starts = np.zeros(3), -np.inf, 0
@@ -273,7 +277,7 @@ def _consensus(
             transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
             after = spreads(moved, left)
             count = match_gated(observed, sigma, moved, after, GATE2, match)
-            # a wide gate is easily met: what a match is worth falls with the logarithm of its area
+            # the weight of a match decreases with the logarithm of the area of its gate
             score = 1e-3 * count
             for m in range(n):
                 if match.partner[m] >= 0:
@@ -295,8 +299,8 @@ def _turn_of_one(
     turn: FloatArray,
     left: FloatArray,
 ) -> None:
-    """Kalman update with one star that is `away` from the predicted one along u and v: the rotation vector (3,) and the
-    covariance (3, 3) after it, written to `turn` and `left`. H = (v, −u)."""
+    """Kalman update with one star displaced by `away` along u and v: rotation vector (3,) and updated covariance (3,
+    3), written to `turn` and `left`. H = (v, −u)."""
     uu, uv, vv = spread.covariance[k, 0] + s2, spread.covariance[k, 1], spread.covariance[k, 2] + s2
     determinant, cu, cv = uu * vv - uv * uv, np.zeros(3), np.zeros(3)
     for r in range(3):

@@ -1,8 +1,8 @@
-"""Multiplicative extended Kalman filter of an attitude, with a gyro's bias and scale factors or, without one, the rate.
+"""Multiplicative extended Kalman filter of the attitude, with bias and scale factors of a gyro, or with the rate.
 
-The attitude is a quaternion; its error, a rotation vector in camera axes, is what the filter estimates, and after every
-measurement the error goes into the quaternion and is zero again. The covariance is therefore never singular, and its
-axes are the camera's.
+The attitude is a quaternion; the filter estimates its error, a rotation vector in camera axes, which is applied to the
+quaternion and reset to zero after every measurement. The covariance is therefore never singular, and refers to camera
+axes.
 
 Sources: Lefferts, Markley & Shuster 1982, J. Guidance 5, 417; Markley 2003, J. Guidance 26, 311; the process noise is
 Farrenkopf's (1978, J. Guidance and Control 1, 282).
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
+from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
@@ -27,29 +28,29 @@ __all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit"]
 FloatArray = NDArray[np.float64]
 
 _LINEAR_RAD = 3e-4
-"""A correction up to this leaves 0.01″ of its square to the linearisation; a larger one is linearised again."""
+"""Maximum correction, rad, with a linearisation error of 0.01″; larger ones are iterated."""
 _MOST_PASSES = 4
 _LARGEST_SCALE = 0.5
-"""A gyro whose scale is off by more measures something else; at −1 it would measure nothing."""
+"""Maximum error of a gyro's scale factor; at −1 it would measure nothing."""
 
 
 @dataclass(frozen=True)
 class GyroNoise:
-    """Errors of a gyro, each axis alike: measured rate = (1 + scale factor error) rate + bias + white noise.
+    """Errors of a gyro, equal for each axis: measured rate = (1 + scale factor error) rate + bias + white noise.
 
     Parameters
     ----------
     angle_random_walk : float
-        Of the white noise, rad/√s (1 °/√h is 2.9e-4 rad/√s).
+        White noise of the rate, rad/√s (1 °/√h is 2.9e-4 rad/√s).
     rate_random_walk : float
-        Of the bias, rad/s/√s.
+        Random walk of the bias, rad/s/√s.
     bias_sigma_rad_s : float
-        Standard deviation of the bias at the start.
+        Initial standard deviation of the bias.
     acceleration : float
-        How fast the rate may change while no gyro sample comes, rad/s/√s.
+        Disturbance of the rate without gyro samples, rad/s/√s.
     scale_sigma : float
-        Standard deviation of the scale factor's error, constant, to be estimated: 0.01 is 1 %. A clock that runs at
-        another rate acts like one. 0: the scale factors are not estimated.
+        Standard deviation of the constant scale factor error, which is estimated: 0.01 is 1 %. A clock rate error has
+        the same effect. 0: the scale factors are not estimated.
     """
 
     angle_random_walk: float = 3e-5
@@ -69,10 +70,10 @@ class RateNoise:
     Parameters
     ----------
     acceleration : float
-        rad/s/√s: the rate's standard deviation one second after it was known. 1e-5 suits a body that no wheel turns,
-        1e-3 a slew.
+        Disturbance, rad/s/√s: standard deviation of the rate one second after it was known. 1e-5 is suitable for a
+        freely drifting body, 1e-3 for a slew.
     rate_sigma_rad_s : float
-        Standard deviation of the rate at the start, each axis.
+        Initial standard deviation of the rate about each axis.
     """
 
     acceleration: float = 1e-4
@@ -84,26 +85,20 @@ class RateNoise:
 
 @dataclass(frozen=True)
 class Innovation:
-    """How a measurement compared with the prediction.
-
-    Parameters
-    ----------
-    accepted : bool
-        Whether it lay within the gate and was used.
-    distance2 : float
-        νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom where filter and sensor are as assumed.
-    freedom : int
-        Number of directions in the attitude's error that are measured: 3, or 2 for one star.
-    whitened : (3,) array, optional
-        The innovation in camera axes, whitened: three independent Gaussian deviates of variance 1 if filter and sensor
-        are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646).
-        None for one star.
-    """
+    """Comparison of a measurement with the prediction."""
 
     accepted: bool
+    """Whether it was within the gate and used."""
     distance2: float
+    """νᵀ S⁻¹ ν, χ²-distributed with `freedom` degrees of freedom if filter and sensor are as assumed."""
     freedom: int
+    """Number of measured components of the attitude error: 3, or 2 for a single star."""
     whitened: FloatArray | None = field(default=None, compare=False)
+    """Whitened innovation in camera axes, (3,): three independent Gaussian deviates of variance 1 if filter and sensor
+    are as assumed, and independent of those of other frames (Kailath 1968, IEEE Trans. Automatic Control 13, 646). None
+    for a single star."""
+
+    __repr__ = fields_repr
 
 
 class Mekf:
@@ -112,13 +107,13 @@ class Mekf:
     Parameters
     ----------
     attitude : Attitude
-        ICRS to camera, at the start.
+        Initial attitude, ICRS to camera.
     covariance : array_like, shape (3, 3)
         Of its error's rotation vector in camera axes, rad².
     noise : GyroNoise or RateNoise
-        Which of the two filters, and its noise.
+        Noise of the process, which selects the filter with or without a gyro.
     rate_rad_s : array_like, shape (3,), optional
-        Rate of the camera in its own axes at the start; zero where it is not known.
+        Initial rate of the camera in its own axes; zero if not known.
     """
 
     def __init__(
@@ -131,11 +126,16 @@ class Mekf:
         self.noise = noise or RateNoise()
         self.has_gyro = isinstance(self.noise, GyroNoise)
         self.noise_factor = 1.0
-        """The process noise is taken this many times as large (variances)."""
+        """Factor on the variances of the process noise."""
         self._bias = np.zeros(3)
         self._scale = np.zeros(3)
         self._rate = np.zeros(3)
         self.reset(attitude, covariance, rate_rad_s)
+
+    def __repr__(self) -> str:
+        sigma = angle_text(math.sqrt(float(np.diag(self._covariance)[:3].max())))
+        rate = f"{math.degrees(math.hypot(*self.rate_rad_s.tolist())):.3g}°/s"
+        return described("Mekf", repr(self.attitude), f"σ {sigma}", rate, "gyro" if self.has_gyro else "no gyro")
 
     def reset(
         self,
@@ -144,12 +144,12 @@ class Mekf:
         rate_rad_s: ArrayLike | None = None,
         second_sigma_rad_s: float | None = None,
     ) -> None:
-        """Start anew; bias and scale factors once estimated stay as the best guess, with the uncertainty of the start.
+        """Restart; estimated bias and scale factors are kept, with their initial uncertainty.
 
         Parameters
         ----------
         second_sigma_rad_s : float, optional
-            Standard deviation of the rate, or the bias, in place of the noise's own.
+            Standard deviation of the rate or the bias, instead of that of the noise.
         """
         block = np.asarray(covariance, dtype=float)
         if block.shape != (3, 3) or not (np.isfinite(block).all() and (np.linalg.eigvalsh(block) > 0).all()):
@@ -166,17 +166,17 @@ class Mekf:
             self._rate = _three(rate_rad_s, "a rate")
 
     def copy(self) -> Mekf:
-        """A filter of the same state that goes its own way."""
+        """An independent filter with the same state."""
         twin = object.__new__(Mekf)
         twin.noise, twin.has_gyro = self.noise, self.has_gyro
-        twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never changed
+        twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never modified
         twin._rate, twin._bias, twin._scale = self._rate, self._bias, self._scale
         twin._matrix_of = np.empty(0)
         twin.noise_factor = self.noise_factor
         return twin
 
     def distrust(self, factor: float) -> None:
-        """Take the state's covariance to be `factor` times what it was: what was learnt so far counts for less."""
+        """Multiply the covariance of the state by `factor`, to reduce the weight of past measurements."""
         self._covariance = self._covariance * factor
 
     # ------------------------------------------------------------------ state
@@ -193,23 +193,24 @@ class Mekf:
     @property
     def matrix(self) -> FloatArray:
         """The attitude as a matrix (3, 3)."""
-        if self._matrix_of is not self._quat:  # which every step replaces
+        if self._matrix_of is not self._quat:  # replaced by every step
             self._matrix_of, self._matrix = self._quat, quat_to_matrix(self._quat)
         return self._matrix
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the attitude's error (rotation vector, camera axes) and of the bias or the rate, (6, 6), rad and rad/s."""
+        """Covariance of the attitude error (rotation vector, camera axes) and of the bias or the rate, (6, 6), rad and
+        rad/s."""
         return self._covariance[:6, :6].copy()
 
     @property
     def attitude_covariance(self) -> FloatArray:
-        """Of the attitude's error in camera axes (3, 3), rad²."""
+        """Covariance of the attitude error in camera axes, (3, 3), rad²."""
         return np.ascontiguousarray(self._covariance[:3, :3])
 
     @property
     def rate_rad_s(self) -> FloatArray:
-        """Rate of the camera in its own axes (3,): estimated, or measured less the bias."""
+        """Rate of the camera in its own axes (3,): estimated, or measured minus the bias."""
         return self._rate.copy()
 
     @property
@@ -219,30 +220,30 @@ class Mekf:
 
     @property
     def scale(self) -> FloatArray:
-        """Errors of the gyro's scale factors (3,); zero where they are not estimated."""
+        """Errors of the gyro's scale factors (3,); zero if not estimated."""
         return self._scale.copy()
 
     @property
     def scale_sigma(self) -> FloatArray:
-        """Their standard deviations (3,)."""
+        """Standard deviations of the scale factors, (3,)."""
         return np.sqrt(self._covariance.diagonal()[6:]) if len(self._covariance) > 6 else np.zeros(3)
 
     # ------------------------------------------------------------------ the two steps
     def predict(self, dt: float, gyro_rad_s: ArrayLike | None = None) -> None:
-        """Move on by `dt` seconds.
+        """Propagate by `dt` seconds.
 
         Parameters
         ----------
         dt : float
             Seconds, not negative.
         gyro_rad_s : array_like, shape (3,), optional
-            Mean measured rate over the step, camera axes. A filter with a gyro that gets none holds the last rate and
-            lets the attitude's uncertainty grow with `GyroNoise.acceleration`; a filter without one takes none.
+            Mean measured rate over the step, camera axes. Without a sample, a filter with a gyro keeps the last rate
+            and increases the uncertainty by `GyroNoise.acceleration`; a filter without a gyro accepts none.
 
         Raises
         ------
         InputError
-            For a step back in time, or a rate that is not three finite numbers.
+            For a negative step, or a rate that is not three finite numbers.
         """
         if not (math.isfinite(dt) and dt >= 0.0):
             raise InputError(f"a filter steps forward in time; got a step of {dt} s")
@@ -254,7 +255,7 @@ class Mekf:
         else:
             sign, angle, rate, extra = 1.0, 0.0, self.noise.acceleration**2, 0.0
             if gyro_rad_s is not None:
-                raise InputError("this filter has no gyro: make it with GyroNoise, or leave gyro_rad_s out")
+                raise InputError("this filter has no gyro: create it with GyroNoise, or omit gyro_rad_s")
         factor = self.noise_factor
         self._quat, self._covariance = propagate(
             self._quat, self._covariance, self._rate, dt, sign, factor * angle, factor * rate, factor * extra
@@ -263,7 +264,7 @@ class Mekf:
     def update_attitude(
         self, attitude: Attitude | ArrayLike, covariance: ArrayLike, false_rejection: float = 0.0
     ) -> Innovation:
-        """Take in a measured attitude.
+        """Update with a measured attitude.
 
         Parameters
         ----------
@@ -272,7 +273,7 @@ class Mekf:
         covariance : array_like, shape (3, 3)
             Of its error in camera axes, rad².
         false_rejection : float
-            Probability of a good measurement's being refused: the gate is where χ² exceeds that. 0: no gate.
+            Probability of rejecting a correct measurement, which defines the gate on χ². 0: no gate.
         """
         measured = attitude if isinstance(attitude, Attitude) else Attitude.from_matrix(attitude)
         x, y, z, w = quat_multiply(measured.quat, self._quat * np.array([-1.0, -1.0, -1.0, 1.0]))
@@ -285,9 +286,9 @@ class Mekf:
     def update_vectors(
         self, observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike, false_rejection: float = 0.0
     ) -> Innovation:
-        """Take in star directions, one or more.
+        """Update with one or more star directions.
 
-        A correction that is not small is linearised again about its own result (iterated filter, Jazwinski 1970).
+        A large correction is iterated, with linearisation about its result (iterated filter, Jazwinski 1970).
 
         Parameters
         ----------
@@ -320,7 +321,7 @@ class Mekf:
     def _take(
         self, outcome: tuple[float, FloatArray, FloatArray, FloatArray], limit: float, freedom: int
     ) -> Innovation:
-        """Put a correction into the state where it lies within the gate."""
+        """Apply a correction to the state if it is within the gate."""
         distance, change, covariance, white = outcome
         innovation = Innovation(bool(distance <= limit), distance, freedom, white if freedom == 3 else None)
         if not innovation.accepted:
@@ -354,4 +355,4 @@ def _three(values: ArrayLike, what: str) -> FloatArray:
 def _check_positive(noise: object) -> None:
     for name, value in vars(noise).items():
         if not (math.isfinite(value) and value >= 0.0):
-            raise InputError(f"{type(noise).__name__}.{name} must be a number not below zero; got {value}")
+            raise InputError(f"{type(noise).__name__}.{name} must be zero or a positive number; got {value}")

@@ -1,15 +1,15 @@
-"""Rules by which a star sensor operates itself from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
+"""Rules of autonomous operation of a star sensor from frame to frame (Greyling 1995, sections 4.2.1 and 4.2.2).
 
-Before a frame goes to the tracker, in this order:
+Before a frame is passed to the tracker, in this order:
 
-Sun        a frame of which too many pixels are saturated is rejected, and none is taken until the camera has turned by
-           more than the Sun's diameter; so on until it has passed
-Repeats    a frame with the same pixels as one before is no new frame, and no rule acts on it
-Moon       anything larger than a star is cleared from the frame
-exposure   a frame whose two brightest stars each have more than four saturated pixels is discarded, and the next one
-           exposed for less; where the stars are faint, for longer again
+Sun        a frame with too many saturated pixels is rejected, and none is taken until the camera has rotated by more
+than the Sun's diameter; repeated until it has passed Repeats    a frame with the same pixels as an earlier one is not
+new, and no rule acts on it Moon       objects larger than a star are removed from the frame exposure   a frame whose
+two brightest stars each have more than four saturated pixels is discarded, and the next exposure is shorter; if the
+stars are faint, it is longer again
 
-And after it: magnitudes by the calibrated relation, and the map of defective pixels, which stay while stars move.
+After the tracker: magnitudes by the calibrated relation, and the map of defective pixels, which are fixed while stars
+move.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
@@ -38,57 +39,50 @@ BoolImage = NDArray[np.bool_]
 
 _EIGHT = np.ones((3, 3), dtype=np.int8)
 _MARGIN_PX = 2
-"""Cleared around what is cleared: its faint rim."""
+"""Margin removed around a removed object, for its faint rim."""
 _STAR_PX = 3
-"""About a matched star a bright pixel says nothing of the pixel."""
+"""Distance from a matched star within which bright pixels are not tested for defects."""
 _MULTIPLE = 1e-9
 _REMEMBERED = 8
-"""Frames that are known again, as in a tracking session."""
+"""Number of frames remembered for repeats, as in a tracking session."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the rules make of a frame.
-
-    Parameters
-    ----------
-    rule : str
-        The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty.
-    reason : str
-        The finding in words.
-    image : float32 array, shape (H, W), optional
-        Frame for the tracker, NaN where it is not to be used; None: not used at all.
-    saturated_px : tuple of int
-        Saturated pixels of the stars that have any, most first; what touches the border is no whole star.
-    cleared : bool array, shape (H, W), optional
-        What was cleared for its size; None: nothing.
-    """
+    """Result of the rules for a frame."""
 
     rule: str
+    """The rule that acted: ``sun``, ``stale``, ``exposure``, ``moon``, or empty."""
     reason: str
+    """Description of the finding."""
     image: NDArray[np.float32] | None
+    """Frame for the tracker, (H, W), with NaN for unusable pixels; None: not used."""
     saturated_px: tuple[int, ...] = ()
+    """Numbers of saturated pixels of saturated stars, in descending order; objects at the border are excluded."""
     cleared: BoolImage | None = field(default=None, repr=False)
+    """Mask of pixels removed because of their size, (H, W); None: none."""
+
+    __repr__ = fields_repr
 
     @property
     def cleared_px(self) -> int:
-        """Number of cleared pixels."""
+        """Number of removed pixels."""
         return 0 if self.cleared is None else int(self.cleared.sum())
 
 
 class SensorOperation:
-    """The rules, with what they remember from frame to frame.
+    """The rules, with their state between frames.
 
     Parameters
     ----------
     settings : OperationSettings
-        The rules' numbers.
+        Settings of the rules.
     detection : DetectionSettings
-        Of the tracker: threshold, tile and largest star.
+        Detection settings of the tracker: threshold, tile and largest star.
     camera : Camera
         The calibrated camera.
     exposure_s : float
-        First exposure, and the longest.
+        Initial and maximum exposure.
 
     Raises
     ------
@@ -100,13 +94,13 @@ class SensorOperation:
         self, settings: OperationSettings, detection: DetectionSettings, camera: Camera, exposure_s: float
     ) -> None:
         if not (math.isfinite(exposure_s) and exposure_s > 0.0):
-            raise InputError(f"an exposure lasts more than zero seconds; got {exposure_s}")
+            raise InputError(f"the exposure must be positive; got {exposure_s}")
         self.settings, self.detection, self.camera = settings, detection, camera
         self.longest_s = exposure_s
         self.exposure_s = self._allowed(exposure_s)
         """Exposure of the next frame."""
         self.blemishes: BoolImage = np.zeros((camera.height, camera.width), np.bool_)
-        """Map of defective pixels so far."""
+        """Current map of defective pixels."""
         self._suspended_s = self._resume_s = -math.inf
         self._seen: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._count = BadPixelCount(settings.blemish_sigma, settings.blemish_share, detection.background_tile_px)
@@ -114,22 +108,23 @@ class SensorOperation:
 
     # ------------------------------------------------------------------ before the tracker
     def suspended(self, t_s: float) -> bool:
-        """Whether no frame is to be taken at a time, seconds; a clock set back to before the Sun's frame ends that."""
+        """Whether operation is suspended at a time, seconds; setting the clock back to before the Sun's frame ends a
+        suspension."""
         return self._suspended_s <= t_s < self._resume_s
 
     def judge(self, image: ArrayLike, t_s: float, saturation_dn: float, rate_rad_s: ArrayLike | None = None) -> Verdict:
-        """Apply the rules to a frame taken with `exposure_s`, which is then that of the next one.
+        """Apply the rules to a frame taken with `exposure_s`, and set `exposure_s` for the next one.
 
         Parameters
         ----------
         image : array_like, shape (H, W)
             DN.
         t_s : float
-            Its time.
+            Time of the frame.
         saturation_dn : float
-            DN from which on a pixel counts as saturated.
+            DN of saturation.
         rate_rad_s : array_like, shape (3,), optional
-            Camera's rate where known.
+            Rate of the camera, if known.
         """
         pixels = mask_pixels(image, self.blemishes)
         saturated = np.asarray(pixels >= saturation_dn)
@@ -137,11 +132,13 @@ class SensorOperation:
         if share > self.settings.sun_share:
             wait_s = self._suspension_s(rate_rad_s)
             self._suspended_s, self._resume_s = t_s, t_s + wait_s
-            reason = f"{100.0 * share:.1f} % of the pixels are saturated: the Sun; no frame for {wait_s:.3g} s"
+            reason = (
+                f"{100.0 * share:.1f} % of the pixels are saturated (Sun in the field); no frame for {wait_s:.3g} s"
+            )
             return Verdict("sun", reason, None)
         digest = blake2b(np.ascontiguousarray(image).tobytes(), digest_size=16).digest()
-        if digest in self._seen:  # the exposure that it shows was judged already, and its pixels were counted
-            return Verdict("stale", "the frame has the same pixels as one before", None)
+        if digest in self._seen:  # its exposure and pixels have already been evaluated
+            return Verdict("stale", "the frame has the same pixels as an earlier one", None)
         self._seen.append(digest)
         background = estimate(pixels, self.detection.background_tile_px)
         objects, size = _objects(pixels, background, self.detection.threshold_sigma)
@@ -161,14 +158,14 @@ class SensorOperation:
                 self.exposure_s = shorter_s
                 reason = (
                     f"the two brightest stars have {most[0]} and {most[1]} saturated pixels, more than {limit}: "
-                    f"exposed for {shorter_s:.3g} s in place of {exposure_s:.3g} s"
+                    f"next exposure {shorter_s:.3g} s instead of {exposure_s:.3g} s"
                 )
                 return Verdict("exposure", reason, None, most, cleared)
         if not most and self._faint(pixels, background, objects, stars, saturation_dn):
             self.exposure_s = self._longer()
         if cleared is None:
             return Verdict("", "", pixels, most)
-        reason = f"{int(cleared.sum())} pixels of what is larger than {largest} pixels are cleared"
+        reason = f"{int(cleared.sum())} pixels of objects larger than {largest} pixels are removed"
         return Verdict("moon", reason, pixels, most, cleared)
 
     def _suspension_s(self, rate_rad_s: ArrayLike | None) -> float:
@@ -190,7 +187,8 @@ class SensorOperation:
         stars: NDArray[np.int64],
         saturation_dn: float,
     ) -> bool:
-        """Whether the brightest star's peak stays below the share of saturation from which on it is left alone."""
+        """Whether the peak of the brightest star is below the fraction of saturation at which the exposure is
+        increased."""
         share = self.settings.lengthen_below
         if share <= 0.0 or self.exposure_s >= self.longest_s:
             return False
@@ -198,7 +196,7 @@ class SensorOperation:
         return not np.any(stars[objects[bright]] >= self.detection.min_pixels)
 
     def _allowed(self, exposure_s: float) -> float:
-        """Longest exposure allowed that is no longer than this one."""
+        """Longest permitted exposure not exceeding this one."""
         step = self.settings.exposure_step_s
         if step <= 0.0:
             return max(exposure_s, self.settings.shortest_exposure_s)
@@ -213,18 +211,18 @@ class SensorOperation:
 
     # ------------------------------------------------------------------ after it
     def learn(self, image: ArrayLike, verdict: Verdict, attitude: Attitude | None, stars: MatchedStars) -> None:
-        """Update the map of defective pixels with a frame, if the sky has moved since the last one that was used.
+        """Update the map of defective pixels with a frame, if the stars have moved since the last one used.
 
         Parameters
         ----------
         image : array_like, shape (H, W)
-            The frame as it came.
+            The original frame.
         verdict : Verdict
-            What `judge` made of it; one that was not used is ignored.
+            Result of `judge`; frames that were not used are ignored.
         attitude : Attitude, optional
-            Of the camera; without one nothing is learnt.
+            Attitude of the camera; without it the map is not updated.
         stars : MatchedStars
-            Those of the frame, about which bright pixels say nothing.
+            Stars of the frame, around which bright pixels are ignored.
         """
         if self.settings.blemish_frames == 0 or verdict.image is None or attitude is None:
             return
@@ -239,7 +237,8 @@ class SensorOperation:
             self.blemishes = self._count.bad(self.settings.blemish_frames)
 
     def _shift_px(self, before: Attitude, now: Attitude) -> float:
-        """Median shift of stars over the field between two attitudes, pixels; those that leave it count as far."""
+        """Median shift of stars over the field between two attitudes, pixels; stars that leave the field count as a
+        large shift."""
         camera = self.camera
         x, y = np.meshgrid(np.linspace(0, camera.width - 1, 4), np.linspace(0, camera.height - 1, 4))
         pixels = np.stack([x.ravel(), y.ravel()], axis=1)
@@ -251,17 +250,17 @@ class SensorOperation:
 def image_magnitudes(flux_dn: ArrayLike, gain_e_per_dn: float, exposure_s: float, zero_point: float) -> FloatArray:
     """Magnitudes by the calibrated relation, m = zero point − 2.5 lg(electrons per second); (N,), NaN without signal.
 
-    Exact for stars of the colour of calibration; others differ by what their spectra do between V and the detector's
-    band (Greyling 1995, section 3.4.3: a table of magnitude against output voltage).
+    Exact for stars of the calibration colour; others differ because of their spectra between V and the detector's band
+    (Greyling 1995, section 3.4.3: a table of magnitude and output voltage).
 
     Parameters
     ----------
     flux_dn : (N,) array
         Signal above the background.
     gain_e_per_dn, exposure_s : float
-        Of the frame.
+        Gain and exposure of the frame.
     zero_point : float
-        Magnitude that leaves one electron a second.
+        Magnitude that gives one electron per second.
     """
     rate = np.asarray(flux_dn, dtype=float) * (gain_e_per_dn / exposure_s)
     return zero_point - 2.5 * np.log10(np.where(rate > 0.0, rate, np.nan))
@@ -281,7 +280,7 @@ def saturated_near(image: ArrayLike, xy: ArrayLike, saturation_dn: float, half_p
 def _objects(
     pixels: NDArray[np.float32], background: Background, threshold_sigma: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Object number of each pixel, 0 for none, and pixels of each object, 0 for number 0."""
+    """Object number of each pixel, 0 for none, and number of pixels of each object, 0 for number 0."""
     with np.errstate(invalid="ignore"):
         above = pixels > background.level + threshold_sigma * background.noise
     objects, count = label(above, structure=_EIGHT)

@@ -12,33 +12,33 @@ __all__ = ["Scatter"]
 FloatArray = NDArray[np.float64]
 
 _MEMORY = 200.0
-"""Residuals remembered, about: half as many stars, and their scale good to 5 %."""
+"""Approximate number of residuals remembered (half as many stars), which determine the scale to 5 %."""
 _WEIGHT = 6.0
-"""Fewest degrees of freedom that are believed alone; the stated errors make up for those that lack."""
+"""Minimum degrees of freedom without weight of the stated errors, which replace missing ones."""
 _LEAST, _MOST = 0.05, 22.0
 
 
 class Scatter:
-    """Ratio of the real to the stated errors, from a fading sum of χ² and of its degrees of freedom."""
+    """Ratio of the actual to the stated errors, from fading sums of χ² and its degrees of freedom."""
 
     def __init__(self) -> None:
         self._chi2 = self._freedom = _WEIGHT
 
     @property
     def factor(self) -> float:
-        """The ratio; 1 as long as nothing is known."""
+        """The ratio; initially 1."""
         return min(max(math.sqrt(self._chi2 / self._freedom), _LEAST), _MOST)
 
     def begin(self, residual: FloatArray, stated: FloatArray) -> None:
-        """Start anew from the residuals (M, 2) of one frame and their stated errors (M,)."""
+        """Restart with the residuals (M, 2) of one frame and their stated errors (M,)."""
         self._chi2 = self._freedom = 0.0
         self.add(residual, stated)
-        if self._freedom < _WEIGHT:  # so few can be small by luck
+        if self._freedom < _WEIGHT:  # a few may be small by chance
             self._chi2 += _WEIGHT - self._freedom
             self._freedom = _WEIGHT
 
     def add(self, residual: FloatArray, stated: FloatArray) -> None:
-        """Take in another frame's."""
+        """Add the residuals of another frame."""
         freedom = 2 * len(residual) - 3
         if freedom <= 0:
             return

@@ -1,8 +1,8 @@
-"""From frame to frame: predict, look where the stars should be, match, filter; lost in space wherever that fails.
+"""Tracking from frame to frame: predict, search at the predicted positions, match, filter; otherwise lost in space.
 
-Each update tries in turn, until one holds: the windows of the predicted stars; the whole frame around the prediction;
-the whole frame and the whole sky. The later ones are the tracker's own `solve`, so that tracking answers whenever that
-does, and by the same standard: what is matched must be beyond chance (`IdentificationSettings.false_alarm_rate`).
+Each update tries in turn, until one succeeds: windows around the predicted stars; the whole frame near the prediction;
+the whole frame and the whole sky. The last two are the tracker's `solve`, so that tracking succeeds whenever that does,
+with the same criterion: the probability of a chance match (`IdentificationSettings.false_alarm_rate`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import Attitude
+from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
+from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
-from startracker.observer import Observer
+from startracker.interop import is_rotation, plain
+from startracker.observer import Observer, corrects_aberration
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
-from startracker.tracking.looking import Expected, Seen, Sky, centroids_seen, look, plain, streak_px, window_half
+from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.repeats import FrameMemory, list_key
 from startracker.tracking.scatter import Scatter
@@ -46,19 +49,20 @@ class TrackingSession:
     Parameters
     ----------
     tracker : StarTracker
-        The star tracker; it does the frames for which there is no prediction.
+        The star tracker, which solves frames without a prediction.
     noise : RateNoise or GyroNoise
-        How the camera moves between frames: at a rate that changes little, or as a gyro measures.
+        Motion of the camera between frames: nearly constant rate, or as measured by a gyro.
     settings : TrackingSettings
-        Knobs.
+        Settings of tracking.
     exposure_s : float
-        Exposure time: star images are longer by the rate times it, and windows with them.
+        Exposure time, which with the rate determines the length of star images and windows. Frames of the simulator
+        state their own.
 
     Notes
     -----
     A solution's attitude is the filter's, with its covariance, from this and all previous frames. Times are those
-    of mid-exposure. A frame that came before has the status ``stale``, one without a usable time ``bad_time``; neither
-    has an attitude, and `filter_attitude` is the prediction. Updates from several threads wait for each other.
+    of mid-exposure. A repeated frame has the status ``stale``, one without a usable time ``bad_time``; neither has an
+    attitude, and `filter_attitude` is the prediction. Updates from several threads are serialised.
     """
 
     def __init__(
@@ -69,8 +73,9 @@ class TrackingSession:
         settings: TrackingSettings | None = None,
         exposure_s: float = 0.0,
     ) -> None:
+        exposure_s = plain(exposure_s, "s", "exposure_s")
         if not (math.isfinite(exposure_s) and exposure_s >= 0.0):
-            raise InputError(f"an exposure lasts zero seconds or more; got {exposure_s}")
+            raise InputError(f"the exposure must be zero or positive; got {exposure_s}")
         self.tracker = tracker
         self.noise = noise or RateNoise()
         self.settings = settings or TrackingSettings()
@@ -81,8 +86,13 @@ class TrackingSession:
         self._frame: NDArray[Any] | bytes | None = None
         self._used_s: float | None = None
         self._note = ""
+        self._observer: Observer | None = None
         self._sky = Sky(tracker.guide)
         self._lock = threading.RLock()
+
+    def __repr__(self) -> str:
+        now = f"{self.state.mode}, {self._filter!r}" if self._filter else "no attitude yet"
+        return described("TrackingSession", now, repr(self.tracker.camera))
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_lock"}
@@ -98,7 +108,7 @@ class TrackingSession:
 
     @property
     def filter_attitude(self) -> Attitude | None:
-        """Filter's attitude at the last update, solved or not; None before the first solution."""
+        """Attitude of the filter at the last update, solved or not; None before the first solution."""
         return self._filter.attitude if self._filter else None
 
     @property
@@ -108,28 +118,31 @@ class TrackingSession:
 
     @property
     def rate_rad_s(self) -> FloatArray | None:
-        """Camera's rate (3,) in its own axes."""
+        """Rate (3,) of the camera in its own axes."""
         return self._filter.rate_rad_s if self._filter else None
 
     @property
     def bias_rad_s(self) -> FloatArray | None:
-        """Gyro's bias (3,); zero without a gyro."""
+        """Bias (3,) of the gyro; zero without a gyro."""
         return self._filter.bias_rad_s if self._filter else None
 
     def reset(
         self, attitude: Attitude | None = None, sigma_deg: float = 1.0, rate_rad_s: ArrayLike | None = None
     ) -> None:
-        """Forget everything, or start from an attitude known otherwise.
+        """Reset the session, or start from an attitude from another source.
 
         Parameters
         ----------
-        attitude : Attitude, optional
-            ICRS to camera, at the next frame's time.
-        sigma_deg : float
-            Its standard deviation about each axis.
-        rate_rad_s : array_like, optional
-            Camera's rate.
+        attitude : Attitude or scipy Rotation, optional
+            ICRS to camera, at the time of the next frame.
+        sigma_deg : float or astropy Quantity
+            Standard deviation of the attitude about each axis, degrees.
+        rate_rad_s : array_like or astropy Quantity, shape (3,), optional
+            Rate of the camera, camera axes.
         """
+        if is_rotation(attitude):
+            attitude = Attitude.from_rotation(attitude)
+        sigma_deg, rate_rad_s = plain(sigma_deg, "deg", "sigma_deg"), plain(rate_rad_s, "rad/s", "rate_rad_s")
         if attitude is not None and not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
             raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
         with self._lock:
@@ -142,7 +155,7 @@ class TrackingSession:
     # ------------------------------------------------------------------ frames
     def update(
         self,
-        image: ArrayLike,
+        image: Any,
         t_s: float,
         *,
         gyro_rad_s: ArrayLike | None = None,
@@ -155,48 +168,51 @@ class TrackingSession:
         Parameters
         ----------
         image, observer, saturation_dn, gain_e_per_dn
-            As in `StarTracker.solve`.
-        t_s : float
-            Mid-exposure, seconds on any clock that runs evenly.
-        gyro_rad_s : array_like, shape (3,), optional
-            Mean measured rate since the last frame, camera axes. One that is not finite is left out.
+            As in `StarTracker.solve`. The exposure time of a frame replaces `exposure_s` of the session.
+        t_s : float or astropy Quantity
+            Mid-exposure, seconds of any uniform clock.
+        gyro_rad_s : array_like or astropy Quantity, shape (3,), optional
+            Mean measured rate since the last frame, camera axes. Non-finite samples are ignored.
 
         Returns
         -------
         Solution
-            Its attitude is the filter's. `state` describes how it was obtained.
+            With the attitude of the filter. `state` describes how it was obtained.
 
         Raises
         ------
         InputError
-            For a time that is no number, or a gyro's rate that is not three numbers or comes without a gyro.
+            For a time that is not a number, or a gyro rate that is not three numbers or given without a gyro.
         """
         with self._lock:
-            clock, pixels = Clock(), plain(image)
-            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels), observer)
+            clock, given = Clock(), given_image(image, observer, None, saturation_dn, gain_e_per_dn)
+            pixels = as_pixels(given.image)
+            refused = self._begin(t_s, gyro_rad_s, self._memory.image_repeats(pixels), given.observer)
             if refused is not None:
                 return self._refuse(*refused, np.empty((0, 2)), clock)
             self._frame = pixels
-            given = {"observer": observer, "saturation_dn": saturation_dn, "gain_e_per_dn": gain_e_per_dn}
-            return self._update_image(image, given, clock)
+            return self._update_image(given, clock)
 
-    def _update_image(self, image: ArrayLike, given: dict[str, Any], clock: Clock) -> Solution:
-        expected = self._expect(given["observer"])
+    def _update_image(self, given: GivenImage, clock: Clock) -> Solution:
+        expected = self._expect(given.observer)
         if expected is not None and self._filter is not None:
-            length = streak_px(self.tracker, self._filter.rate_rad_s, self.exposure_s)
-            covariance, largest = self._filter.attitude_covariance, self.settings.max_window_px
-            half = window_half(self.tracker, expected, covariance, length, largest)
-            detector = given["saturation_dn"], given["gain_e_per_dn"]
-            seen = look(image, self.tracker, expected, half, length, self._scatter.factor, *detector)
+            exposure_s = given.exposure_s or self.exposure_s
+            length = streak_px(self.tracker, self._filter.rate_rad_s, exposure_s)
+            half = window_half(
+                self.tracker, expected, self._filter.attitude_covariance, length, self.settings.max_window_px
+            )
+            detector = given.saturation_dn, given.gain_e_per_dn
+            seen = look(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if self._accepts(followed):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
-        found = self.tracker.solve(image, prior=prior, prior_deg=prior_deg, **given)
+        found = self.tracker.solve(given, prior=prior, prior_deg=prior_deg)
         followed = None
         if not found.solved and expected is not None:
-            # windows hold chance neighbours; over the whole frame a few stars just where predicted weigh more
+            # windows contain chance neighbours; over the whole frame a few stars at predicted positions have more
+            # weight
             seen = centroids_seen(self.tracker, found.centroids, None, max(self._scatter.factor, 1.0))
             followed = self._follow(seen, expected)
         return self._whole_frame(found, followed, prior, prior_deg, clock, None)
@@ -210,7 +226,7 @@ class TrackingSession:
         gyro_rad_s: ArrayLike | None = None,
         observer: Observer | None = None,
     ) -> Solution:
-        """Attitude of star positions measured elsewhere; parameters as in `update` and `StarTracker.solve_centroids`.
+        """Attitude from given star positions; parameters as in `update` and `StarTracker.solve_centroids`.
 
         The centroid error is estimated from the residuals of previous frames.
         """
@@ -232,25 +248,27 @@ class TrackingSession:
     def _begin(
         self, t_s: float, gyro_rad_s: ArrayLike | None, same_as_s: float | None, observer: Observer | None
     ) -> tuple[Status, str] | None:
-        """Move on to a frame's time; status and reason of a frame that cannot be used."""
+        """Propagate to a frame's time; returns status and reason of a frame that cannot be used."""
+        t_s, gyro_rad_s = plain(t_s, "s", "t_s"), plain(gyro_rad_s, "rad/s", "gyro_rad_s")
         gyro, self._note = self._watched.sample(gyro_rad_s)
         now_s = self._clock.read(t_s)
-        self._watched.distrusted, self._watched.without_observer, self._frame = False, observer is None, None
+        self._watched.distrusted, self._watched.without_observer = False, not corrects_aberration(observer)
+        self._frame, self._observer = None, observer
         fault = self._clock.fault(now_s)
         if not fault and now_s == self._used_s and same_as_s is None:
-            fault = f"another frame had the same time, {now_s} s: how far the camera turned since is not known"
+            fault = f"another frame has the same time, {now_s} s: the rotation since then is unknown"
         if fault:
             return Status.BAD_TIME, fault
         if self._clock.is_before(now_s):
-            self._note = f"the clock was set back from {self._clock.now_s} s, and the filter begins anew"
+            self._note = f"the clock was set back from {self._clock.now_s} s; the filter was restarted"
             self._watched.forget()
         self._watched.predict(self._clock.advance(now_s), gyro)
         if same_as_s is not None:
-            return Status.STALE, f"the frame has the same stars, to the last digit, as the one at {same_as_s} s"
+            return Status.STALE, f"the frame has exactly the same stars as the one at {same_as_s} s"
         return None
 
     def _refuse(self, status: Status, reason: str, xy: FloatArray, clock: Clock) -> Solution:
-        """Answer to a frame that is not used."""
+        """Solution of a frame that is not used."""
         self.state = TrackingState("coasting", note=self._note)
         camera = self.tracker.camera
         return Solution(
@@ -267,7 +285,7 @@ class TrackingSession:
         return f"{reason}; {self._note}" if self._note else reason
 
     def _expect(self, observer: Observer | None) -> Expected | None:
-        """Guide stars where the prediction puts them; None without a prediction that helps."""
+        """Guide stars at their predicted positions; None without a useful prediction."""
         if self._filter is None or self._watched.uncertainty_rad > 0.5 * self.tracker.guide.half_diagonal_rad:
             return None
         expected = self._sky.expected(self._filter.matrix, observer, self.settings.max_stars)
@@ -284,17 +302,17 @@ class TrackingSession:
     ) -> Followed | None:
         expected = self._expect(observer)
         fits = points.ndim == 2 and points.shape[1] == 2 and (flux is None or np.size(flux) == len(points))
-        if expected is None or not fits:  # for what does not fit the tracker has words
+        if expected is None or not fits:  # the tracker reports invalid input
             return None
         signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
         return self._follow(centroids_seen(self.tracker, points, signal, self._scatter.factor), expected)
 
     def _accepts(self, followed: Followed | None) -> TypeGuard[Followed]:
-        """Whether a frame was followed, beyond chance as the one rule of `identification.acceptance` has it."""
+        """Whether a followed frame is accepted by the rule of `identification.acceptance`."""
         return followed is not None and accepts(followed.log_chance, self.tracker.identification)
 
     def _used(self, xy: FloatArray) -> float:
-        """Know this frame, which the filter took in, again by its list or by its identified stars (M, 2); its time."""
+        """Remember a frame used by the filter, by its list or its identified stars (M, 2); returns its time."""
         now_s = self._clock.now_s
         assert now_s is not None
         if isinstance(self._frame, bytes):
@@ -305,7 +323,7 @@ class TrackingSession:
         return now_s
 
     def _tracked(self, followed: Followed, clock: Clock) -> Solution:
-        """Answer of a frame that was followed."""
+        """Solution of a frame that was followed."""
         seen, stars = followed.seen, followed.stars
         self._watched.take_followed(followed)
         self._watched.mark_solved(self._used(seen.xy[stars]))
@@ -324,7 +342,8 @@ class TrackingSession:
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        return followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
+        answer = followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
+        return replace(answer, observer=self._observer)
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -336,13 +355,13 @@ class TrackingSession:
         clock: Clock,
         stated_px: float | None,
     ) -> Solution:
-        """Answer of a frame that the tracker has worked on."""
+        """Solution of a frame processed by the tracker."""
         if found.attitude is None or found.covariance is None:
             if self._accepts(followed):
                 return self._tracked(followed, clock)
             matched: int = 0
             innovation: Innovation | None = None
-            if followed is not None:  # too few for an attitude, but the filter learns from them
+            if followed is not None:  # too few for an attitude, but used by the filter
                 innovation, matched = followed.innovation, len(followed.stars)
                 self._watched.take_followed(followed)
                 self._used(followed.seen.xy[followed.stars])
@@ -355,7 +374,7 @@ class TrackingSession:
         if stated_px is not None:
             stars = found.stars.fitted
             self._scatter.begin(stars.residual_px, np.full(len(stars), stated_px))
-            if len(stars) < _FEW_STARS:  # residuals so few can be small by luck
+            if len(stars) < _FEW_STARS:  # a few residuals may be small by chance
                 sigma = np.full(len(stars), stated_px * self.tracker.camera.pixel_rad)
                 stated = attitude_covariance(self.tracker.camera.unproject(stars.xy), sigma)
                 covariance = covariance * max(1.0, float(np.trace(stated) / np.trace(covariance)))
@@ -369,16 +388,11 @@ class TrackingSession:
             distrusted=self._watched.distrusted,
             note=self._note,
         )
-        return replace(
-            found,
-            reason=self._with_note(found.reason),
-            attitude=self.filter_attitude,
-            covariance=self._given_out(),
-            times_ms={**found.times_ms, **clock.times_ms()},
-        )
+        found = replace(found, reason=self._with_note(found.reason), times_ms={**found.times_ms, **clock.times_ms()})
+        return replace(found, attitude=self.filter_attitude, covariance=self._given_out())
 
     def _given_out(self) -> FloatArray:
-        """Covariance (3, 3) of the filter's attitude."""
+        """Covariance (3, 3) of the solution: that of the filter's attitude."""
         covariance = self._watched.covariance
         assert covariance is not None
         return covariance[:3, :3]

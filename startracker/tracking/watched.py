@@ -1,4 +1,4 @@
-"""The session's filter under watch: what its innovations say of it, and what follows from that."""
+"""The filter of a session, monitored by its innovations."""
 
 from __future__ import annotations
 
@@ -28,49 +28,49 @@ _LEAST_PRIOR_DEG = 0.1
 
 
 class WatchedFilter:
-    """A filter that loses confidence, or begins anew, where the frames contradict it.
+    """A filter whose covariance is increased, or which is restarted, if frames contradict it.
 
     Parameters
     ----------
     noise : RateNoise or GyroNoise
-        How the camera moves.
+        Motion of the camera.
     false_rejection : float
-        Probability of a good frame's being refused by the gate of a single innovation.
+        Probability that the gate of a single innovation rejects a correct frame.
     """
 
     def __init__(self, noise: RateNoise | GyroNoise, false_rejection: float) -> None:
         self.noise, self.false_rejection = noise, false_rejection
         self.mekf: Mekf | None = None
-        """The filter; None before the first attitude, and where nothing is known any more."""
+        """The filter; None before the first attitude, and if the prediction has become useless."""
         self.distrusted = False
-        """Whether the last innovations contradicted the filter at this frame."""
+        """Whether recent innovations contradicted the filter at this frame."""
         self.without_observer = False
-        """Whether the frame's stars are those of the catalogue, without aberration: it is then in all attitudes alike,
-        no noise to the filter, and comes on top of what the filter says of its error."""
+        """Whether the frame was solved with catalogue positions without aberration. The aberration is then common to
+        all attitudes; it is not noise for the filter, and is added to its covariance."""
         self._window = InnovationWindow()
         self._solved: tuple[float, FloatArray] | None = None
 
     def begin(self, attitude: Attitude, covariance: ArrayLike, rate_rad_s: ArrayLike | None = None) -> None:
-        """Begin from an attitude that is known."""
+        """Start from a known attitude."""
         self.mekf, self._solved = Mekf(attitude, covariance, self.noise, rate_rad_s), None
 
     def forget(self) -> None:
-        """Know nothing."""
+        """Discard the filter."""
         self.mekf, self._solved = None, None
         self._window.forget()
 
     def sample(self, gyro_rad_s: ArrayLike | None) -> tuple[FloatArray | None, str]:
-        """A gyro's sample (3,) as the filter takes it, and what is to be said of it: one that is not finite is none.
+        """Gyro sample (3,) for the filter, and a remark; None for a sample that is not finite.
 
         Raises
         ------
         InputError
-            For a sample that is not three numbers, or that comes without a gyro.
+            For a sample that is not three numbers, or given without a gyro.
         """
         if gyro_rad_s is None:
             return None, ""
         if not isinstance(self.noise, GyroNoise):
-            raise InputError("this session has no gyro: give it noise=GyroNoise(...), or leave gyro_rad_s out")
+            raise InputError("this session has no gyro: create it with noise=GyroNoise(...), or omit gyro_rad_s")
         try:
             sample = np.asarray(gyro_rad_s, dtype=float)
         except (TypeError, ValueError):
@@ -78,10 +78,10 @@ class WatchedFilter:
         if sample.shape != (3,):
             raise InputError(f"a gyro's rate must be three numbers in rad/s; got {gyro_rad_s!r}")
         finite = bool(np.isfinite(sample).all())
-        return (sample, "") if finite else (None, "the gyro's sample is not finite and was left out")
+        return (sample, "") if finite else (None, "the gyro sample is not finite and was ignored")
 
     def predict(self, dt: float, gyro_rad_s: FloatArray | None) -> None:
-        """Move on; the filter is dropped where nothing is known any more."""
+        """Propagate; the filter is discarded if the prediction has become useless."""
         if self.mekf is None:
             return
         self.mekf.predict(dt, gyro_rad_s)
@@ -97,7 +97,7 @@ class WatchedFilter:
 
     @property
     def covariance(self) -> FloatArray | None:
-        """Covariance (6, 6) of the attitude's error, with the aberration where it is not known, and of rate or bias."""
+        """Covariance (6, 6) of the attitude's error, including unknown aberration, and of rate or bias."""
         if self.mekf is None:
             return None
         covariance = self.mekf.covariance
@@ -106,13 +106,13 @@ class WatchedFilter:
         return covariance
 
     def own_covariance(self, attitude: Attitude, covariance: FloatArray) -> FloatArray:
-        """What of the covariance (3, 3) of the tracker's attitude is noise to the filter."""
+        """The part of the covariance (3, 3) of the tracker's attitude that is noise for the filter."""
         if not self.without_observer:
             return covariance
         return np.asarray(covariance - unknown_aberration(attitude.as_matrix()))
 
     def prior(self, limit_deg: float) -> tuple[Attitude | None, float]:
-        """Prediction as the identification takes it: an attitude and its largest error, degrees; none above a limit."""
+        """Prediction as a prior for identification: an attitude and its maximum error, degrees; none above a limit."""
         if self.mekf is None:
             return None, 1.0
         width = max(math.degrees(_PRIOR_SIGMAS * self.uncertainty_rad), _LEAST_PRIOR_DEG)
@@ -123,8 +123,8 @@ class WatchedFilter:
     ) -> Followed | None:
         """Match a frame with the prediction (`following.follow`).
 
-        Where the match is accepted, and the innovations of the last frames with this one contradict the filter, the
-        prediction is made less certain and matched again.
+        If the match is accepted, but the innovations including this frame contradict the filter, the uncertainty of the
+        prediction is increased and the frame matched again.
         """
         if self.mekf is None:
             return None
@@ -136,12 +136,12 @@ class WatchedFilter:
         return follow(self.mekf, camera, seen, expected, self.false_rejection)
 
     def take_followed(self, followed: Followed) -> None:
-        """Go on from a frame that was followed."""
+        """Continue with the filter of a followed frame."""
         self.mekf = followed.filter
         self._learn(followed.innovation)
 
     def take_attitude(self, now_s: float, attitude: Attitude, covariance: FloatArray) -> tuple[Innovation | None, bool]:
-        """Take in an attitude that the tracker found; its innovation, and whether the filter began anew from it."""
+        """Update with an attitude of the tracker; returns its innovation, and whether the filter was restarted."""
         innovation = None
         if self.mekf is not None:
             after = self.mekf.copy()
@@ -159,7 +159,7 @@ class WatchedFilter:
         return innovation, restarted
 
     def mark_solved(self, now_s: float) -> None:
-        """Remember when the attitude was last known from a frame."""
+        """Record the time of the last solved frame."""
         assert self.mekf is not None
         self._solved = now_s, self.mekf.quat
 
@@ -170,12 +170,12 @@ class WatchedFilter:
         self.mekf.noise_factor = self._window.noise_factor
 
     def _lose_confidence(self, prediction: Mekf) -> None:
-        """The last innovations together contradict the filter: this frame is to count for more, and the next ones."""
+        """Recent innovations contradict the filter: increase the weight of this frame and the next ones."""
         prediction.distrust(self._window.alarm())
         self.distrusted = True
 
     def _restart(self, now_s: float, attitude: Attitude, covariance: FloatArray) -> None:
-        """Begin from an attitude that the prediction did not foresee; how far it is off bounds rate or bias."""
+        """Restart from an attitude that contradicts the prediction; their difference bounds rate or bias."""
         if self.mekf is None:
             self.mekf = Mekf(attitude, covariance, self.noise)
             self._window.forget()
@@ -188,7 +188,7 @@ class WatchedFilter:
                 second = max(self.noise.bias_sigma_rad_s, self.mekf.attitude.angle_to(attitude) / step_s)
             else:
                 second = max(self.noise.rate_sigma_rad_s, Attitude(before).angle_to(attitude) / step_s)
-        if not self.mekf.has_gyro:  # else the rate is what was measured
+        if not self.mekf.has_gyro:  # otherwise the rate is measured
             rate = np.zeros(3)
         self._window.restart()
         self.mekf.reset(attitude, covariance, rate, second)

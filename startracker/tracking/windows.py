@@ -1,4 +1,4 @@
-"""Small windows of an image laid side by side, so that a detector and a centroider can work on them alone."""
+"""Mosaic of small windows of an image, to which detector and centroider are applied."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ FloatImage = NDArray[np.float32]
 _SIGMA_OF_MAD = 1.4826
 _GAP_PX = 3
 _NOISE_FREE = 1e-5
-"""Noise ascribed to windows that have none, as a share of the brightest star's height."""
+"""Minimum noise of a window relative to the peak of the brightest star."""
 
 
 @kernel
 def _background(image: NDArray[Any], x: int, y: int, half: int, rim: FloatArray) -> tuple[float, float]:
-    """Level and noise of a window's rim, whose pixels are read into `rim`; zeros where it has none."""
+    """Level and noise of a window's rim, whose pixels are copied to `rim`; zeros without pixels."""
     count = 0
     for j in range(-half, half + 1):
         for i in range(-half, half + 1):
@@ -48,26 +48,26 @@ def lay_out(
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
     """Windows of an image as a mosaic, with the level and the noise of the background at the border of each.
 
-    Level: the median of the rim (the outermost two rings of pixels); noise: 1.4826 times the median distance from it
-    of those pixels, but no less than 0.7 times the median over all windows. Between the windows, and where one leaves
-    the image, there is background.
+    Level: the median of the rim (the outermost two rings of pixels); noise: 1.4826 times the median absolute deviation
+    of these pixels, at least 0.7 times the median over all windows. Between windows, and outside the image, the mosaic
+    contains background.
 
     Parameters
     ----------
     image : (H, W)
-        Any real type.
+        Any real data type.
     x, y : (M,)
         Central pixels.
     half : int
-        A window has 2 half + 1 pixels a side.
+        A window has 2 half + 1 pixels per side.
     columns : int
-        Windows in a row of the mosaic.
+        Number of windows per row of the mosaic.
     noise_floor : float
-        Least noise; 1e-5 of the brightest central pixel is the least too.
+        Minimum noise, which is also at least 1e-5 of the brightest central pixel.
 
     Returns
     -------
-    Mosaic, level, noise: float32. Window m lies in the middle of cell (m // columns, m % columns), whose side is
+    Mosaic, level, noise: float32. Window m is at the centre of cell (m // columns, m % columns), whose side is
     `cell_px(half)`.
     """
     side, pitch = 2 * half + 1, 2 * half + 1 + 2 * _GAP_PX
@@ -107,7 +107,7 @@ def cell_px(half: int) -> int:
 
 
 def to_image(xy: FloatArray, x: IntArray, y: IntArray, half: int, columns: int) -> FloatArray:
-    """Positions (N, 2) on the image of positions on the mosaic."""
+    """Positions (N, 2) on the image from positions on the mosaic."""
     pitch = cell_px(half)
     column = np.clip(np.floor_divide(xy[:, 0] + 0.5, pitch).astype(np.int64), 0, columns - 1)
     row = np.maximum(np.floor_divide(xy[:, 1] + 0.5, pitch).astype(np.int64), 0)
@@ -118,7 +118,8 @@ def to_image(xy: FloatArray, x: IntArray, y: IntArray, half: int, columns: int) 
 
 @kernel
 def first_of_each(xy: FloatArray, width: float, height: float, margin: float, same_px: float) -> IntArray:
-    """Rows of points (N, 2) that are finite, on the image by a margin, and not within `same_px` of an earlier one."""
+    """Rows of points (N, 2) that are finite, inside the image by a margin, and not within `same_px` of an earlier
+    one."""
     out = np.empty(len(xy), np.int64)
     count = 0
     for i in range(len(xy)):

@@ -9,3 +9,7 @@ from startracker.trails.result import Trails
 from startracker.trails.turn import mid_exposure
 
 __all__ = ["Trails", "find_trails", "mid_exposure"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

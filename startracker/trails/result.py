@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.centroid.result import Centroids
+from startracker.display import fields_repr
 
 __all__ = ["Trails"]
 
@@ -35,3 +36,5 @@ class Trails:
     motion: FloatArray
     lengths: FloatArray
     fitted_alone: NDArray[np.bool_]
+
+    __repr__ = fields_repr

@@ -128,7 +128,7 @@ def test_without_the_rules_nothing_changes():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("lengthen_below=0.7", "without end"),
+        ("lengthen_below=0.7", "endless cycle"),
         ("shortest_exposure_s=3", "longer than detector.exposure_s"),
         ("exposure_step_s=1", "longer than detector.exposure_s"),
     ],

@@ -77,7 +77,7 @@ def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_pat
     assert sweep.trials.num_rows == 80
     assert not any(point["status"] == "refused" for point in sweep.table["points"])
     monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
-    with pytest.raises(InputError, match="no scheduler answers there"):
+    with pytest.raises(InputError, match="no scheduler responds"):
         run_sweep(plan, tmp_path / "other", dask="tcp://127.0.0.1:1")
 
 
@@ -98,7 +98,7 @@ def test_no_package_no_scheduler_and_no_version_in_common_are_one_line(monkeypat
     scenario = Scenario.load("cubesat")
     monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
     for address in ("tcp://127.0.0.1:1", "nonsense://x"):
-        with pytest.raises(InputError, match="no scheduler answers there") as told:
+        with pytest.raises(InputError, match="no scheduler responds") as told:
             run_trials(scenario, 10, dask=address)
         assert "\n" not in str(told.value)
     with pytest.raises(InputError, match="install the same on all"):

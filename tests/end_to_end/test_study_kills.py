@@ -174,9 +174,7 @@ def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed
     for k, room in enumerate(rooms):
         folder = tmp_path / f"full{k}"
         monkeypatch.setattr(paths.os, "fdopen", SmallDisk(int(room)).fdopen)
-        with pytest.raises(
-            InputError, match=r"No space left on device.*the finished trials are kept.*--resume"
-        ) as told:
+        with pytest.raises(InputError, match=r"No space left on device.*finished trials are kept.*--resume") as told:
             run(scenario, TRIALS, out=folder)
         assert "\n" not in str(told.value)
         places.add(Path(str(told.value).split(":")[0]).name)
@@ -281,12 +279,12 @@ def test_results_of_another_or_longer_run_are_not_replaced(tmp_path, runner, mon
     before = snapshot(tmp_path)
     stands = re.escape("(scenario 'cubesat', seed 1, 40 trials, boresight ")
     others = {
-        f"{tmp_path}: holds the results of another run {stands}": (scenario.with_values(seed=9), 40),
+        f"{tmp_path}: contains the results of another run {stands}": (scenario.with_values(seed=9), 40),
         f"a run with other values, options or input files {stands}": (
             Scenario.load("cubesat", ["optics.aperture_mm=31"]),
             40,
         ),
-        f"holds the results of a longer run {stands}.*20 trials were asked for": (scenario, 20),
+        f"contains the results of a longer run {stands} than the requested 20 trials": (scenario, 20),
     }
     for message, (other, trials) in others.items():
         with pytest.raises(InputError, match=message) as told:

@@ -123,7 +123,7 @@ def test_three_stars_alone(tmp_path, centroids):
         (["--dec", "30"], "--dec"),
         (["--vote-number", "0"], "--vote-number"),
         (["--rotation-tolerance-deg", "-1"], "--rotation-tolerance-deg"),
-        (["--section", "nope"], "there is no section"),
+        (["--section", "nope"], "unknown section"),
         (["--json", "/nowhere/out.json"], "/nowhere"),
         (["--point", "1"], "1"),
     ],

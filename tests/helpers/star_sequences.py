@@ -26,10 +26,11 @@ class Session(TrackingSession):
     """A session whose observer is at rest: the frames made here have no aberration."""
 
     def update(self, image, t_s, **given):
-        return super().update(image, t_s, observer=Observer(self.tracker.guide.epoch_jyear), **given)
+        return super().update(image, t_s, observer=Observer(self.tracker.guide.epoch_jyear, np.zeros(3)), **given)
 
     def update_centroids(self, xy, flux, t_s, **given):
-        return super().update_centroids(xy, flux, t_s, observer=Observer(self.tracker.guide.epoch_jyear), **given)
+        observer = Observer(self.tracker.guide.epoch_jyear, np.zeros(3))
+        return super().update_centroids(xy, flux, t_s, observer=observer, **given)
 
 
 def turned(attitude, vector):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simulator.exposure import Exposure
-from simulator.optics.bodies import draw_body, share_before_limb
+from simulator.optics.bodies import LitDisk, draw_body, share_before_limb
 from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.renderer import Renderer
@@ -88,8 +88,8 @@ def test_a_disk_is_drawn_up_to_the_limb():
     whole, cut = np.zeros((2, 121, 121))
     limb, place = (0.25, 0.002, 0.7), np.array([[60.2, 59.7]])
     share = share_before_limb(limb[0], limb[1], limb[2] - 2.0, 0.8, "lommel_seeliger")
-    draw_body(whole, place, np.ones(1), (40.0, 40.0), 1e7, 0.8, 2.0, psf)
-    draw_body(cut, place, np.ones(1), (40.0, 40.0), 1e7 * share, 0.8, 2.0, psf, limb=limb)
+    draw_body(whole, place, np.ones(1), 1e7, LitDisk(40.0, 40.0, 0.8, 2.0), psf)
+    draw_body(cut, place, np.ones(1), 1e7 * share, LitDisk(40.0, 40.0, 0.8, 2.0, limb=limb), psf)
     assert cut.sum() == pytest.approx(1e7 * share, rel=2e-3)
     rows, columns = np.mgrid[:121, :121]
     x, y = (columns - 60.2) / 40.0, (rows - 59.7) / 40.0

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from simulator.optics.bodies import LAWS, add_lit_disk, draw_body, sun_angle_rad
+from simulator.optics.bodies import LAWS, LitDisk, add_lit_disk, draw_body, sun_angle_rad
 from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
@@ -22,11 +22,12 @@ from startracker.camera import Camera
 GAUSSIAN = build_psf(PsfModel(sigma_px=0.9), 1.4, (5.5, 5.5))
 AIRY = build_psf(PsfModel(model="airy"), 8.0, (5.5, 5.5))
 ONE = np.ones(1)
+DISK = LitDisk(20.0, 20.0, 0.7, 0.3)
 
 
 def drawn(radius, fraction, angle=0.0, law="lommel_seeliger", psf=GAUSSIAN, size=400, centre=(200.3, 199.6)):
     image = np.zeros((size, size))
-    draw_body(image, [centre], ONE, (radius, radius), 1e8, fraction, angle, psf, law)
+    draw_body(image, [centre], ONE, 1e8, LitDisk(radius, radius, fraction, angle, LAWS[law]), psf)
     return image
 
 
@@ -43,7 +44,8 @@ def test_all_electrons_are_drawn(psf, radius, fraction):
 def integral(law, cosine, samples=16, radius=150.0):
     """Mean brightness law over the disk by the kernel, from its brightest possible value 1 at the sub-solar point."""
     image = np.zeros((320, 320))
-    add_lit_disk(image, np.array([[160.0, 160.0]]), ONE, radius, radius, cosine, 0.0, LAWS[law], samples)
+    disk = LitDisk(radius, radius, (1.0 + cosine) / 2.0, 0.0, LAWS[law])
+    add_lit_disk(image, np.array([[160.0, 160.0]]), ONE, disk, samples)
     return image
 
 
@@ -98,15 +100,15 @@ def test_small_disk_is_the_sum_of_its_points(psf, radius):
 
 def test_light_of_a_disk_off_the_image_and_of_one_in_motion():
     whole, part = np.zeros((300, 300)), np.zeros((100, 100))
-    draw_body(whole, [[95.0, 150.0]], ONE, (20.0, 20.0), 1e8, 0.7, 0.3, GAUSSIAN)
-    draw_body(part, [[95.0 - 100.0, 50.0]], ONE, (20.0, 20.0), 1e8, 0.7, 0.3, GAUSSIAN)
+    draw_body(whole, [[95.0, 150.0]], ONE, 1e8, DISK, GAUSSIAN)
+    draw_body(part, [[95.0 - 100.0, 50.0]], ONE, 1e8, DISK, GAUSSIAN)
     assert np.allclose(whole[100:200, 100:200], part, atol=1e-6 * whole.max())
     path = np.array([[90.0, 150.0], [97.0, 151.0], [104.0, 152.0], [math.nan, math.nan]])
     weights = np.array([0.2, 0.3, 0.4, 0.1])
     moving, still = np.zeros((300, 300)), np.zeros((300, 300))
-    draw_body(moving, path, weights, (20.0, 20.0), 1e8, 0.7, 0.3, GAUSSIAN)
+    draw_body(moving, path, weights, 1e8, DISK, GAUSSIAN)
     for place, weight in zip(path[:3], weights[:3], strict=True):
-        draw_body(still, [place], ONE, (20.0, 20.0), 1e8 * weight, 0.7, 0.3, GAUSSIAN)
+        draw_body(still, [place], ONE, 1e8 * weight, DISK, GAUSSIAN)
     assert np.allclose(moving, still, atol=3e-3 * still.max())
     assert moving.sum() == pytest.approx(0.9e8, rel=1e-3)
 
@@ -119,7 +121,7 @@ def test_nothing_to_draw():
         ([[25.0, 25.0]], 1e8, 0.0),
         ([[900.0, 25.0]], 1e3, 1.0),
     ):
-        draw_body(image, path, ONE, (10.0, 10.0), electrons, fraction, 0.0, GAUSSIAN)
+        draw_body(image, path, ONE, electrons, LitDisk(10.0, 10.0, fraction, 0.0), GAUSSIAN)
     assert (image == 0.0).all()
 
 
@@ -144,7 +146,7 @@ def test_light_comes_from_the_suns_side_of_the_image(parity):
     assert sun_angle_rad(camera, attitude, moon, sun) == pytest.approx(math.atan2(dy, dx), abs=1e-3)
     image = np.zeros((768, 1024))
     place = camera.project(attitude.apply(moon))
-    draw_body(image, place, ONE, (16.0, 20.0), 1e8, 0.4, math.atan2(dy, dx), GAUSSIAN)
+    draw_body(image, place, ONE, 1e8, LitDisk(16.0, 20.0, 0.4, math.atan2(dy, dx)), GAUSSIAN)
     centroid = np.array([image.sum(axis=0) @ np.arange(1024), image.sum(axis=1) @ np.arange(768)]) / 1e8
     shift = (centroid - place[0]) / (800.0, 1000.0)
     assert math.atan2(shift[1], shift[0]) == pytest.approx(math.atan2(dy, dx), abs=1e-2)

@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from startracker.detection import Background, estimate, find_components
 from startracker.detection.matched import filter_half, matched_kernel, search_filtered
-from startracker.detection.stamps import filtered_at
+from startracker.detection.stamps import filtered_pixel
 from startracker.settings import DetectionSettings
 
 
@@ -32,9 +32,8 @@ def filter_image(image, background, sigma):
     """The whole filtered image above the level, and the excess of its noise."""
     half = filter_half(sigma)
     level = background.level_plane
-    y, x = np.indices(image.shape).reshape(2, -1)
-    filtered = filtered_at(image, level, half, x, y)[0].reshape(image.shape)
-    return filtered, search_filtered(image, background, half, 5.0)[2]
+    filtered = [[filtered_pixel(image, level, half, x, y)[0] for x in range(image.shape[1])] for y in range(len(image))]
+    return np.array(filtered), search_filtered(image, background, half, 5.0)[2]
 
 
 @pytest.mark.parametrize("shape", [(40, 57), (3, 90), (90, 2), (1, 1)])

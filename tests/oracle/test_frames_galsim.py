@@ -24,7 +24,7 @@ sys.path.remove(str(HERE))
 STORED = dict(np.load(HERE / "data" / "frames_galsim.npz"))
 FX, FY, CX, CY, K1, K2, P1, P2, K3 = STORED["camera"]
 CAMERA = Camera(FX, FY, CX, CY, SIZE, SIZE, Distortion(k1=K1, k2=K2, p1=P1, p2=P2, k3=K3))
-OBSERVER = Observer(float(STORED["epoch_jyear"]))  # at the barycentre, at rest
+OBSERVER = Observer(float(STORED["epoch_jyear"]), np.zeros(3))  # at the barycentre, at rest
 METHODS = ("moment", "weighted_moment", "least_squares", "maximum_likelihood")
 
 

@@ -243,6 +243,6 @@ def test_no_agreement_without_the_inputs():
     """A row that says that an input is missing, or an output not printed, is neither exact nor close."""
     sections = (path, density, photometry, noise)
     rows = [row for module in sections for row in module.section().rows]
-    lacking = [row for row in rows if "not to be had" in row.why or "not printed" in row.why or row.printed == "–"]
+    lacking = [row for row in rows if "not available" in row.why or "not printed" in row.why or row.printed == "–"]
     assert len(lacking) >= 5
     assert {row.verdict for row in lacking} <= {"not printed", "input missing", "open"}

@@ -102,9 +102,9 @@ def test_verdicts_of_the_stellar_image(blur):
     exact = [quantity for quantity, row in by.items() if row.verdict == "exact"]
     assert "diameter of the Airy disk, f/1.4, 555 nm" in exact
     assert "σ whose centroid bias is the Airy pattern's" in exact
-    assert by["σ of least error between Gaussian and Airy"].computed == "1.34985"
+    assert by["σ of the Gaussian closest to the Airy pattern"].computed == "1.34985"
     assert by["largest relative error in the central region"].verdict == "differs"
-    assert by["share of the central 3 × 3 in the 5 × 5 pixels"].computed.startswith("67.3 %")
+    assert by["fraction of the central 3 × 3 in the 5 × 5 pixels"].computed.startswith("67.3 %")
 
 
 def test_moment_of_the_kernel_is_the_plain_sum():

@@ -187,7 +187,7 @@ def test_pitch_error_is_that_of_the_steepest_and_the_flattest_line():
     shifts = list(itertools.product((-delta, delta), repeat=4))
     angles = [math.degrees(math.atan2(y + d - b, x + c - a)) for a, b, c, d in shifts]
     found = {row.quantity: row for row in pitch_section(pairs=50).rows}
-    assert found["least error, x = y = 10°"].computed == "0.0458°"
+    assert found["smallest error, x = y = 10°"].computed == "0.0458°"
     assert found["largest error, x = y = 0.06°"].verdict == "exact"
     assert found["separation for a pitch accuracy of 0.286°"].computed == "1.6027°"
     direction = math.degrees(math.atan2(y, x))

@@ -207,6 +207,6 @@ def test_an_image_given_many_times_counts_once():
     fields = [field_of(camera, rng, 60, name=f"{k}.png")[0] for k in range(3)]
     copies = [replace(fields[1], name=f"copy-{k}.png") for k in range(9)]
     once, many = calibrate(fields, fov_deg=20.0), calibrate([*fields, *copies], fov_deg=20.0)
-    assert list(many.unsolved.values()) == ["the same image as 1.png"] * 9
+    assert list(many.unsolved.values()) == ["duplicate of 1.png"] * 9
     np.testing.assert_array_equal(many.covariance, once.covariance)
     assert many.camera == once.camera

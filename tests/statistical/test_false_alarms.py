@@ -73,7 +73,7 @@ def test_the_density_of_the_evidence_is_below_its_bound():
         stars = Observed(
             camera.unproject(xy[order]), 10.0 ** (-0.4 * magnitude[order]), np.full(n, 0.15 * camera.pixel_rad)
         )
-        found = verify(matrix, stars, guide, 7.0)
+        found, _ = verify(matrix, stars, guide, 7.0)
         drawn.append((n, -99.0 if found is None else found.log_evidence))
     table = np.array(drawn)
     for low, high in ((3, 4), (4, 5), (5, 7), (7, 9), (9, 12), (12, 18), (18, 30)):

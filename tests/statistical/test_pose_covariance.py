@@ -84,7 +84,7 @@ def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, tol
     """NEES of fits of so many stars at random attitudes, positions off by Gaussian errors of `sigma_px` (a function
     of the random numbers and the number of stars), seen by an observer and refined with what `told` says of him."""
     rng, nees = np.random.default_rng(seed), []
-    told = Observer(tracker.guide.epoch_jyear) if told == "barycentre" else told
+    told = Observer(tracker.guide.epoch_jyear, np.zeros(3)) if told == "barycentre" else told
     while len(nees) < trials:
         observer = seen_by(rng) if seen_by is not None else None
         guide = tracker.guide.seen_by(observer)
@@ -142,7 +142,7 @@ def test_an_unknown_observer_costs_twenty_arcseconds(tracker):
     attitude = Attitude.from_radec_roll(85.0, -2.0, 30.0)
     _, _, xy = tracker.guide.in_field(attitude.as_matrix())
     unknown = tracker.solve_centroids(xy, sigma_px=0.05)
-    known = tracker.solve_centroids(xy, sigma_px=0.05, observer=Observer(tracker.guide.epoch_jyear))
+    known = tracker.solve_centroids(xy, sigma_px=0.05, observer=Observer(tracker.guide.epoch_jyear, np.zeros(3)))
     sigma = [np.sqrt(np.diag(s.covariance)[:2]) / ARCSEC_RAD for s in (unknown, known)]
     assert sigma[0].max() == pytest.approx(14.5, rel=0.1)  # 20.5″/√2
     assert sigma[1].max() < 1.0
@@ -153,7 +153,7 @@ def test_a_focal_length_far_off_is_refused_or_fitted(tracker, off):
     """A camera whose focal length is 4 to 5 % off: what is solved is right, and says how good it is."""
     camera = replace(tracker.camera, fx=tracker.camera.fx * (1 + off), fy=tracker.camera.fy * (1 + off))
     other, rng, solved = StarTracker(camera, magnitude_limit=6.5), np.random.default_rng(5), 0
-    observer = Observer(tracker.guide.epoch_jyear)
+    observer = Observer(tracker.guide.epoch_jyear, np.zeros(3))
     for k in range(30):
         attitude = Attitude(rng.normal(size=4))
         index, _, xy = tracker.guide.in_field(attitude.as_matrix())
@@ -172,7 +172,7 @@ def test_a_focal_length_far_off_is_refused_or_fitted(tracker, off):
 def test_each_star_given_twice(tracker):
     """Duplicates of a star, 1 to 2 px apart with errors of their own, are one star."""
     rng, nees = np.random.default_rng(8), []
-    observer = Observer(tracker.guide.epoch_jyear)
+    observer = Observer(tracker.guide.epoch_jyear, np.zeros(3))
     for _ in range(150):
         attitude = Attitude(rng.normal(size=4))
         _, _, xy = tracker.guide.in_field(attitude.as_matrix(), -3.0)
@@ -190,7 +190,7 @@ def test_each_star_given_twice(tracker):
 def test_stars_that_agree_by_chance_do_not_leave_out_the_others(tracker):
     """Errors of ±0.1 px along x, as of undersampled images, where 0.015 px are stated: with all stars of one sign left
     out the fit agrees within the stated errors, and was 0.1 px off (NEES up to 600, 10 on average)."""
-    rng, nees, observer = np.random.default_rng(12), [], Observer(tracker.guide.epoch_jyear)
+    rng, nees, observer = np.random.default_rng(12), [], Observer(tracker.guide.epoch_jyear, np.zeros(3))
     guide = tracker.guide.seen_by(observer)
     while len(nees) < 150:
         attitude = Attitude(rng.normal(size=4))

@@ -12,12 +12,12 @@ from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
 from startracker.identification import Observed, Prior, adaptive
-from startracker.identification.adaptive import first_triangles, nearest_stars
+from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table
-from startracker.identification.other_stars import least_hits
+from startracker.identification.other_stars import least_matches
 from startracker.identification.pairs import separation
 from startracker.identification.search_state import Guides, Limits, Pairs, Stars
-from startracker.identification.triangles import PAIR_SIGMAS, triangles_alike
+from startracker.identification.triangles import PAIR_SIGMAS, first_triangles, similar_triangles
 from startracker.settings import AdaptiveSettings
 from startracker.solution import Status
 
@@ -86,7 +86,7 @@ def test_triangles_found_are_those_of_brute_force(seed, focal_range):
     pairs = Pairs(near.first, near.second, near.separation_rad)
     head = np.full(len(sky), -1, np.int32)
     directions = Guides(sky.directions, sky.v_mag)
-    candidates, operations = triangles_alike(np.array([[0, 1, 2]]), stars, directions, pairs, limits, head)
+    candidates, operations = similar_triangles(np.array([[0, 1, 2]]), stars, directions, pairs, limits, head)
     found = len(candidates.focal)
     tolerance = PAIR_SIGMAS * math.hypot(0.005, 0.005)
     expected = brute_force(vectors, sky.directions[sky.pattern], tolerance, focal_range)
@@ -114,13 +114,13 @@ def test_nearest_stars_are_those_of_a_tree():
     assert np.array_equal(nearest_stars(vectors)[:, :7], cKDTree(vectors).query(vectors, 8)[1][:, 1:])
 
 
-def test_least_hits_are_the_poisson_tails():
+def test_least_matches_are_the_poisson_tails():
     from scipy.stats import poisson
 
-    assert least_hits(1e9, 0.001) > 1e9  # nor does it look for the end of that
+    assert least_matches(1e9, 0.001) > 1e9  # nor does it look for the end of that
     for mean in (1e-4, 0.03, 0.5, 4.0, 90.0):
         for chance in (0.05, 0.001):
-            hits = least_hits(mean, chance)
+            hits = least_matches(mean, chance)
             assert poisson.sf(hits - 1, mean) <= chance or hits == 1
             assert hits == 1 or poisson.sf(hits - 2, mean) > chance
 
@@ -200,7 +200,7 @@ def test_a_field_that_fits_as_stated_is_not_searched_to_the_end(monkeypatch):
     """Few true stars among many false ones: the long search for a rival changes nothing but the time."""
     guide = GuideDatabase.build(load_catalog("hipparcos"), Camera.from_fov(10.0, 512, 512), 6.0)
     rng = np.random.default_rng(5)
-    module = sys.modules[first_triangles.__module__]
+    module = sys.modules[nearest_stars.__module__]
     patient = 0
     for _ in range(200):
         matrix = Attitude(rng.normal(size=4)).as_matrix()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from startracker import Attitude, Camera, Solution, Status, load_catalog
-from startracker.annotate import annotate, annotated_picture, stretch
+from startracker import Attitude, Camera, Observer, Solution, Status, load_catalog
+from startracker.annotate import annotate, annotated_picture, star_coloured
 from startracker.annotate_sky import compass_arrows, dec_text, grid_lines, nice_step, ra_text
+from startracker.bodies import body_directions
 from startracker.solution import MatchedStars
 
 
@@ -36,22 +37,62 @@ def texts(figure):
     return [text.get_text() for text in figure.axes[0].texts if text.get_text()]
 
 
-def test_bright_stars_are_named_and_no_label_covers_another():
-    figure = annotate(SKY, ORION, grid=True, constellations=True)
-    names = texts(figure)
-    for name in ("Betelgeuse", "Rigel", "Mintaka", "Saiph", "Ori", "N", "E"):
-        assert name in names
+def covered(figure):
+    """Pairs of texts of a figure whose boxes overlap, and texts outside of the axes."""
+    figure.canvas.draw()
     renderer = figure.canvas.get_renderer()
-    boxes = [t.get_window_extent(renderer) for t in figure.axes[0].texts if t.get_text() not in ("", "N", "E", "5°")]
-    covered = [
-        (i, j)
-        for i, one in enumerate(boxes)
-        for j, other in enumerate(boxes[:i])
-        if one.x0 < other.x1 - 1 and other.x0 < one.x1 - 1 and one.y0 < other.y1 - 1 and other.y0 < one.y1 - 1
-    ]
-    assert not covered
-    inside = figure.axes[0].get_window_extent()
-    assert all(box.x0 >= inside.x0 - 1 and box.x1 <= inside.x1 + 1 for box in boxes)
+    shown = [text for ax in figure.axes for text in ax.texts if text.get_text()] + figure.texts
+    shown += [text for legend in figure.legends for text in legend.get_texts()]
+    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in shown]
+    width, height = figure.canvas.get_width_height()
+    return [
+        (one, other)
+        for i, (one, a) in enumerate(boxes)
+        for other, b in boxes[:i]
+        if a.x0 < b.x1 - 1 and b.x0 < a.x1 - 1 and a.y0 < b.y1 - 1 and b.y0 < a.y1 - 1
+    ] + [(text, "outside") for text, a in boxes if a.x0 < -1 or a.y0 < -1 or a.x1 > width + 1 or a.y1 > height + 1]
+
+
+def test_bright_stars_and_objects_are_named():
+    names = texts(annotate(SKY, ORION, grid=True, constellations=True))
+    for name in ("Betelgeuse", "Rigel", "Mintaka", "Saiph", "Ori", "M42 Orion Nebula", "M78"):
+        assert name in names
+    assert not any("M42" in name for name in texts(annotate(SKY, ORION, deep_sky=False)))
+
+
+@pytest.mark.parametrize("shape", [(640, 480), (300, 900)])
+@pytest.mark.parametrize(
+    ("ra", "dec", "fov"), [(84.0, 0.0, 25.0), (187.0, 12.0, 12.0), (270.0, -25.0, 20.0), (10.0, 89.0, 20.0)]
+)
+def test_no_label_covers_another_or_leaves_the_picture(shape, ra, dec, fov):
+    camera = Camera.from_fov(fov, *shape)
+    solution = field(camera, Attitude.from_radec_roll(ra, dec, 30.0))
+    observer = Observer(2026.5)
+    figure = annotate(
+        np.zeros(shape[::-1], np.uint8), solution, names=200, grid=True, constellations=True, observer=observer
+    )
+    assert len(texts(figure)) > 10
+    assert not covered(figure)
+
+
+def test_a_planet_in_the_field_is_marked():
+    observer = Observer(2026.5)
+    jupiter = body_directions(observer)["Jupiter"]
+    ra, dec = np.degrees([np.arctan2(jupiter[1], jupiter[0]), np.arcsin(jupiter[2])])
+    solution = field(Camera.from_fov(10.0, 640, 480), Attitude.from_radec_roll(ra, dec + 2.0, 0.0))
+    assert "Jupiter" in texts(annotate(SKY, solution, observer=observer))
+    assert "Jupiter" not in texts(annotate(SKY, solution))
+
+
+def test_a_colour_image_keeps_its_colours():
+    red = np.zeros((480, 640, 3))
+    red[...] = SKY[..., None]
+    red[100:104, 200:204] += (3000.0, 300.0, 300.0)
+    shown = annotate(red, ORION).axes[0].images[0].get_array()
+    assert shown[102, 202, 0] > 2.0 * shown[102, 202, 1]
+    assert shown[300, 300].std() < 0.1  # noise of the sky only
+    tinted = star_coloured(SKY, ORION)
+    assert tinted.shape == (480, 640, 3)
 
 
 @pytest.mark.parametrize("size", [(512, 512), (4000, 3000), (200, 60), (60, 200), (1, 1)])
@@ -136,12 +177,3 @@ def test_words():
     assert dec_text(-30.0, 10.0) == "−30°"
     assert nice_step(2.3) == 2
     assert nice_step(0.4) == pytest.approx(20 / 60)
-
-
-def test_the_stretch_spans_sky_to_star():
-    shown = stretch(SKY + 500.0 * (SKY > SKY.max() - 1e-9))
-    assert shown.min() == 0.0
-    assert shown.max() == 1.0
-    assert np.median(shown) < 0.1
-    assert not stretch(np.full((4, 4), np.nan)).any()
-    assert np.isfinite(stretch(np.where(SKY > 55.0, np.nan, SKY))).all()

@@ -117,7 +117,7 @@ def test_a_rough_attitude_becomes_that_of_least_squares(guide):
     vectors = CAMERA.unproject(xy)
     stars = Observed(vectors, 10.0 ** (-0.4 * guide.v_mag[index]), np.full(len(xy), 0.15 * CAMERA.pixel_rad))
     off = rotation_vector_to_matrix(2.0 * CAMERA.pixel_rad * rng.standard_normal(3))
-    found = verify(off @ matrix, stars, guide, 7.0)
+    found, _ = verify(off @ matrix, stars, guide, 7.0)
     assert found is not None
     assert np.array_equal(found.pairs[:, 0], np.arange(len(xy)))
     assert np.array_equal(found.pairs[:, 1], index)
@@ -135,7 +135,7 @@ def test_the_focal_length_is_fitted_where_it_may_be_off(guide):
     index, _, xy = guide.in_field(matrix, 0.0, real)
     vectors = CAMERA.unproject(xy + 0.1 * rng.standard_normal(xy.shape))
     stars = Observed(vectors, None, np.full(len(xy), 0.15 * CAMERA.pixel_rad))
-    held, free = verify(matrix, stars, guide, 7.0), verify(matrix, stars, guide, 7.0, focal=1.0)
+    held, free = (verify(matrix, stars, guide, 7.0, focal)[0] for focal in (None, 1.0))
     # standard error of ln f: 0.1 px over the radii's root sum of squares, and the prior's pull on 1.5 sigma
     radii = np.hypot(*(xy - 255.5).T)
     sigma = 0.1 / math.sqrt(np.sum(radii**2))
@@ -148,5 +148,5 @@ def test_an_attitude_elsewhere_has_no_evidence(guide):
     rng = np.random.default_rng(8)
     xy = rng.uniform(0.0, 511.0, (20, 2))
     stars = Observed(CAMERA.unproject(xy), None, np.full(20, 0.15 * CAMERA.pixel_rad))
-    found = [verify(Rotation.random(rng=rng).as_matrix(), stars, guide, 7.0) for _ in range(200)]
+    found = [verify(Rotation.random(rng=rng).as_matrix(), stars, guide, 7.0)[0] for _ in range(200)]
     assert max((h.log_evidence for h in found if h is not None), default=-99.0) < 0.0

@@ -81,7 +81,7 @@ def test_runs_of_other_seeds_are_not_paired(tmp_path):
     second = write_run(tmp_path / "b", [], rows(2.0), seed=2)
     comparison = compare([first, second])
     assert comparison.ratios[1] is None
-    assert "no trials in common" in comparison_page(comparison)
+    assert "no common trials" in comparison_page(comparison)
 
 
 def test_intervals_hold_the_rms_that_was_drawn():
@@ -121,7 +121,7 @@ def test_page_names_the_runs_and_stands_alone(tmp_path):
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [(["nowhere", "a"], "no such folder"), (["."], "holds no results"), (["a"], "two runs or more")],
+    [(["nowhere", "a"], "no such folder"), (["."], "contains no results"), (["a"], "at least two runs")],
 )
 def test_mistakes_are_one_line(tmp_path, monkeypatch, given, words):
     monkeypatch.chdir(tmp_path)

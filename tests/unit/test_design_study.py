@@ -103,7 +103,7 @@ def test_a_run_of_the_answer_stands_beside_its_prediction(scenario):
 
 def test_wrong_numbers_are_told(scenario):
     for wrong, words in (
-        ({"parameter": "optics.aperture"}, "there are " + ", ".join(PARAMETERS)),
+        ({"parameter": "optics.aperture"}, "use one of " + ", ".join(PARAMETERS)),
         ({"low": 5.0, "high": 5.0}, "0 < from < to"),
         ({"low": math.nan}, "0 < from < to"),
         ({"steps": 1}, "at least 2"),

@@ -79,10 +79,13 @@ def flat(detector):
     [
         (
             {"antiblooming": 0.5},
-            "0.5 with detector.kind: cmos, but the pixels of a CMOS detector have no common channel",
+            "0.5 with detector.kind: cmos, but charge cannot spill between the pixels of a CMOS detector",
         ),
-        ({"cti_parallel": 1e-5}, "1e-05 with detector.kind: cmos, but a CMOS detector reads each pixel where it is"),
-        ({"cti_serial": 1e-5}, "use 0, or kind: ccd_full_frame"),
+        (
+            {"cti_parallel": 1e-5},
+            "1e-05 with detector.kind: cmos, but a CMOS detector transfers no charge between pixels",
+        ),
+        ({"cti_serial": 1e-5}, "use 0 or kind: ccd_full_frame"),
     ],
 )
 def test_what_a_cmos_detector_cannot_have(keys, line):

@@ -174,7 +174,7 @@ def test_plate_constants_say_what_they_cannot():
     with pytest.raises(InputError, match="within 78°"):
         plate_constants(np.vstack([np.eye(3), -np.eye(3)]), np.vstack([np.eye(3), -np.eye(3)]), 1e-3)
     mirrored = unit(np.array([[0.1, 0, 1], [-0.1, 0, 1], [0, 0.1, 1], [0, -0.1, 1]]))
-    with pytest.raises(InputError, match="no plate"):
+    with pytest.raises(InputError, match="do not match"):
         plate_constants(mirrored, mirrored * [1, -1, 1], 1e-3)
 
 

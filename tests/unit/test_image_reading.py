@@ -283,3 +283,32 @@ def test_a_truncated_colour_tiff_of_16_bits_is_one_clear_line(tmp_path):
     path.write_bytes(whole[:9000] + whole[-200:])
     with pytest.raises(InputError, match=r"deep\.tiff: .*(damaged or truncated|not an image)"):
         read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "says"),
+    [
+        ("a.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC images are not read; .*heif-convert a.heic a.png"),
+        ("a.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0mif1heic", "HEIC images are not read"),
+        ("IMG 1.CR2", b"II*\0\x10\0\0\0CR\x02\0", "raw images .* dcraw -T -4 -h 'IMG 1.CR2'"),
+        ("a.nef", b"MM\0*\0\0\0\x08", "raw images"),
+        ("a.cr3", b"\0\0\0\x18ftypcrx \0\0\0\x01", "raw images"),
+        ("b", b"FUJIFILMCCD-RAW 0201", "raw images"),
+    ],
+)
+def test_photographs_to_be_converted_first_say_how(tmp_path, name, start, says):
+    (tmp_path / name).write_bytes(start + bytes(200))
+    with pytest.raises(InputError, match=says) as caught:
+        read_image(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_colours_are_kept_where_asked_for(tmp_path):
+    path = save(tmp_path / "a.png", COLOUR)
+    np.testing.assert_array_equal(read_image(path, colours=True).colours, COLOUR)
+    assert read_image(path).colours is None
+    assert read_image(save(tmp_path / "b.png", GREY8), colours=True).colours is None
+    exif = Image.Exif()
+    exif[274] = 6
+    turned = read_image(save(tmp_path / "c.jpg", COLOUR, exif=exif), colours=True)
+    np.testing.assert_allclose(turned.colours.mean(axis=2), turned.image, rtol=1e-6)

@@ -33,7 +33,9 @@ def test_section(monkeypatch):
     rows = {row.quantity: row for row in section.rows}
     assert rows["centre of the Vega image"].verdict == "close"
     assert "411 kB" in rows["databases in memory"].computed
-    low, high = rows["fixed-point and floating-point centroids differ by"].computed.removesuffix(" px").split(" to ")
+    low, high = (
+        rows["difference of fixed-point and floating-point centroids"].computed.removesuffix(" px").split(" to ")
+    )
     assert 0.0 <= float(low) <= float(high) < 1e-4
     assert rows["database of enclosed angles"].computed == "4.7 MB"
     assert "by 1 in the last bit" in rows["databases in memory"].why

@@ -7,14 +7,15 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from astropy import units as u
-from astropy.coordinates import Angle, SkyCoord
+from astropy.coordinates import Angle, EarthLocation, SkyCoord, get_body_barycentric_posvel
 from astropy.time import Time
+from astropy.utils import iers
 from scipy.spatial.transform import Rotation
 
 from simulator.mission.clock import Clock
 from startracker import Attitude, InputError, Observer
 from startracker.errors import FrameMismatchError
-from startracker.identification.given import as_prior
+from startracker.identification.observed import as_prior
 from startracker.observer import observer_of
 
 ROTATIONS = Rotation.random(20, rng=3)
@@ -69,6 +70,31 @@ def test_an_observer_with_units():
         Observer(velocity_km_s=[30.0, 0.0, 0.0] * u.km)
     with pytest.raises(InputError, match="years or an astropy Time"):
         Observer(epoch_jyear=Time(["2026-01-01", "2026-01-02"]))
+
+
+@pytest.mark.parametrize("date", ["1998-03-05T20:00:00", "2025-03-21T12:00:00"])
+@pytest.mark.parametrize(("longitude", "latitude"), [(18.9, -33.9), (-106.6, 52.1), (0.0, 90.0)])
+def test_an_observer_on_the_ground_moves_as_astropy_has_it(date, longitude, latitude):
+    time, location = (
+        Time(date, scale="utc"),
+        EarthLocation.from_geodetic(longitude * u.deg, latitude * u.deg, 120 * u.m),
+    )
+    observer = Observer.on_earth(time, location)
+    with iers.conf.set_temp("auto_download", False):
+        earth, earth_velocity = get_body_barycentric_posvel("earth", time, ephemeris="builtin")
+        place, velocity = location.get_gcrs_posvel(time)
+    np.testing.assert_allclose(
+        observer.velocity_km_s, (earth_velocity + velocity).xyz.to_value("km/s"), rtol=0, atol=1e-4
+    )
+    np.testing.assert_allclose(observer.position_au, (earth + place).xyz.to_value("AU"), rtol=0, atol=1e-8)
+    assert observer.epoch_jyear == pytest.approx(float(time.tt.jyear), rel=1e-15)
+
+
+def test_an_observer_on_the_ground_needs_a_time_and_a_location():
+    with pytest.raises(InputError, match=r"one astropy Time and one astropy EarthLocation"):
+        Observer.on_earth(2026.0, EarthLocation.from_geodetic(0 * u.deg, 0 * u.deg))
+    with pytest.raises(InputError, match=r"one astropy Time and one astropy EarthLocation"):
+        Observer.on_earth(Time("2026-01-01"), (18.9, -33.9))
 
 
 def test_a_time_makes_an_observer():

@@ -12,7 +12,6 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification import METHODS, Observed, Prior, match_groups
-from startracker.identification.hypothesis import nearest_unique
 from startracker.identification.match_kernels import (
     Groups,
     Shapes,
@@ -24,6 +23,7 @@ from startracker.identification.match_kernels import (
     validate,
 )
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
+from startracker.identification.verification import nearest_unique
 from startracker.settings import MatchGroupSettings
 from startracker.solution import Status
 

@@ -37,7 +37,7 @@ def test_limit_of_sun_synchronism_is_where_the_inclination_reaches_180_degrees()
 
 def test_sgp4_below_the_surface_says_so():
     orbit = build_orbit(OrbitParameters(altitude_km=-100.0, inclination_deg=98.6, propagator="sgp4"), EPOCH)
-    with pytest.raises(InputError, match=r"SGP4 cannot follow this orbit.*decayed"):
+    with pytest.raises(InputError, match=r"SGP4 cannot propagate this orbit.*decayed"):
         orbit.state(0.0)
 
 

@@ -16,9 +16,8 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.identification import METHODS
 from startracker.identification import pattern_table as tables
 from startracker.identification.observed import Observed, Prior
-from startracker.identification.pattern_geometry import correspondence, pattern_attitude
 from startracker.identification.pattern_hash import pattern_hash
-from startracker.identification.pattern_kernels import lookup_shape, next_set
+from startracker.identification.pattern_kernels import correspondence, lookup_shape, next_set, pattern_attitude
 from startracker.identification.pattern_table import EMPTY, SIZE_STEPS, PatternTable, insert, shape_key, sorted_edges
 from startracker.observer import Observer
 from startracker.solution import Status

@@ -39,7 +39,7 @@ def test_local_level_axes():
 
 @pytest.mark.parametrize(("r", "v"), [(R_KM, R_KM * 1e-3), (R_KM, 0 * V_KM_S), (0 * R_KM, V_KM_S)])
 def test_no_local_level_without_a_plane(r, v):
-    with pytest.raises(InputError, match="span no plane"):
+    with pytest.raises(InputError, match="are parallel"):
         local_level(r, v)
 
 

@@ -14,10 +14,10 @@ from startracker.estimation.directions import focal_slopes
 from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.candidate_search import Effort, Verifier
-from startracker.identification.hypothesis import Bench, kernel_stars, verify
+from startracker.identification.hypothesis import HypothesisPool, kernel_stars, verify
 from startracker.identification.observed import Observed
 from startracker.identification.pairs import separation
-from startracker.identification.pole_votes import VOTE_SIGMAS, BallotBox, pair_bearings, vote_about
+from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about
 from startracker.identification.search_plan import Setting, crowding_price, evidence_of_matches, fewest_matches, plan
 from startracker.identification.search_state import Guides, Limits, Pairs, Stars
 from startracker.settings import AdaptiveSettings
@@ -37,9 +37,9 @@ def searched(guide, stars, limits, nearest, need):
     pairs = Pairs(near.first, near.second, near.separation_rad)
     there, back = pair_bearings(guide.directions, near.first, near.second)
     g, sky = len(guide), Guides(guide.directions, guide.v_mag)
-    box = BallotBox(there, back, np.empty((g, 4), np.uint64), np.empty(g, np.bool_), np.full(g, -1, np.int32))
-    found = [vote_about(k, row, need, stars, sky, pairs, box, limits) for k, row in enumerate(nearest)]
-    assert (box.head == -1).all()
+    counts = VoteCounts(there, back, np.empty((g, 4), np.uint64), np.empty(g, np.bool_), np.full(g, -1, np.int32))
+    found = [vote_about(k, row, need, stars, sky, pairs, counts, limits) for k, row in enumerate(nearest)]
+    assert (counts.head == -1).all()
     return [candidates for candidates, _ in found], sum(work for _, work in found)
 
 
@@ -107,12 +107,12 @@ def test_votes_alone_find_a_field_among_as_many_false_stars(guide, factor):
     observed = Observed(CAMERA.unproject(xy), None, np.full(len(xy), SIGMA))
     limits = Limits(2.2, 0.025 if factor != 1.0 else 0.0, 2.0, 0.01, 1e12, np.eye(3), -2.0)
     stars = kernel_stars(observed, guide)
-    bench = Bench(AdaptiveSettings(), None, len(xy))
-    verifier = Verifier(bench, guide, stars)
+    pool = HypothesisPool(AdaptiveSettings(), None, len(xy))
+    verifier = Verifier(pool, guide, stars)
     candidates, _ = searched(guide, stars, limits, nearest_stars(observed.vectors), 4)
     for found in candidates:
         verifier.take(found, Effort(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
-    best = bench.standing[0]
+    best = pool.hypotheses[0]
     assert best.focal == pytest.approx(factor, abs=2e-3)
     guides = np.full(len(xy), -1)
     guides[best.pairs[:, 0]] = best.pairs[:, 1]
@@ -134,7 +134,7 @@ def test_fewest_matches_are_those_of_whole_fields(guide):
             chosen = true[np.sort(rng.permutation(len(index))[:m])]
             xy = np.concatenate([chosen, rng.uniform(0.0, 511.0, (20 - m, 2))])
             observed = Observed(CAMERA.unproject(xy), None, np.full(20, SIGMA))
-            found = verify(attitude.as_matrix(), observed, guide)
+            found, _ = verify(attitude.as_matrix(), observed, guide)
             if found is not None and found.log_evidence > math.log(largest_density(20)) - math.log(1e-7):
                 enough.append(m)
                 break

@@ -197,7 +197,7 @@ def test_stated_errors_go_with_their_stars(tracker):
     seen = xy + sigma[:, None] * rng.normal(size=xy.shape)
     order = rng.permutation(len(xy) + 1)
     seen, sigma = np.vstack([seen, [[np.nan, 3.0]]])[order], np.append(sigma, 1.0)[order]
-    observer = Observer(tracker.guide.epoch_jyear)
+    observer = Observer(tracker.guide.epoch_jyear, np.zeros(3))
     solution = tracker.solve_centroids(seen, np.append(flux, 1.0)[order], sigma_px=sigma, observer=observer)
     error = attitude.rotation_vector_to(solution.attitude)
     assert error @ np.linalg.solve(solution.covariance, error) < 21.1  # χ² of 3 exceeds it once in 10⁴

@@ -46,7 +46,7 @@ def test_numbers_are_judged_by_the_printed_digits(rows):
     text = "- {where: a, quantity: b, printed: '1.89', value: found.um, unit: µm, form: .4f, cut: true, why: c}"
     found = {um: rows(text, found=type("F", (), {"um": um}))[0] for um in (1.893, 1.8954, 1.9)}
     assert [row.verdict for row in found.values()] == ["exact", "exact", "close"]
-    assert [row.why for row in found.values()] == ["c", "c; printed digits cut off, not rounded", "c"]
+    assert [row.why for row in found.values()] == ["c", "c; printed digits truncated, not rounded", "c"]
     assert found[1.8954].computed == "1.8954 µm"
 
 

@@ -11,8 +11,7 @@ from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.observed import Observed, Prior
-from startracker.identification.pyramid import pyramid
-from startracker.identification.pyramid_kernels import smart_triples
+from startracker.identification.pyramid import pyramid, smart_triples
 from startracker.settings import PyramidSettings
 from startracker.solution import Status
 

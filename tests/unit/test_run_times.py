@@ -59,7 +59,7 @@ def test_section_with_the_68k():
     vega, deneb_ = (float(rows[f"{name} on the 68k: fixed point, version B"].computed.split()[0]) for name in NAMES)
     assert 1.0 < vega < 4.0
     assert 10.0 < deneb_ < 30.0
-    assert float(rows["Deneb less Vega"].computed.split()[0]) == pytest.approx(deneb_ - vega, abs=0.011)
+    assert float(rows["Deneb minus Vega"].computed.split()[0]) == pytest.approx(deneb_ - vega, abs=0.011)
 
 
 NAMES = ("Vega", "Deneb")

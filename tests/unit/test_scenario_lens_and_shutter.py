@@ -33,7 +33,7 @@ def test_a_list_of_sections_is_read_and_written():
         ("optics.ghosts={flux: 0.1}", "must be a list of"),
         ("optics.projection=fishye", "did you mean 'fisheye'"),
         ("detector.shutter=roling", "did you mean 'rolling'"),
-        ("optics.vignetting.mechanical_end_deg=90", "less than 90°"),
+        ("optics.vignetting.mechanical_end_deg=90", "below 90°"),
         ("pointing.jitter.psd=table", "needs a CSV file"),
     ],
 )
@@ -49,7 +49,7 @@ def test_refusals(override, message):
         (["optics.projection=equisolid", "optics.distortion.k1=0.1"], "use projection: fisheye"),
         (
             ["optics.vignetting.mechanical_start_deg=9", "optics.vignetting.mechanical_end_deg=8"],
-            "is not beyond mechanical_start_deg",
+            "is not greater than mechanical_start_deg",
         ),
     ],
 )
@@ -60,6 +60,6 @@ def test_contradictions(overrides, message):
 
 def test_a_fisheye_may_see_everything():
     wide = ["optics.focal_length_mm=2.2", "optics.aperture_mm=1.5", "optics.distortion.k1=0"]
-    with pytest.raises(ScenarioError, match="more than the 170° a flat image holds"):
+    with pytest.raises(ScenarioError, match="more than the 170° of a pinhole"):
         Scenario.load(CUBESAT, ["optics.focal_length_mm=0.2", "optics.aperture_mm=0.1", "optics.distortion.k1=0"])
     assert Scenario.load(CUBESAT, [*wide, "optics.projection=equidistant"]).optics.projection == "equidistant"

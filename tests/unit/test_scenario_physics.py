@@ -21,29 +21,29 @@ UNPHYSICAL = [
     ),
     (
         ["detector.full_well_e=10", "detector.read_noise_e=20"],
-        "detector.full_well_e: 10 e⁻ is less than the read noise of 20 e⁻; no signal could be distinguished from it",
+        "detector.full_well_e: 10 e⁻ is less than the read noise of 20 e⁻; no signal could be detected",
     ),
     (["orbit.altitude_km=-5"], "orbit.altitude_km: -5 km is inside the Earth; use 150 km or more"),
     (
         ["orbit.altitude_km=100"],
-        "orbit.altitude_km: 100 km is within the atmosphere, where no orbit lasts; use 150 km or more",
+        "orbit.altitude_km: 100 km is within the atmosphere, where orbits decay; use 150 km or more",
     ),
     (
         ["detector.pixel_pitch_um=[0.3, 10]"],
-        "detector.pixel_pitch_um: 0.3 µm is smaller than a wavelength of light; use 0.4 µm or more",
+        "detector.pixel_pitch_um: 0.3 µm is less than a wavelength of light; use 0.4 µm or more",
     ),
     (
         ["optics.focal_length_mm=0.2", "optics.aperture_mm=0.1"],
-        "optics.focal_length_mm: 0.2 mm before a detector of 7.24 mm diagonal sees 173.7°, more than the 170° a flat "
-        "image holds; use a longer one",
+        "optics.focal_length_mm: 0.2 mm with a detector of 7.24 mm diagonal has a field of 173.7°, more than the "
+        "170° of a pinhole; use a longer focal length",
     ),
     (
         ["optics.focal_length_mm=500", "optics.psf.sigma_px=0.3"],
-        "optics.psf.sigma_px: 0.3 px is sharper than diffraction at f/20 and 600 nm allows; use 0.504 px or more",
+        "optics.psf.sigma_px: 0.3 px is narrower than the diffraction limit at f/20 and 600 nm; use 0.504 px or more",
     ),
     (
         ["optics.focal_length_mm=500", "optics.psf.first_dark_ring_px=1"],
-        "optics.psf.first_dark_ring_px: 1 px is sharper than diffraction at f/20 and 600 nm allows; use 1.46 px or more",
+        "optics.psf.first_dark_ring_px: 1 px is narrower than the diffraction limit at f/20 and 600 nm; use 1.46 px or more",
     ),
     (
         ["detector.temperature_c=200"],
@@ -51,25 +51,28 @@ UNPHYSICAL = [
     ),
     (
         ["detector.dark_current_e_s=1e6"],
-        "detector.exposure_s: within 0.1 s at 20 °C the dark current alone gives 6.48e+04 e⁻ and fills the well of "
-        "30000 e⁻; shorten it, or cool the detector",
+        "detector.exposure_s: in 0.1 s at 20 °C the dark current alone generates 6.48e+04 e⁻ and fills the well of "
+        "30000 e⁻; shorten the exposure or cool the detector",
     ),
-    (["detector.exposure_s=7000"], "detector.exposure_s: 7000 s is longer than the orbit of 6052 s; shorten it"),
+    (
+        ["detector.exposure_s=7000"],
+        "detector.exposure_s: 7000 s is longer than the orbit of 6052 s; use a shorter exposure",
+    ),
     (
         ["detector.gain_e_per_dn=0.001", "detector.read_noise_e=12"],
-        "detector.gain_e_per_dn: 0.001 e⁻/DN puts the converter's top at 4.09 e⁻, below the read noise of 12 e⁻; "
-        "raise it, or adc_bits",
+        "detector.gain_e_per_dn: 0.001 e⁻/DN limits the range of the converter to 4.09 e⁻, below the read noise of 12 e⁻; "
+        "increase it or adc_bits",
     ),
     (
         ["detector.gain_e_per_dn=50000"],
-        "detector.gain_e_per_dn: 50000 e⁻/DN makes less than one DN of a full well of 30000 e⁻; lower it",
+        "detector.gain_e_per_dn: 50000 e⁻/DN gives less than one DN for a full well of 30000 e⁻; decrease it",
     ),
 ]
 
 IMPOSSIBLE = [
     (
         ["orbit.ltan_h=6", "orbit.raan_deg=10"],
-        "--set orbit.raan_deg: the node is already given by orbit.ltan_h; give one of them, and set the other to null",
+        "--set orbit.raan_deg: the node is already defined by orbit.ltan_h; set one of them to null",
     ),
     (
         ["orbit.altitude_km=7000"],
@@ -78,11 +81,11 @@ IMPOSSIBLE = [
     ),
     (
         ["orbit.altitude_km=-7000"],
-        "--set orbit.altitude_km: -7000 km lies beyond the Earth's centre; use 150 km or more",
+        "--set orbit.altitude_km: -7000 km is below the Earth's centre; use 150 km or more",
     ),
     (
         ["orbit.altitude_km=-5", "orbit.propagator=sgp4"],
-        "--set orbit.altitude_km: -5 km is inside the Earth; use 150 km or more (sgp4 knows no such orbit)",
+        "--set orbit.altitude_km: -5 km is inside the Earth; use 150 km or more (not supported by sgp4)",
     ),
     (
         ["epoch=2053-01-01"],
@@ -90,20 +93,21 @@ IMPOSSIBLE = [
     ),
     (
         ["pointing.mounting=[0, 0, 0, 0]"],
-        "--set pointing.mounting: a quaternion of zeros is no rotation; [0, 0, 0, 1] is none at all",
+        "--set pointing.mounting: a quaternion of zeros is not a rotation; use [0, 0, 0, 1] for no rotation",
     ),
     (
         ["optics.psf={model: airy, sigma_px: 1}"],
-        "--set optics.psf: optics.psf.sigma_px: an airy image has no sigma_px; use first_dark_ring_px, or model: gaussian",
+        "--set optics.psf: optics.psf.sigma_px: model: airy does not use sigma_px; "
+        "use first_dark_ring_px, or model: gaussian",
     ),
     (
         ["optics.psf.sigma_px=1", "optics.psf.first_dark_ring_px=2"],
-        "--set optics.psf.sigma_px: the width is already given by first_dark_ring_px; give one of them, and set the other "
-        "to null",
+        "--set optics.psf.sigma_px: the width is already defined by first_dark_ring_px; set one of them to null",
     ),
     (
         ["detector.offset_dn=5000"],
-        "--set detector.offset_dn: 5000 DN leaves nothing of the converter's 4095 DN (12 bits); lower it, or raise adc_bits",
+        "--set detector.offset_dn: 5000 DN uses the full range of the converter, 4095 DN (12 bits); "
+        "decrease it or increase adc_bits",
     ),
     (
         ["tracker.magnitude_limit=-3"],
@@ -111,7 +115,7 @@ IMPOSSIBLE = [
     ),
     (
         ["tracker.centroid.window_px=4"],
-        "--set tracker.centroid.window_px: must be odd, so that it has a middle pixel, not 4; use 3 or 5",
+        "--set tracker.centroid.window_px: must be odd, so that a pixel is at the centre, not 4; use 3 or 5",
     ),
     (
         [

@@ -37,7 +37,7 @@ def test_two_over_exposed_stars_shorten_the_exposure():
     assert verdict.image is None
     assert min(verdict.saturated_px) > 4
     assert operation.exposure_s == 0.2
-    assert "0.2 s in place of 0.4 s" in verdict.reason
+    assert "next exposure 0.2 s instead of 0.4 s" in verdict.reason
 
 
 @pytest.mark.parametrize("second", [FAINT, 1_200.0])

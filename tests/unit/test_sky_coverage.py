@@ -215,7 +215,7 @@ def test_the_limit_is_what_camera_and_tracker_both_know():
     assert "tracker.magnitude_limit" in cubesat.limit_reason
     dim = coverage(load_scenario("cubesat", ["optics.aperture_mm=4"]), 20)
     assert 5.0 < dim.magnitude_limit < 6.5
-    assert dim.limit_reason == "the faintest star that the camera detects"
+    assert dim.limit_reason == "the camera's detection limit"
 
 
 def test_wrong_numbers_are_told():

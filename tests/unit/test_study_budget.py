@@ -100,7 +100,7 @@ def test_one_outlier_is_named_and_belongs_to_no_effect(monkeypatch, wrong):
     found = budget(Scenario.load("cubesat", overrides=QUIET), N)
     (outlier,) = found.outliers
     assert (outlier.index, outlier.axis, outlier.wrong) == (17, "cross_x", wrong)
-    assert outlier.runs == ("everything on",)
+    assert outlier.runs == ("all effects on",)
     assert outlier.error_deg == pytest.approx(600.0 / 3600)
     # robust sigma √(9 + 4 + 1 + 0.25) = 3.77″, good to some 3 % for 2000 trials
     assert outlier.sigmas == pytest.approx(600.0 / 3.775, rel=0.1)
@@ -113,7 +113,7 @@ def test_one_outlier_is_named_and_belongs_to_no_effect(monkeypatch, wrong):
     text = found.table()
     assert "trial 17" in text
     assert "600.000″ cross x" in text
-    assert "'everything on'" in text
+    assert "'all effects on'" in text
     entry = json.loads(json.dumps(found.to_dict(), allow_nan=False))["outliers"]
     assert [row["index"] for row in entry] == [17]
 
@@ -130,7 +130,7 @@ def test_outlier_of_the_scene_stays_in_every_run(monkeypatch):
     (outlier,) = budget(Scenario.load("cubesat", overrides=QUIET), 200).outliers
     assert (outlier.index, outlier.axis) == (3, "about_boresight")
     assert len(outlier.runs) == outlier.of == 6
-    assert "belongs to the scene" in str(outlier)
+    assert "caused by the scene" in str(outlier)
 
 
 def test_bias_that_is_switched_off_makes_no_outliers():
@@ -138,10 +138,10 @@ def test_bias_that_is_switched_off_makes_no_outliers():
     rng = np.random.default_rng(8)
     noise, all_right = rng.normal(size=(50, 3)) / 7200, np.ones(50, bool)
     runs = [noise + 10.0 / 3600, noise]
-    assert find_outliers(("everything on", "bias"), runs, [all_right] * 2, [all_right] * 2) == ()
+    assert find_outliers(("all effects on", "bias"), runs, [all_right] * 2, [all_right] * 2) == ()
     runs[1] = noise + 0.0
     runs[1][4, 1] = 150.0 / 3600
-    (outlier,) = find_outliers(("everything on", "bias"), runs, [all_right] * 2, [all_right] * 2)
+    (outlier,) = find_outliers(("all effects on", "bias"), runs, [all_right] * 2, [all_right] * 2)
     assert (outlier.index, outlier.axis, outlier.runs) == (4, "cross_y", ("bias",))
     assert find_outliers(("on",), [runs[1][:10]], [all_right[:10]], [all_right[:10]]) == ()  # too few to say
 
@@ -163,7 +163,7 @@ def test_an_interrupt_keeps_what_is_done(monkeypatch):
     assert "Interrupted" in found.table()
     calls.append(None)
     calls[:] = [None, None]
-    with pytest.raises(BoresightError, match="nothing to report"):
+    with pytest.raises(BoresightError, match="no results"):
         budget(Scenario.load("cubesat", overrides=QUIET), 50)
 
 

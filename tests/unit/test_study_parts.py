@@ -96,7 +96,7 @@ def test_broken_parts_and_litter_are_run_again(scenario, tmp_path):
     aside = tmp_path / DAMAGED_FOLDER
     assert sorted(path.name for path in aside.iterdir()) == [first.name, second.name, third.name]
     assert [note.split(": ")[0] for note in again.notes] == [str(first), str(second), str(third)]
-    assert all(f"damaged: its contents do not match its checksum; set aside in {aside}" in note for note in again.notes)
+    assert all(f"damaged: its contents do not match its checksum; moved to {aside}" in note for note in again.notes)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -128,7 +128,7 @@ def test_parts_that_are_damaged_or_deleted_while_a_run_goes_on_are_missing_again
         store.put(range(start, start + 10), rows(range(start, start + 10)))
     assert store.missing(40) == [range(20)]
     assert store.check()
-    assert "is gone" in store.notes[0]
+    assert "is missing" in store.notes[0]
     assert "damaged" in store.notes[1]
     files(tmp_path)[0].write_bytes(b"")
     assert not store.check()
@@ -148,7 +148,9 @@ def test_parts_of_another_scenario_are_refused_and_more_trials_are_not(scenario,
     PartStore(scenario, tmp_path, resume=False).put(range(5), rows(range(5)))
     assert PartStore(scenario.with_values(trials=7), tmp_path, resume=True).missing(7) == [range(5, 7)]
     for resume in (True, False):
-        with pytest.raises(InputError, match=r"holds unfinished trials of another run \(scenario 'cubesat', seed 1, 7"):
+        with pytest.raises(
+            InputError, match=r"contains unfinished trials of another run \(scenario 'cubesat', seed 1, 7"
+        ):
             PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume)
     assert len(files(tmp_path)) == 1
 

@@ -150,7 +150,7 @@ def test_outliers_are_listed_with_their_trial():
     columns["stars_misidentified"][30] = 2
     found = outliers(columns)
     assert [entry["index"] for entry in found] == [107, 120, 130]
-    assert "cross_y off by" in found[0]["why"]
+    assert "cross_y error" in found[0]["why"]
     assert found[0]["errors_deg"]["cross_y"] == 8e-4
     assert [entry["why"] for entry in found[1:]] == ["wrong attitude", "misidentified stars: 2"]
     summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})

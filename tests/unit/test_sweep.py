@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.checks import load_scenario
-from simulator.cli.sweep_command import time_left_s
+from simulator.cli.terminal import time_left_s
 from simulator.scenario import ScenarioError
 from simulator.study.sweep.files import point_files
 from simulator.study.sweep.run import plan_sweep, run_sweep
@@ -116,7 +116,7 @@ def test_another_sweep_is_not_replaced(plan, sweep, tmp_path, resume):
         (OVER[:-1], TRIALS, SEED, "a sweep with other values"),
     ]:
         other = plan_sweep("tc211", over, trials=trials, seed=seed)
-        with pytest.raises(InputError, match=f"holds the results of {words}.*{stands}"):
+        with pytest.raises(InputError, match=f"contains the results of {words}.*{stands}"):
             run_sweep(other, sweep[0].folder, resume=resume)
 
 
@@ -150,7 +150,7 @@ def test_a_damaged_point_is_computed_again(plan, sweep, tmp_path):
 def test_a_folder_of_somebody_else_is_left_alone(plan, tmp_path):
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="no sweep's"):
+    with pytest.raises(InputError, match="do not belong to a sweep"):
         run_sweep(plan, tmp_path)
     assert (tmp_path / "points" / "mine.txt").read_text() == "keep"
 
@@ -177,7 +177,7 @@ def test_files_agree_with_each_other(sweep):
 
 
 def test_a_sweep_in_which_nothing_can_be_is_an_error():
-    with pytest.raises(InputError, match=r"none of the 2 points can be; the first: .* f/0\.48"):
+    with pytest.raises(InputError, match=r"none of the 2 points are possible; the first: .* f/0\.48"):
         plan_sweep("tc211", ["optics.aperture_mm=31,40"])
 
 

@@ -34,7 +34,7 @@ def test_steps_are_equal_to_a_tuple_of_them_and_can_be_sent():
     assert steps != Steps(FIRST)
     assert steps != 3
     assert hash(steps) == hash((FIRST, SECOND))
-    assert repr(steps) == repr((FIRST, SECOND))
+    assert repr(steps) == "<2 steps: image, detection>"
     with pytest.raises(IndexError):
         Steps()[0]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
@@ -82,8 +83,8 @@ def test_base_may_be_the_name_of_a_scenario_that_ships(tmp_path, monkeypatch):
 @pytest.mark.parametrize("text", ["2026-02-30", "2026-13-01T00:00:00Z", "2026-03-21T25:00:00"])
 def test_a_date_that_does_not_exist_is_called_so(fails, text):
     line = fails("render", "cubesat", "--at", text)
-    assert "there is no such date or time" in line
-    with pytest.raises(ScenarioError, match="there is no such date or time"):
+    assert "no such date or time" in line
+    with pytest.raises(ScenarioError, match="no such date or time"):
         load_scenario("cubesat", [f"epoch='{text}'"])
 
 
@@ -93,23 +94,61 @@ def test_what_is_no_date_at_all_still_is_none(fails):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("solve", "a.png", "--annotate", "out.gif"), ("render", "cubesat", "--preview", "out.jpeg"),
+    [("solve", "a.png", "--annotate", "out.gif"), ("render", "cubesat", "--preview", "out.bmp"),
      ("calibrate", "a.png", "--plot", "out")],
 )  # fmt: skip
 def test_pictures_are_written_in_the_format_of_their_suffix_or_not_at_all(fails, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     Image.fromarray(np.zeros((64, 64), np.uint8)).save("a.png")
-    assert "png, svg or pdf" in fails(*arguments)
+    assert "png, jpg, jpeg, svg or pdf" in fails(*arguments)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png"]
 
 
-@pytest.mark.parametrize(("suffix", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
+@pytest.mark.parametrize(
+    ("suffix", "start"),
+    [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("jpg", b"\xff\xd8\xff"), ("JPEG", b"\xff\xd8\xff")],
+)
 def test_annotated_pictures_in_each_format(command, tmp_path, suffix, start):
     picture = tmp_path / "a.png"
     Image.fromarray(np.zeros((64, 64), np.uint8)).save(picture)
     out = tmp_path / f"out.{suffix}"
     assert command("solve", picture, "--annotate", out)[0] == 1
     assert out.read_bytes().startswith(start)
+
+
+def test_several_images_get_a_picture_each_in_a_folder(command, fails, tmp_path):
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "b.png", "a.bmp"):
+        Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "in" / name)
+    assert command("solve", tmp_path / "in", "--annotate", tmp_path / "out", "--wcs", tmp_path / "wcs")[0] == 1
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a-png.png", "a.png", "b.png"]
+    assert not [*(tmp_path / "wcs").iterdir()]  # nothing is solved
+    assert "name a folder" in fails("solve", tmp_path / "in", "--annotate", tmp_path / "out.png")
+    assert command("solve", tmp_path / "in" / "b.png", "--annotate", tmp_path / "out")[0] == 1
+
+
+def test_an_image_comes_from_standard_input(command, fails, tmp_path, monkeypatch):
+    picture = io.BytesIO()
+    Image.fromarray(np.zeros((64, 64), np.uint8)).save(picture, "png")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(picture.getvalue())))
+    status, answer, _ = command("solve", "-", "--annotate", tmp_path / "a.svg")
+    assert status == 1
+    assert answer.startswith("standard-input: ")
+    assert (tmp_path / "a.svg").is_file()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"")))
+    assert fails("solve", "-").startswith("standard-input: is empty")
+    assert "only once" in fails("solve", "-", "-")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [(("--time", "yesterday"), "--time: 'yesterday' is not an ISO 8601 time"), (("--time", "2090-01-01"), "1899-07-29"),
+     (("--colour",), "--annotate")],
+)  # fmt: skip
+def test_options_of_annotated_pictures(fails, tmp_path, options, says):
+    picture = tmp_path / "a.png"
+    Image.fromarray(np.zeros((64, 64), np.uint8)).save(picture)
+    assert says in fails("solve", picture, *options)
 
 
 def test_a_method_without_a_camera_is_refused(fails, tmp_path):

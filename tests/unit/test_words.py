@@ -1,13 +1,14 @@
 """Comments, docstrings, messages and documents use the standard terms of the field."""
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCANNED = ("simulator", "startracker", "docs", "scenarios", "benchmarks", "README.md", "CHANGELOG.md")
-SUFFIXES = (".py", ".md", ".yaml", ".c", ".h")
+SCANNED = ("simulator", "startracker", "docs", "scenarios", "benchmarks", "notebooks", "README.md", "CHANGELOG.md")
+SUFFIXES = (".py", ".md", ".yaml", ".c", ".h", ".ipynb")
 
 TERMS = {
     r"places?": "position (of a star or an image), index (in a table)",
@@ -49,7 +50,6 @@ NOT_YET = (
     "simulator/theses",
     "startracker/centroid",
     "startracker/detection",
-    "startracker/identification",
 )
 """Files and folders that are still to be rewritten; the list only becomes shorter."""
 
@@ -70,15 +70,22 @@ def found(line: str) -> list[str]:
 def _files() -> list[Path]:
     """Files that are checked."""
     every = [p for name in SCANNED for p in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))]
-    names = {p: p.relative_to(ROOT).as_posix() for p in every if p.suffix in SUFFIXES}
+    made = {"generated", "_build"}  # of the site, from what is checked here
+    names = {p: p.relative_to(ROOT).as_posix() for p in every if p.suffix in SUFFIXES and not made & set(p.parts)}
     return sorted(p for p, name in names.items() if not any(name == n or name.startswith(f"{n}/") for n in NOT_YET))
+
+
+def _text(path: Path) -> str:
+    """Text of a file; of a notebook its cells without their outputs."""
+    text = path.read_text(encoding="utf-8")
+    return "\n".join("".join(cell["source"]) for cell in json.loads(text)["cells"]) if path.suffix == ".ipynb" else text
 
 
 def test_texts_use_the_terms_of_the_field():
     faults = [
         f"{path.relative_to(ROOT)}:{number}: {fault}"
         for path in _files()
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        for number, line in enumerate(_text(path).splitlines(), 1)
         for fault in found(line)
     ]
     assert not faults, "\n".join(faults)

@@ -1,1 +1,1 @@
-"""Error budgets: what each effect adds."""
+"""Error budgets: the contribution of each effect."""

@@ -1,5 +1,5 @@
-"""Effects that an error budget switches off, and how, grouped by the classes of ECSS-E-ST-60-20C (Stars sensor
-terminology and performance specification)."""
+"""Effects that an error budget switches off, grouped by the classes of ECSS-E-ST-60-20C (Stars sensor terminology and
+performance specification)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CLASSES = {
     "temporal": "temporal noise",
     "rate": "rate-dependent error",
 }
-"""Classes of ECSS-E-ST-60-20C, and errors that grow with the angular rate in one of their own."""
+"""Classes of ECSS-E-ST-60-20C, and a separate class for errors that grow with the angular rate."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,12 @@ class Effect:
 
     name: str
     kind: str
-    """Its class, a key of `CLASSES`."""
+    """Class, a key of `CLASSES`."""
     keys: Changes | Callable[[Scenario], Changes]
-    """Keys of the scenario, by dotted path, with the values that switch it off."""
+    """Keys of the scenario by dotted path, with the values that switch the effect off."""
 
     def off(self, scenario: Scenario) -> Changes:
-        """Keys of a scenario that switch it off; none where that changes nothing of what its camera sees or does."""
+        """Changes of a scenario that switch the effect off; empty if the scenario does not have it."""
         changes = self.keys(scenario) if callable(self.keys) else self.keys
         now = flatten(scenario)
         return changes if any(now[path] != value for path, value in changes.items()) else {}
@@ -50,8 +50,8 @@ def _even_gain(scenario: Scenario) -> Changes:
 
 
 def _no_rate(scenario: Scenario) -> Changes:
-    """Body rate that undoes the turning of the local level, 2π a period about −Y (`simulator.mission.pointing`),
-    or a spin about +Z."""
+    """Body rate that cancels the rotation of the local level, 2π per period about −Y (`simulator.mission.pointing`), or
+    a spin about +Z."""
     spin_deg_s = scenario.pointing.spin.rate_deg_s
     if spin_deg_s:
         return {"pointing.rate_deg_s": (0.0, 0.0, -spin_deg_s)}
@@ -112,5 +112,5 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("smear by rates", "rate", _no_rate),
     Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0)}),
 )
-"""What can be switched off; the tracker stays as it is. The aberration of light, proper motion, parallax and the lens'
-distortion are not among them: the tracker knows and corrects them exactly."""
+"""Effects that can be switched off; the tracker is not changed. Aberration, proper motion, parallax and lens distortion
+are not included, because the tracker corrects them exactly."""

@@ -1,7 +1,7 @@
-"""What makes up the error: the same trials again with one effect switched off at a time.
+"""Error budget: the same trials repeated with one effect switched off at a time.
 
-Every run has the same seed, hence the same attitudes and, for what is still on, the same noise: differences between
-runs are those of the effect. The sums of their classes are measured too, with all effects of a class off at once.
+All runs have the same seed, hence the same attitudes and, for the remaining effects, the same noise: differences
+between runs are due to the effect. Classes are measured as well, with all effects of a class off at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one effect, or class, adds to the error."""
+    """Contribution of an effect or a class to the error."""
 
     name: str
     kind: str
@@ -34,17 +34,17 @@ class Contribution:
     rms_off_deg: dict[str, float]
     """Rms error by camera axis without it, degrees."""
     added_deg2: dict[str, float]
-    """Mean square that it adds, by axis, degrees²: that with it less that without, over the trials that both solve.
-    Negative where the error is larger without."""
+    """Contribution to the mean square error by axis, degrees²: that with it minus that without it, over the trials
+    solved in both runs. Negative if the error is larger without the effect."""
     interval_deg2: dict[str, list[float | None]]
-    """95 % bootstrap interval of these, of the paired trials; None at an end for too few."""
+    """95 % bootstrap interval of the contribution, from paired trials; None at an end for too few trials."""
     trials: int
-    """Trials that both solve, but for those set apart."""
+    """Trials solved in both runs, without outliers."""
     solved: int
-    """Trials solved without it, but for those set apart."""
+    """Trials solved without the effect, without outliers."""
 
     def added_rms_deg(self, axis: str) -> float:
-        """Square root of what it adds, with the sign of that."""
+        """Signed square root of the contribution."""
         return _root(self.added_deg2[axis])
 
 
@@ -53,52 +53,56 @@ class Budget:
     """Error budget of a scenario."""
 
     scenario: str
-    """Its name."""
+    """Name of the scenario."""
     seed: int
     trials: int
     """Seed and number of trials of every run."""
     solved: int
-    """Trials solved rightly with everything on."""
+    """Trials correctly solved with all effects."""
     rms_deg: dict[str, float]
-    """Rms error by camera axis with everything on, degrees."""
+    """Rms error by camera axis with all effects, degrees."""
     mean_deg: dict[str, float]
-    """Mean error: the bias."""
+    """Mean error (bias)."""
     effects: tuple[Contribution, ...]
     classes: tuple[Contribution, ...]
     """One effect off; all effects of a class off."""
     remainder: Contribution | None
-    """All effects off at once: its `rms_off_deg` is what the algorithms alone leave. None where nothing is on."""
+    """All effects off at once: its `rms_off_deg` is the error of the algorithms alone. None if the scenario has no
+    effect."""
     outliers: tuple[Outlier, ...] = ()
-    """Trials that are set apart, and in no other figure."""
+    """Outliers, which are excluded from all other values."""
     interrupted: bool = False
-    """Whether it was stopped before all runs were done; what is there is complete."""
+    """Whether it was interrupted before all runs were finished; the values present are complete."""
 
     def table(self) -> str:
-        """The budget as text: an effect a line, arcseconds, the largest about the first axis first."""
+        """The budget as text: one effect per line, arcseconds, sorted by the contribution about the first axis."""
         head = f"{'':34}" + "".join(f"{axis.replace('_', ' '):>26}" for axis in CAMERA_AXES)
         lines = [
             f"Error budget of {self.scenario}: {self.trials} trials, seed {self.seed}",
-            "rms in arcseconds, in brackets 95 % intervals",
+            "rms in arcseconds, 95 % intervals in brackets",
             head,
-            f"{'everything on':34}" + "".join(f"{self.rms_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES),
+            f"{'all effects on':34}" + "".join(f"{self.rms_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES),
         ]
-        for title, rows in (("added by each effect", self.effects), ("added by each class", self.classes)):
+        for title, rows in (
+            ("contribution of each effect", self.effects),
+            ("contribution of each class", self.classes),
+        ):
             lines.append(title)
             lines += [_line(row) for row in sorted(rows, key=lambda row: -row.added_deg2[CAMERA_AXES[0]])]
         if self.remainder is not None:
             left = "".join(f"{self.remainder.rms_off_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES)
-            lines.append(f"{'everything off':34}{left}")
+            lines.append(f"{'all effects off':34}{left}")
         lines.append(
-            "Added: the root of the mean square with the effect less that without; with a minus sign where the error "
-            "grows without it. Effects need not add up: weights and star counts change with them."
+            "Contribution: square root of the mean square error with the effect minus that without it; negative if "
+            "the error is larger without the effect. Contributions need not add up, as weights and star counts change."
         )
         lines += lines_of(self.outliers)
         if self.interrupted:
-            lines.append("Interrupted: effects that are not listed were not run.")
+            lines.append("Interrupted: effects that are not listed were not computed.")
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """The budget as JSON holds it; angles in degrees."""
+        """The budget as in ``budget.json``; angles in degrees."""
         return {
             "scenario": self.scenario,
             "seed": self.seed,
@@ -116,35 +120,35 @@ class Budget:
 
 
 def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress | None = None) -> Budget:
-    """Error budget of a scenario: one Monte Carlo run for everything, each effect, each class, and nothing.
+    """Error budget of a scenario: one Monte Carlo run with all effects, without each effect and class, and without any.
 
-    An effect that the scenario does not have is passed over. Trials whose error is far beyond all others in any run, or
-    wrong with everything on, are set apart (`simulator.study.budget.outliers`).
+    Effects that the scenario does not have are skipped. Trials with an outlying error in any run, or a wrong attitude
+    with all effects on, are excluded (`simulator.study.budget.outliers`).
 
     Parameters
     ----------
     scenario : Scenario
-        The scenario; its seed is that of every run.
+        The scenario; its seed is used for every run.
     trials : int
         Trials of each run, at least 2.
     workers : int
         Processes on this machine.
     progress : callable, optional
-        Called with (trials finished, trials in all), over all runs.
+        Called with (trials finished, total trials) over all runs.
 
     Raises
     ------
     InputError
         For too few trials or no workers.
     BoresightError
-        When it is interrupted before the first comparison stands, or solves nothing.
+        If it is interrupted before the first comparison, or no trial is solved.
     """
     if trials < 2:
-        raise InputError(f"trials: an error budget takes at least 2 a run, not {trials}")
+        raise InputError(f"trials: an error budget needs at least 2 per run, not {trials}")
     effects = [(effect, changes) for effect in EFFECTS if (changes := effect.off(scenario))]
     groups = {kind: [pair for pair in effects if pair[0].kind == kind] for kind in CLASSES}
     groups = {kind: members for kind, members in groups.items() if members}
-    runs: list[tuple[str, str, Changes]] = [("everything on", "", {})]
+    runs: list[tuple[str, str, Changes]] = [("all effects on", "", {})]
     runs += [(effect.name, effect.kind, changes) for effect, changes in effects]
     runs += [(CLASSES[kind], kind, _joined(members)) for kind, members in groups.items() if len(members) > 1]
     if effects:
@@ -152,13 +156,13 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
 
     done = _errors_of_runs(scenario, [changes for _, _, changes in runs], trials, workers, progress)
     if len(done) < min(2, len(runs)):
-        raise BoresightError("interrupted before the first effect was compared: nothing to report")
+        raise BoresightError("interrupted before the first effect was computed: no results")
     outliers = find_outliers([name for name, _, _ in runs][: len(done)], *zip(*done, strict=True))
     kept = np.ones(trials, np.bool_)
     kept[[outlier.index for outlier in outliers]] = False
     base, right = done[0].errors, done[0].right & kept
     if not right.any():
-        raise BoresightError("no trial is solved with everything on: there is no error to divide up")
+        raise BoresightError("no trial was solved with all effects on: there is no error to analyse")
     rows = [
         _contribution(
             name, kind, done[0]._replace(right=right), result._replace(solved=result.solved & kept), scenario.seed
@@ -185,7 +189,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
 def _errors_of_runs(
     scenario: Scenario, changes: list[Changes], trials: int, workers: int, progress: Progress | None
 ) -> list[_Run]:
-    """Errors of a run with each of the changes; of fewer where it is interrupted."""
+    """Errors of a run for each of the changes; fewer if interrupted."""
     done: list[_Run] = []
     for k, keys in enumerate(changes):
 
@@ -222,7 +226,7 @@ def _errors(table: Any) -> _Run:
 
 
 def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:
-    """What an effect adds: `base` with it, over the trials that `right` marks, `without` over those that are solved."""
+    """Contribution of an effect: `base` with it, over the trials marked by `right`, `without` over solved trials."""
     both = base.right & without.solved
     difference = base.errors[both] ** 2 - without.errors[both] ** 2
     added = difference.mean(axis=0) if both.any() else np.full(3, math.nan)

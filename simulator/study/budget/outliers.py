@@ -1,7 +1,7 @@
-"""Trials that an error budget sets apart: one error far from all others is no measure of any effect.
+"""Trials that an error budget excludes: a single large error does not measure the contribution of an effect.
 
-Such an error (a star misidentified, a cosmic ray, a blend at a threshold) often disappears when anything at all is
-changed. Its square would then be ascribed to every effect that is switched off.
+Such an error (a misidentified star, a cosmic ray, a blend at a threshold) often disappears with any change. Its square
+would then be attributed to every effect that is switched off.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 LIMIT_SIGMAS = 8.0
-"""Robust standard deviations of the errors with everything on. The normal distribution has 1e-15 beyond it; errors of
-fields with few stars, which may be three times as uncertain as the rest, 1 %."""
+"""Limit in robust standard deviations of the errors with all effects. A Gaussian exceeds it with probability 1e-15;
+errors of fields with few stars, which may have three times the uncertainty, with 1 %."""
 _MAD_TO_SIGMA = 1.4826
 _FEWEST = 20
-"""Fewer trials than this say nothing of their own spread."""
+"""Minimum number of trials for a standard deviation."""
 _MOST_LISTED = 10
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A trial that is set apart."""
+    """An excluded trial."""
 
     index: int
-    """Its index: ``boresight render --index`` shows it."""
+    """Index of the trial, for ``boresight render --index``."""
     axis: str
-    """Axis of the camera about which it errs most."""
+    """Camera axis with the largest error."""
     error_deg: float
-    """That error, in the run where it is largest."""
+    """This error, in the run in which it is largest."""
     sigmas: float
-    """The same in robust standard deviations of the errors with everything on."""
+    """The same in robust standard deviations of the errors with all effects."""
     wrong: bool
-    """Whether the attitude is called wrong in a run, and not only off."""
+    """Whether the attitude is wrong in a run, not only inaccurate."""
     runs: tuple[str, ...]
-    """Runs in which it is an outlier: ``everything on``, or the effect that is off."""
+    """Runs in which it is an outlier: ``all effects on``, or the effect that is off."""
     of: int
     """Number of runs."""
 
@@ -52,12 +52,12 @@ class Outlier:
         what = "wrong" if self.wrong else "off"
         where = f"in {len(self.runs)} of {self.of} runs" if len(self.runs) > 1 else f"with '{self.runs[0]}'"
         if 1 < self.of <= 2 * len(self.runs):
-            where += ": it belongs to the scene, whatever is off"
+            where += ": caused by the scene, independent of the effects"
         axis = self.axis.replace("_", " ")
         return f"trial {self.index}: {what} by {self.error_deg * 3600:.3f}″ {axis}, {self.sigmas:.0f} sigma, {where}"
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """As in ``budget.json``."""
         return {
             "index": self.index,
             "axis": self.axis,
@@ -71,16 +71,16 @@ class Outlier:
 def find_outliers(
     names: Sequence[str], errors: Sequence[FloatArray], right: Sequence[BoolArray], solved: Sequence[BoolArray]
 ) -> tuple[Outlier, ...]:
-    """Outliers of several runs over the same trials, in the order of their indices.
+    """Outliers of several runs of the same trials, in order of their indices.
 
-    A trial is one where it is wrong in the first run, or where its error about an axis exceeds `LIMIT_SIGMAS` times
-    1.4826 times the median magnitude of the errors of the first run, in any run. The magnitudes count from zero: an
-    effect that is a bias makes no outliers where it is switched off.
+    A trial is an outlier if it is wrong in the first run, or if its error about an axis in any run exceeds
+    `LIMIT_SIGMAS` times 1.4826 times the median magnitude of the errors of the first run. Magnitudes are measured from
+    zero, so that a bias that is switched off does not produce outliers.
 
     Parameters
     ----------
     names : sequence of str
-        The runs; the first has everything on.
+        Names of the runs; the first has all effects on.
     errors : sequence of (n, 3) arrays
         About the camera's axes, degrees.
     right, solved : sequence of (n,) arrays
@@ -112,11 +112,11 @@ def find_outliers(
 
 
 def lines_of(outliers: tuple[Outlier, ...]) -> list[str]:
-    """Lines of a table that name them."""
+    """Lines of a table that list them."""
     if not outliers:
         return []
     count = f"{len(outliers)} trial{'s' if len(outliers) > 1 else ''}"
-    lines = [f"Set apart, and in no figure above: {count}, each far beyond all others in some run, or wrong"]
+    lines = [f"Excluded from the values above: {count} with an outlying error in one of the runs, or a wrong attitude"]
     lines += [f"  {outlier}" for outlier in outliers[:_MOST_LISTED]]
     if len(outliers) > _MOST_LISTED:
         lines.append(f"  and {len(outliers) - _MOST_LISTED} more, in budget.json")

@@ -1,4 +1,4 @@
-"""The picture of an error budget: what each effect and class adds."""
+"""Plot of an error budget: contributions of effects and classes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLOURS = {
     "rate": "#cc79a7",
     "bias": "#56b4e9",
     "": "#777777",
-}  # Okabe & Ito 2008: distinguished by all eyes
+}  # Okabe & Ito 2008: distinguishable with colour-blindness
 
 _PANELS = (
     ("across the boresight (rms of x and y)", ("cross_x", "cross_y")),
@@ -29,8 +29,8 @@ _PANELS = (
 
 
 def budget_figure(budget: Budget) -> Figure:
-    """Bars of what each effect (by its class' colour) and each class adds, arcseconds, with 95 % intervals; dotted the
-    rms error with everything on, dashed what is left with everything off."""
+    """Bars of the contribution of each effect (coloured by class) and each class, arcseconds, with 95 % intervals;
+    dotted: the rms error with all effects on, dashed: with all effects off."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
@@ -43,14 +43,14 @@ def budget_figure(budget: Budget) -> Figure:
         _bars(ax, rows, positions, axes)
         everything = math.sqrt(sum(budget.rms_deg[axis] ** 2 for axis in axes) / len(axes)) * 3600
         ax.axvline(everything, color="#444444", linestyle=":")
-        lines = f"dotted: all on, {everything:.3g}″"
+        lines = f"dotted: all effects on, {everything:.3g}″"
         if budget.remainder is not None:
             left = math.sqrt(sum(budget.remainder.rms_off_deg[axis] ** 2 for axis in axes) / len(axes)) * 3600
             ax.axvline(left, color="#444444", linestyle="--")
-            lines += f"; dashed: all off, {left:.2g}″"
+            lines += f"; dashed: all effects off, {left:.2g}″"
         ax.axvline(0.0, color="black", linewidth=0.8)
         ax.set_title(f"{title}\n{lines}", fontsize=9)
-        ax.set_xlabel("added to the rms error, in square [arcsec]")
+        ax.set_xlabel("contribution to the rms error, quadratic [arcsec]")
         ax.grid(axis="x", alpha=0.3)
         ax.set_axisbelow(True)
     panels[0].set_yticks(positions, [row.name for row in rows])
@@ -61,7 +61,7 @@ def budget_figure(budget: Budget) -> Figure:
         kinds = [kind for kind in CLASSES if any(row.kind == kind for row in rows)]
         handles = [Patch(color=_COLOURS[kind], label=CLASSES[kind]) for kind in kinds]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    figure.suptitle(f"Error budget of {budget.scenario}: {budget.trials} trials a run", fontsize=11)
+    figure.suptitle(f"Error budget of {budget.scenario}: {budget.trials} trials per run", fontsize=11)
     return figure
 
 

@@ -1,6 +1,6 @@
-"""Where a camera may look: attitudes spread evenly over the whole sky, or along a mission's path.
+"""Attitudes of a camera: uniform over the whole sky, or along a mission's path.
 
-Every attitude stands for the same share, of the sky or of the time.
+All attitudes have the same weight, of the sky or of the time.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from simulator.mission.sampling import trial_time_s
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.scene import GivenState
 from simulator.sky.ephemeris import barycentric_position_au
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.constants import AU_KM
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
@@ -31,10 +33,10 @@ BoolArray = NDArray[np.bool_]
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC = 0.754_877_666_246_692_8
-"""1/ρ, ρ the plastic number: steps of the roll that repeat with no step of the golden angle."""
+"""1/ρ with ρ the plastic number: steps of the roll that are incommensurable with the golden angle."""
 
 NO_EARTH = 2.0
-"""Cosine of the Earth's radius that no direction reaches."""
+"""Cosine of the Earth's angular radius that no direction reaches."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,9 @@ class Exclusion:
 
     sun_deg: float = 0.0
     moon_deg: float = 0.0
-    """Least angle between the boresight and the centre of the body."""
+    """Minimum angle between the boresight and the centre of the body."""
     earth_deg: float = 0.0
-    """Least angle between the boresight and the Earth's limb, lit or not."""
+    """Minimum angle between the boresight and the Earth's limb, lit or dark."""
 
     def __post_init__(self) -> None:
         for name in ("sun_deg", "moon_deg", "earth_deg"):
@@ -67,11 +69,13 @@ class Boresights:
     nadir: FloatArray
     """(N, 3): Direction of the Earth's centre."""
     limb_cosine: FloatArray
-    """(N,): Cosine of the Earth's angular radius; `NO_EARTH` where the Earth hides nothing."""
+    """(N,): Cosine of the Earth's angular radius; `NO_EARTH` without occultation."""
     excluded: dict[str, BoolArray]
-    """(N,): By body (``sun``, ``moon``, ``earth``): its exclusion angle is broken."""
+    """(N,) by body (``sun``, ``moon``, ``earth``): whether its exclusion angle is violated."""
     rolls: int = 1
-    """Attitudes a direction, which follow one another."""
+    """Successive attitudes per direction."""
+
+    __repr__ = fields_repr
 
     def __len__(self) -> int:
         return len(self.matrices)
@@ -93,7 +97,7 @@ class Boresights:
 
     @property
     def roll_deg(self) -> FloatArray:
-        """Position angle (N,) of the camera's up (−y), east of north, 0 to 360."""
+        """Position angle (N,) of the camera's up direction (−y), east of north, 0 to 360."""
         east, north = _east_north(self.directions)
         up = -self.matrices[:, 1]
         angle = np.arctan2(np.sum(up * east, axis=1), np.sum(up * north, axis=1))
@@ -101,7 +105,7 @@ class Boresights:
 
     @property
     def allowed(self) -> BoolArray:
-        """Attitudes (N,) that break no exclusion angle."""
+        """Attitudes (N,) that violate no exclusion angle."""
         out = np.ones(len(self), dtype=bool)
         for broken in self.excluded.values():
             out &= ~broken
@@ -109,10 +113,10 @@ class Boresights:
 
 
 def sky_grid(count: int) -> FloatArray:
-    """Unit vectors (`count`, 3) spread evenly over the sphere: the Fibonacci lattice.
+    """Unit vectors (`count`, 3) distributed uniformly over the sphere: the Fibonacci lattice.
 
-    zᵢ = 1 − (2i + 1)/N, φᵢ = i π (3 − √5); each point stands for 4π/N (González 2010, "Measurement of areas on a
-    sphere using Fibonacci and latitude–longitude lattices", Math. Geosci. 42, 49).
+    zᵢ = 1 − (2i + 1)/N, φᵢ = i π (3 − √5); each point represents 4π/N (González 2010, "Measurement of areas on a sphere
+    using Fibonacci and latitude–longitude lattices", Math. Geosci. 42, 49).
     """
     i = np.arange(count)
     z = 1.0 - (2.0 * i + 1.0) / count
@@ -123,19 +127,19 @@ def sky_grid(count: int) -> FloatArray:
 def whole_sky(
     count: int, rolls: int = 1, scenario: Scenario | None = None, exclusion: Exclusion | None = None
 ) -> Boresights:
-    """Attitudes whose boresights fill the sky evenly.
+    """Attitudes with boresights distributed uniformly over the sky.
 
-    Rolls are spread evenly too: from direction to direction by a step that never repeats, and `rolls` of them a
-    direction at equal distances. The Earth hides no stars.
+    Rolls are uniform as well: a non-repeating step from direction to direction, and `rolls` equidistant ones per
+    direction. The Earth does not occult stars.
 
     Parameters
     ----------
     count : int
         Number of directions.
     rolls : int
-        Rolls tried at each.
+        Rolls per direction.
     scenario, exclusion : optional
-        Exclusion angles, for the Sun, the Moon and the Earth as the scenario's spacecraft sees them at the epoch.
+        Exclusion angles, for the Sun, the Moon and the Earth as seen from the scenario's spacecraft at the epoch.
 
     Raises
     ------
@@ -161,19 +165,17 @@ def whole_sky(
 def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = None) -> Boresights:
     """Attitudes at the instants of the scenario's trials 0 … `count` − 1, without the random pointing error.
 
-    What the Earth's solid body hides is left out of the counts, unless the scenario says ``sky.earth: false``.
+    Stars occulted by the Earth are not counted, unless the scenario has ``sky.earth: false``.
 
     Raises
     ------
     InputError
-        For fewer than one instant, or a scenario whose trials look at random (``study.sampling: sky``).
+        For fewer than one instant, or a scenario with random attitudes (``study.sampling: sky``).
     """
     _at_least_one("boresights", count)
     sampling = scenario.study.sampling
     if sampling == "sky" and scenario.pointing.target is None:
-        raise InputError(
-            "study.sampling: sky has no boresight path; leave --path out, or set it to mission_year or orbit"
-        )
+        raise InputError("study.sampling: sky has no boresight path; omit --path, or set it to mission_year or orbit")
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
     t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
@@ -198,7 +200,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
 
 
 def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) of a camera that is held on a star, a body or a direction, or spins."""
+    """Matrices (N, 3, 3) of a camera that points at a star, a body or a direction, or spins."""
     steady = scenario.model_copy(update={"pointing": replace(scenario.pointing, error_deg=0.0, jitter=NO_JITTER)})
     scenes = build_scenes(steady)
     scenes.plan(t_s)
@@ -207,7 +209,7 @@ def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
         def streams(stage: str) -> np.random.Generator:
             return stream(scenario.seed, stage, index)
 
-        return scenes.scene(index, streams, 1e-6, 0.0, at_s=float(t_s[index])).pointing.camera.as_matrix()
+        return scenes.scene(index, streams, 1e-6, 0.0, GivenState(at_s=float(t_s[index]))).pointing.camera.as_matrix()
 
     return np.array([attitude(index) for index in range(len(t_s))])
 
@@ -215,7 +217,7 @@ def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
 def _excluded(
     exclusion: Exclusion, clock: Clock, t_s: FloatArray, r_km: FloatArray, directions: FloatArray
 ) -> dict[str, BoolArray]:
-    """Which attitudes break which exclusion angle, for the angles that are set."""
+    """Attitudes that violate each exclusion angle that is set."""
     out: dict[str, BoolArray] = {}
     for name, body, limit in (("sun", "Sun", exclusion.sun_deg), ("moon", "Moon", exclusion.moon_deg)):
         if limit > 0.0:

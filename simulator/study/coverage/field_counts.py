@@ -1,8 +1,8 @@
-"""Kernels: which stars stand in a field, at many attitudes.
+"""Kernels: stars in the field at many attitudes.
 
-Stars come as unit vectors with their grid (`startracker.catalog.voxels`), the field as its outline
-(`startracker.catalog.field_shape`). Of each attitude the nadir and the cosine of the Earth's angular radius say what
-the Earth hides; a cosine above 1 leaves the Earth out.
+Stars are given as unit vectors with their grid (`startracker.catalog.voxels`), the field as its outline
+(`startracker.catalog.field_shape`). The nadir and the cosine of the Earth's angular radius at each attitude define the
+occultation; a cosine above 1 omits the Earth.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def circle(radius_deg: float) -> FieldShape:
 
 
 def solid_angle_sr(shape: FieldShape) -> float:
-    """Solid angle of an outline, ∫ (1 − cos ρ(φ)) dφ, with cos ρ linear between the nodes as the kernels take it."""
+    """Solid angle of an outline, ∫ (1 − cos ρ(φ)) dφ, with cos ρ linear between the nodes, as in the kernels."""
     return 2.0 * math.pi * float(np.mean(1.0 - shape.least_cosine))
 
 
@@ -80,7 +80,7 @@ def count_by_level(
     nadir: FloatArray,
     limb_cosine: FloatArray,
 ) -> IntArray:
-    """Stars in the field by level (of magnitude, say), shape (N, levels).
+    """Stars in the field by level (such as magnitude), shape (N, levels).
 
     Parameters
     ----------
@@ -116,14 +116,14 @@ def accumulate_information(
     """Stars in the field, and their information on the attitude: F = Σ wᵢ (I − bᵢ bᵢᵀ) in camera axes, rad⁻².
 
     Shuster & Oh 1981 (J. Guidance and Control 4, 70), eq. 94: the inverse of F is the covariance of the optimal
-    attitude where wᵢ = 1/σᵢ², σᵢ the error of a direction along each of its two axes.
+    attitude for wᵢ = 1/σᵢ², with σᵢ the standard error of a direction on each of its two axes.
 
     Parameters
     ----------
     weight : (S,)
-        1/σ², rad⁻², of each star; the stars come brightest first.
+        1/σ², rad⁻², of each star; brightest stars first.
     most : int
-        At most this many, the brightest, are used and counted.
+        Maximum number of stars that are used and counted, the brightest.
     matrices, directions, grid, shape, nadir, limb_cosine
         As in `count_by_level`.
 

@@ -18,7 +18,7 @@ RESULT_FILES = ("coverage.json", "coverage.parquet", "map.png", "counts.png", "m
 
 
 def write_coverage(result: Coverage, scenario: Scenario, folder: Path, identity: Identity | None = None) -> None:
-    """Write ``coverage.json``, ``coverage.parquet`` and the pictures."""
+    """Write ``coverage.json``, ``coverage.parquet`` and the plots."""
     files: dict[str, str | bytes] = {
         "coverage.parquet": parquet_bytes(result.to_table(scenario), compression="zstd"),
         "coverage.json": json_text(result.summary() | {"identity": identity.to_dict() if identity else None}),

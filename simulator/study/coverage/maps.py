@@ -1,7 +1,7 @@
-"""Pictures of a sky coverage: the map, the distribution of the counts, the counts against the magnitude limit.
+"""Plots of sky coverage: map, distribution of the counts, and counts by magnitude limit.
 
-The map is Mollweide's, equal in area, right ascension growing to the left. Its colours run through *cividis* (Nuñez,
-Anderton & Renslow 2018), which the colour-blind and a grey print see rise as everybody does.
+The map is an equal-area Mollweide projection with right ascension increasing to the left. Its colour map is *cividis*
+(Nuñez, Anderton & Renslow 2018), which is monotone with colour-blindness and in greyscale print.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ FloatArray = NDArray[np.float64]
 _MAP_COLUMNS, _MAP_ROWS = 720, 360
 _MOST_MINIMA_DRAWN = 60
 _HIGHEST_SHARE = 99.5
-"""The scale ends at this percentile of the counts, so that one rich cluster does not darken the rest."""
+"""The colour scale ends at this percentile of the counts, so that a rich cluster does not compress it."""
 
 
 def coverage_map(result: Coverage) -> Figure:
-    """Stars in the field by the direction of the boresight: of the whole sky, or the instants of a path.
+    """Stars in the field by direction of the boresight, over the whole sky or at the instants of a path.
 
-    Where several rolls were tried the fewest stars of them are shown.
+    For several rolls the minimum is shown.
     """
     looks = result.boresights
     figure, ax = _sky_axes()
@@ -43,13 +43,13 @@ def coverage_map(result: Coverage) -> Figure:
     scale: dict[str, Any] = {"cmap": "cividis", "vmin": 0, "vmax": top}
     if looks.kind == "sky":
         shown = _filled(ax, result, scale)
-        what = "whole sky" + (f", the fewest of {looks.rolls} rolls" if looks.rolls > 1 else ", one roll a direction")
+        what = "whole sky" + (f", minimum of {looks.rolls} rolls" if looks.rolls > 1 else ", one roll per direction")
     else:
         x, y = _plane(looks.directions)
         allowed = looks.allowed
         if not allowed.all():
             ax.scatter(x[~allowed], y[~allowed], s=5, c="#bbbbbb", linewidths=0, label="excluded")
-        order = np.flatnonzero(allowed)[np.argsort(-result.counts[allowed], kind="stable")]  # the fewest on top
+        order = np.flatnonzero(allowed)[np.argsort(-result.counts[allowed], kind="stable")]  # lowest counts on top
         shown = ax.scatter(x[order], y[order], s=9, c=result.counts[order], linewidths=0, **scale)
         what = "along the mission's path"
     for label, matrix, style, colour in (
@@ -60,7 +60,7 @@ def coverage_map(result: Coverage) -> Figure:
     poorest = result.poorest()
     if len(poorest):
         few = poorest[:: -(-len(poorest) // _MOST_MINIMA_DRAWN)]
-        label = f"fewest: {int(result.counts[poorest[0]])} stars at {len(poorest)} of {len(looks)}"
+        label = f"minimum: {int(result.counts[poorest[0]])} stars at {len(poorest)} of {len(looks)}"
         x, y = _plane(looks.directions[few])
         ax.plot(x, y, "x", color="white", ms=8, mew=3.2, linestyle="none")
         ax.plot(x, y, "x", color=VERMILION, ms=7, mew=1.5, linestyle="none", label=label)
@@ -72,7 +72,7 @@ def coverage_map(result: Coverage) -> Figure:
 
 
 def count_plot(result: Coverage) -> Figure:
-    """Histogram of the counts, the share with fewer than so many stars, and along a path the counts against time."""
+    """Histogram of the counts, their cumulative distribution, and for a path the counts over time."""
     counts = result.allowed_counts
     path = result.boresights.kind == "path"
     figure, grid = picture(2 if path else 1, 2, (10, 7.0 if path else 3.8))
@@ -83,9 +83,9 @@ def count_plot(result: Coverage) -> Figure:
             ax.remove()
         _against_time(figure.add_subplot(2, 1, 2), result)
     left.set_xlabel("stars in the field")
-    left.set_ylabel(f"share of the {what} [%]")
+    left.set_ylabel(f"fraction of the {what} [%]")
     right.set_xlabel("stars in the field, k")
-    right.set_ylabel(f"share of the {what} with fewer than k [%]")
+    right.set_ylabel(f"fraction of the {what} with fewer than k [%]")
     if not len(counts):
         for ax in (left, right):
             ax.text(0.5, 0.5, "all excluded", transform=ax.transAxes, ha="center", color=GREY)
@@ -94,18 +94,18 @@ def count_plot(result: Coverage) -> Figure:
     left.bar(np.arange(len(number)), 100.0 * number / len(counts), width=0.9, color=BLUE)
     left.axvline(counts.mean(), color=VERMILION, linestyle="--", label=f"mean {counts.mean():.2f}")
     even = result.summary()["stars_if_spread_evenly"]
-    left.axvline(even, color=ORANGE, linestyle=":", label=f"stars spread evenly {even:.2f}")
+    left.axvline(even, color=ORANGE, linestyle=":", label=f"uniform star density: {even:.2f}")
     left.legend(fontsize=8)
-    # share with fewer than k, for k = 0 … max + 1
+    # fraction with fewer than k, for k = 0 … max + 1
     fewer = np.concatenate([[0.0], np.cumsum(number)]) / len(counts)
     k = np.arange(len(fewer))
     seen = fewer > 0
     right.semilogy(k[seen], 100.0 * fewer[seen], "o-", color=BLUE, ms=3.5, lw=1.2)
-    right.axhline(0.1, color=GREY, linestyle="--", lw=1.0, label="0.1 %: available over 99.9 %")
+    right.axhline(0.1, color=GREY, linestyle="--", lw=1.0, label="0.1 % (availability 99.9 %)")
     floor = 100.0 / len(counts)
     right.set_ylim(0.5 * min(floor, 0.1), 150.0)
     right.set_xlim(0, None)
-    right.axhspan(0.5 * min(floor, 0.1), floor, color="#eeeeee", label=f"less than one of {len(counts)}")
+    right.axhspan(0.5 * min(floor, 0.1), floor, color="#eeeeee", label=f"below 1 of {len(counts)}")
     right.legend(fontsize=8, loc="lower right")
     figure.suptitle(
         f"{result.name}: stars to V = {result.magnitude_limit:.2f}"
@@ -116,7 +116,7 @@ def count_plot(result: Coverage) -> Figure:
 
 
 def magnitude_plot(result: Coverage) -> Figure:
-    """Mean, extremes and low percentiles of the counts against the magnitude limit."""
+    """Mean, extremes and low percentiles of the counts by magnitude limit."""
     figure, grid = picture(1, 1, (7.4, 4.4))
     ax = grid[0, 0]
     curve = result.curve[result.boresights.allowed]
@@ -129,8 +129,8 @@ def magnitude_plot(result: Coverage) -> Figure:
             result.limits, curve.min(axis=0), curve.max(axis=0), color=BLUE, alpha=0.12, lw=0, label="range"
         )
         ax.plot(result.limits, curve.mean(axis=0), "-", color=BLUE, lw=1.8, label="mean")
-        ax.plot(result.limits, low[1], "--", color=GREEN, lw=1.4, label="99 % have at least")
-        ax.plot(result.limits, low[0], "-.", color=ORANGE, lw=1.4, label="99.9 % have at least")
+        ax.plot(result.limits, low[1], "--", color=GREEN, lw=1.4, label="exceeded in 99 %")
+        ax.plot(result.limits, low[0], "-.", color=ORANGE, lw=1.4, label="exceeded in 99.9 %")
         ax.plot(result.limits, curve.min(axis=0), ":", color=VERMILION, lw=1.6, label="fewest")
     ax.axvline(result.magnitude_limit, color=GREY, lw=1.0)
     ax.annotate(
@@ -152,7 +152,7 @@ def magnitude_plot(result: Coverage) -> Figure:
 
 
 def _against_time(ax: Axes, result: Coverage) -> None:
-    """Every instant of a path."""
+    """Counts at every instant of a path."""
     looks = result.boresights
     longest = float(np.ptp(looks.t_s))
     unit, seconds = ("days", 86_400.0) if longest > 172_800.0 else ("minutes", 60.0)
@@ -171,7 +171,7 @@ def _against_time(ax: Axes, result: Coverage) -> None:
 
 # ---------------------------------------------------------------------- the sky
 def _plane(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Longitude and latitude as Mollweide's axes take them, right ascension growing to the left, 180° in the middle."""
+    """Longitude and latitude for Mollweide axes, right ascension increasing to the left, 180° at the centre."""
     ra, dec = direction_to_radec(directions)
     return -((ra % (2.0 * np.pi)) - np.pi), dec
 
@@ -195,7 +195,7 @@ def _sky_axes() -> tuple[Figure, Axes]:
 
 
 def _filled(ax: Axes, result: Coverage, scale: dict[str, Any]) -> Any:
-    """The count of the nearest direction in every cell of the map; excluded cells grey."""
+    """Count at the nearest direction for every cell of the map; excluded cells are grey."""
     looks = result.boresights
     directions = looks.directions[:: looks.rolls]
     fewest = result.counts.reshape(-1, looks.rolls).min(axis=1).astype(float)
@@ -210,7 +210,7 @@ def _filled(ax: Axes, result: Coverage, scale: dict[str, Any]) -> Any:
 
 
 def _great_circle(ax: Axes, to_frame: FloatArray, style: str, colour: str, label: str) -> None:
-    """Equator of a frame (rows of `to_frame`: its axes in ICRS), cut where it leaves the map."""
+    """Equator of a frame (rows of `to_frame`: its axes in ICRS), interrupted at the edge of the map."""
     t = np.linspace(0.0, 2.0 * np.pi, 721)
     circle = np.cos(t)[:, None] * to_frame[0] + np.sin(t)[:, None] * to_frame[1]
     x, y = _plane(circle)

@@ -1,8 +1,8 @@
-"""What a scenario's camera makes of a star before any frame is drawn: detected or not, and how well centred.
+"""Predicted sensitivity of a scenario's camera, without rendering: detection limit and centroid error.
 
-The star's image (PSF, smear, pixels) and the noise of its pixels give the signal-to-noise ratio of the detection and
-the Cramér–Rao bound of the centroid. Left out: stray light, ghosts, jitter, cosmic rays, hot pixels, errors of the
-catalogue and of the calibration.
+The star image (PSF, smear, pixels) and the pixel noise determine the signal-to-noise ratio of the detection and the
+Cramér–Rao bound of the centroid. Not included: stray light, ghosts, jitter, cosmic rays, hot pixels, catalogue and
+calibration errors.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from simulator.study.coverage.boresights import sky_grid
 from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "nominal_rate_rad_s"]
@@ -34,14 +35,14 @@ __all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "no
 FloatArray = NDArray[np.float64]
 
 _POSITIONS = 16
-"""Places in the field, each at another phase within its pixel, over which images and bounds are averaged."""
+"""Number of field positions, with different sub-pixel phases, over which images and bounds are averaged."""
 
 _HALF_WIDTHS, _LEAST_HALF = 4.0, 4
-"""An image reaches so many σ, or pixels, to either side of the star's path."""
+"""Half width of an image beside the star's path, in σ or pixels."""
 
 _ELECTRONS = np.geomspace(10.0, 1e9, 65)
 _B_V = 0.6
-"""Colour of the star that magnitude limits hold for."""
+"""B−V of the star to which magnitude limits refer."""
 
 
 @dataclass(frozen=True)
@@ -50,56 +51,59 @@ class Pixel:
 
     sky_e: float
     dark_e: float
-    """Mean electrons of the diffuse sky and of the dark current."""
+    """Mean electrons of diffuse sky and dark current."""
     noise_e: float
     """Standard deviation, electrons."""
     top_e: float
-    """Electrons at which it saturates."""
+    """Saturation level, electrons."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What the camera of a scenario detects, and the error of its centroids."""
+    """Detection limit and centroid errors of a scenario's camera."""
 
     camera: Camera
     """The calibrated camera."""
     pixel: Pixel
     """Background and noise of a pixel without a star."""
     photometer: Photometer
-    """Electrons a second of stars in the middle of the field."""
+    """Electrons per second of stars at the centre of the field."""
     gathered_s: float
-    """Exposure times the mean illumination of the field against its middle."""
+    """Exposure time × mean illumination of the field relative to its centre."""
     snr_per_electron: float
-    """Signal-to-noise ratio of the detection for each electron of a star."""
+    """Signal-to-noise ratio of the detection per electron of a star."""
     least_snr: float
-    """Ratio from which on a star counts as detected."""
+    """Minimum ratio of a detected star."""
     electrons: FloatArray
     sigma_px: FloatArray
     """(K,): Electrons of a star, and the Cramér–Rao bound of its centroid: root mean square of the two axes, pixels."""
 
+    __repr__ = fields_repr
+
     @property
     def least_electrons(self) -> float:
-        """Electrons of the faintest star that is detected."""
+        """Electrons of the faintest detectable star."""
         return self.least_snr / self.snr_per_electron
 
     @property
     def magnitude_limit(self) -> float:
-        """V of the faintest star (of B−V = 0.6) that is detected: one in two of its kind is."""
+        """V of the faintest detectable star (B−V = 0.6), with a detection probability of 50 %."""
         at_zero = float(self.electrons_of(np.zeros(1), np.array([_B_V]))[0])
         return 2.5 * math.log10(at_zero / self.least_electrons)
 
     def electrons_of(self, v_mag: FloatArray, b_v: FloatArray, giant: FloatArray | None = None) -> FloatArray:
-        """Electrons (N,) of stars in an exposure, the mean over the field; arguments as `Photometer` takes them."""
+        """Electrons (N,) of stars in an exposure, mean over the field; arguments as for `Photometer`."""
         return self.photometer.electrons_per_s(v_mag, b_v, giant) * self.gathered_s
 
     def sigma_rad(self, electrons: FloatArray) -> FloatArray:
-        """Error of the direction of stars along each of two axes, radians; infinite where nothing is left of a star."""
+        """Standard error of the directions of stars on one axis, radians; infinite if saturation leaves no
+        information."""
         logarithm = np.interp(np.log(np.maximum(electrons, 1e-300)), np.log(self.electrons), np.log(self.sigma_px))
         return np.asarray(np.exp(logarithm) * self.camera.pixel_rad)
 
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
-    """Angular velocity (3,) of the camera against the sky in camera axes, without pointing error."""
+    """Inertial angular velocity (3,) of the camera in camera axes, without pointing error."""
     pointing = scenario.pointing
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
@@ -114,21 +118,21 @@ def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
 def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivity:
     """Sensitivity of a scenario's camera.
 
-    A star is detected where its signal-to-noise ratio reaches `snr`. With the tracker's matched filter that is
-    F √(Σ p²)/σ, p the shares of its light in the pixels and σ the noise of a pixel; without it F p_k/σ, p_k the share
-    of the k-th brightest pixel, k = `min_pixels`.
+    A star is detected if its signal-to-noise ratio is at least `snr`. With the tracker's matched filter it is F √(Σ
+    p²)/σ, with p the fractions of the light in the pixels and σ the noise of a pixel; without it F p_k/σ, with p_k the
+    fraction in the k-th brightest pixel, k = `min_pixels`.
 
     Parameters
     ----------
     scenario : Scenario
         The scenario.
     snr : float, optional
-        Least ratio; left out, the tracker's ``detection.threshold_sigma``.
+        Minimum ratio; by default the tracker's ``detection.threshold_sigma``.
 
     Raises
     ------
     InputError
-        For a ratio that is not positive, or names in the scenario that cannot be used.
+        For a ratio that is not positive, or invalid names in the scenario.
     """
     detection = scenario.tracker.detection
     least = detection.threshold_sigma if snr is None else snr
@@ -167,16 +171,17 @@ def centroid_bound_px(
     exposure_s: float,
 ) -> FloatArray:
     """Cramér–Rao bound (P, 2) of a star's position along columns and rows, pixels: the inverse of
-    `simulator.study.trials.bounds.fisher_of_position`, infinite where saturation leaves nothing.
+    `simulator.study.trials.bounds.fisher_of_position`, infinite if saturation leaves no information.
 
     Parameters
     ----------
     images : three (P, M, M) arrays
-        Share of the light in each pixel for P positions, and its slopes (`simulator.study.trials.bounds.image_slopes`).
+        Fraction of the light in each pixel for P positions, and its derivatives
+        (`simulator.study.trials.bounds.image_slopes`).
     electrons : float
         Electrons of the star.
     pixel : Pixel
-        Of a pixel without a star.
+        Background and noise.
     detector, exposure_s : DetectorParameters, float
         The detector and its exposure time.
     """
@@ -193,10 +198,11 @@ def centroid_bound_px(
 
 
 def _images(plane: FocalPlane, rate_rad_s: FloatArray, exposure_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Smeared images (P, H, W) of a star at positions spread over the field, and their derivatives along x and y."""
+    """Smeared images (P, H, W) of a star at positions distributed over the field, and their derivatives along x and
+    y."""
     camera = plane.camera
     k = np.arange(_POSITIONS)
-    # at the rms distance from the centre, so that a roll draws streaks of the rms length
+    # at the rms distance from the centre, so that a roll rate gives streaks of the rms length
     azimuth = 2.0 * math.pi * k / _POSITIONS
     x = 0.5 * (camera.width - 1) + camera.width / math.sqrt(6.0) * np.cos(azimuth)
     y = 0.5 * (camera.height - 1) + camera.height / math.sqrt(6.0) * np.sin(azimuth)
@@ -204,7 +210,7 @@ def _images(plane: FocalPlane, rate_rad_s: FloatArray, exposure_s: float) -> tup
     psf = plane.psfs.psf(_B_V)
     paths, weights = star_paths(camera, camera.unproject(positions), rate_rad_s, exposure_s, psf.feature_px)
     if not np.isfinite(paths).all():
-        raise InputError("the lens model gives no direction at the rms distance from the centre of the image")
+        raise InputError("the lens model has no direction at the rms distance from the image centre")
     local = paths - np.rint(positions)[:, None, :]
     sigma = max(psf.sigma_px, psf.sigma_y_px)
     half = max(_LEAST_HALF, psf.core_half_px, math.ceil(_HALF_WIDTHS * sigma)) + math.ceil(float(np.abs(local).max()))
@@ -226,7 +232,7 @@ def _pixel(plane: FocalPlane, detector: DetectorParameters, exposure_s: float) -
 
 
 def _mean_illumination(plane: FocalPlane) -> float:
-    """Mean light of a star over the field against one in the middle: vignetting."""
+    """Mean relative illumination of stars over the field (vignetting)."""
     camera = plane.camera
     if plane.vignetting.is_off:
         return 1.0

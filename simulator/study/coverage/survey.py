@@ -1,7 +1,7 @@
-"""Sky coverage: how many stars a field holds, over the whole sky or along a mission's path.
+"""Sky coverage: number of stars in the field, over the whole sky or along a mission's path.
 
-Each attitude of `simulator.study.coverage.boresights` is looked at once; from the counts follow minima, percentiles and
-the availability, the share of the sky or of the time with at least k stars.
+The counts at the attitudes of `simulator.study.coverage.boresights` give minima, percentiles and the availability,
+which is the fraction of the sky or of the time with at least k stars.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import voxel_grid
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 __all__ = ["Coverage", "baffle_exclusion", "count_stars", "coverage"]
@@ -40,7 +41,7 @@ MOST_STARS_ASKED = 12
 _MINIMA_LISTED = 20
 _CURVE_STEP_MAG = 0.25
 _BLEND_MAG = 0.8
-"""Two equal stars that merge are 0.75 mag brighter than one."""
+"""Two merged stars of equal brightness are 0.75 mag brighter than one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,37 +49,39 @@ class Coverage:
     """Stars in a field at many attitudes."""
 
     name: str
-    """Of the scenario."""
+    """Name of the scenario."""
     boresights: Boresights
-    """The attitudes, N of them."""
+    """The N attitudes."""
     shape: FieldShape
     """The field."""
     magnitude_limit: float
-    """Faintest star counted."""
+    """Magnitude limit of the counts, V."""
     limit_reason: str
-    """Where that limit comes from."""
+    """Origin of this limit."""
     counts: IntArray
     """(N,): Stars in the field."""
     limits: FloatArray
-    """(L,): Magnitude limits of the curve, rising."""
+    """(L,): Magnitude limits of the curve, ascending."""
     curve: IntArray
     """(N, L): Stars in the field down to each of them."""
     sky_stars: int
     """Stars down to `magnitude_limit` over the whole sky."""
     exclusion: Exclusion = field(default_factory=Exclusion)
-    """Exclusion angles that were in force."""
+    """Exclusion angles."""
+
+    __repr__ = fields_repr
 
     @property
     def allowed_counts(self) -> IntArray:
-        """Counts of the attitudes that break no exclusion angle."""
+        """Counts at the attitudes that violate no exclusion angle."""
         return self.counts[self.boresights.allowed]
 
     def availability(self, stars: int) -> float:
-        """Share of the sky or of the time with at least so many stars and no exclusion angle broken."""
+        """Fraction of the sky or of the time with at least this number of stars and no exclusion angle violated."""
         return float(np.mean((self.counts >= stars) & self.boresights.allowed))
 
     def poorest(self) -> IntArray:
-        """Attitudes with the fewest stars among those that break no exclusion angle."""
+        """Attitudes with the fewest stars among those that violate no exclusion angle."""
         allowed = np.flatnonzero(self.boresights.allowed)
         return allowed[self.counts[allowed] == self.counts[allowed].min()] if len(allowed) else allowed
 
@@ -135,7 +138,7 @@ class Coverage:
         }
 
     def to_table(self, scenario: Scenario) -> pa.Table:
-        """A row an attitude: ``coverage.parquet``."""
+        """One row per attitude: ``coverage.parquet``."""
         looks = self.boresights
         columns: dict[str, Any] = {"index": np.arange(len(looks))}
         if looks.kind == "path":
@@ -149,20 +152,20 @@ class Coverage:
 def count_stars(
     stars: StarCatalog, shape: FieldShape, boresights: Boresights, limits: FloatArray, epoch_jyear: float = 2000.0
 ) -> IntArray:
-    """Stars in the field down to each of some rising magnitude limits; (N, L).
+    """Stars in the field down to each of L ascending magnitude limits, (N, L).
 
     Parameters
     ----------
     stars : StarCatalog
-        Any catalogue; stars fainter than the last limit do not count.
+        Any catalogue; stars fainter than the last limit are not counted.
     shape : FieldShape
         Outline of the field.
     boresights : Boresights
         N attitudes.
     limits : (L,) array
-        V, rising.
+        V, ascending.
     epoch_jyear : float
-        To which the stars are moved.
+        Epoch of the star positions.
     """
     chosen = stars.brighter_than(float(limits[-1]))
     if len(chosen) == 0:
@@ -197,27 +200,27 @@ def coverage(
     Parameters
     ----------
     scenario : Scenario
-        Its camera is the field, its tracker's catalogue the stars, doubles closer than two pixels merged.
+        Its camera defines the field, its tracker's catalogue the stars; doubles closer than two pixels are merged.
     count : int
         Directions over the sky, or instants along the path.
     path : bool
-        Along the mission's path, at the instants of its trials, in place of the whole sky.
+        Along the mission's path, at the instants of its trials, instead of the whole sky.
     rolls : int
-        Over the sky: rolls tried at each direction.
+        Over the sky: rolls per direction.
     magnitude_limit : float, optional
-        Faintest V counted; left out, the faintest that the tracker knows and the camera detects
+        Faintest V counted; by default the faintest in the tracker's catalogue that the camera detects
         (`simulator.study.coverage.sensitivity`).
     snr : float, optional
-        Signal-to-noise ratio from which on the camera detects a star; left out, the tracker's threshold.
+        Minimum signal-to-noise ratio of a detected star; by default the tracker's threshold.
     circle_deg : float, optional
-        A circular field of this radius in place of the camera's.
+        A circular field of this radius instead of the camera's.
     exclusion : Exclusion, optional
-        Exclusion angles; left out, the baffle's where the scenario has one.
+        Exclusion angles; by default those of the scenario's baffle, if any.
 
     Raises
     ------
     InputError
-        For numbers that cannot be, or a path that is not there.
+        For invalid values, or a scenario without a path.
     """
     if circle_deg is not None and not 0.0 < circle_deg <= 180.0:
         raise InputError(f"circle: the radius must be above 0 and at most 180 degrees, not {circle_deg:g}")
@@ -256,12 +259,12 @@ def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[
     detected = build_sensitivity(scenario, snr).magnitude_limit
     known = scenario.tracker.magnitude_limit
     if detected < known:
-        return detected, "the faintest star that the camera detects"
+        return detected, "the camera's detection limit"
     return known, f"tracker.magnitude_limit (the camera detects stars to V = {detected:.2f})"
 
 
 def baffle_exclusion(scenario: Scenario) -> Exclusion:
-    """Exclusion angles of the baffle; none where the scenario has no baffle."""
+    """Exclusion angles of the baffle; none without a baffle."""
     baffle = scenario.optics.baffle
     if baffle.pst is None:
         return Exclusion()

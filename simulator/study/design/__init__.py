@@ -1,1 +1,1 @@
-"""The smallest camera that will do."""
+"""The smallest sufficient camera."""

@@ -1,4 +1,4 @@
-"""Picture of a design's trade: accuracy, stars and availability against the parameter."""
+"""Plot of a design trade-off: accuracy, stars and availability by parameter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINES = {"roll": (BLUE, "o", "-"), "pitch": (ORANGE, "s", "--"), "yaw": (GREEN,
 
 
 def design_plot(result: Design) -> Figure:
-    """Predicted 3σ with the specification, stars in the field, and share of the attitudes with too few of them."""
+    """Predicted 3σ with the specification, stars in the field, and fraction of the attitudes with too few stars."""
     figure, grid = picture(1, 3, (12, 4.6))
     possible = [point for point in result.points if not point.impossible]
     value = np.array([point.value for point in possible])
@@ -29,7 +29,7 @@ def design_plot(result: Design) -> Figure:
     stars = grid[0, 1]
     stars.plot(value, [point.stars_mean for point in possible], "o-", color=BLUE, ms=3.5, label="mean")
     stars.plot(value, [point.stars_min for point in possible], "s--", color=VERMILION, ms=3.5, label="fewest")
-    stars.axhline(result.least_stars, color=GREY, lw=1.0, label=f"{result.least_stars} asked for")
+    stars.axhline(result.least_stars, color=GREY, lw=1.0, label=f"{result.least_stars} required")
     stars.set_ylabel("stars used in the field")
     stars.set_ylim(0, None)
     missing = grid[0, 2]
@@ -41,13 +41,13 @@ def design_plot(result: Design) -> Figure:
         missing.axhline(allowed, color=VERMILION, lw=1.2, label=f"{allowed:.3g} % allowed")
     missing.axhspan(0.4 * floor, floor, color="#eeeeee", label=f"none of {result.attitudes}")
     missing.set_ylim(0.4 * floor, 150.0)
-    missing.set_ylabel(f"share of the {'time' if result.over == 'path' else 'sky'} with fewer stars [%]")
+    missing.set_ylabel(f"fraction of the {'time' if result.over == 'path' else 'sky'} with fewer stars [%]")
     for ax in grid[0]:
         ax.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
     title, unit, _ = PARAMETERS[result.parameter]
-    found = f"no {title} in this range meets everything"
+    found = f"no {title} in this range meets the requirements"
     if result.best:
-        found = f"the smallest {title} that meets everything is {result.best.value:.4g} {unit}"
+        found = f"the smallest {title} that meets the requirements is {result.best.value:.4g} {unit}"
     figure.suptitle(f"{result.name}: {found}", fontsize=10)
     return figure
 
@@ -82,7 +82,7 @@ def _parameter_axis(ax: Axes, result: Design) -> None:
 
 
 def _round_numbers(low: float, high: float) -> list[float]:
-    """1, 2, 5 times powers of ten within the range, and its ends where there are fewer than two of them."""
+    """1, 2, 5 times powers of ten within the range, and its ends if there are fewer than two."""
     decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     ticks = [m * 10.0**d for d in decades for m in (1, 2, 5) if low * 0.999 <= m * 10.0**d <= high * 1.001]
     return ticks if len(ticks) > 1 else [low, high]

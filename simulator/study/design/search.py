@@ -1,8 +1,8 @@
-"""Design helper: the smallest aperture, field or exposure that meets a scenario's specification and an availability.
+"""Design search: the smallest aperture, field or exposure that meets a scenario's specification and availability.
 
-Nothing is rendered: the light of each star gives the error of its centroid (`simulator.study.coverage.sensitivity`),
-the stars of each field the covariance of its attitude, P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, and thousands of boresights the
-answer. A Monte Carlo run of the value found can stand beside it.
+Nothing is rendered: the light of each star gives its centroid error (`simulator.study.coverage.sensitivity`), and the
+stars of each field the attitude covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, at thousands of boresights. The resulting value
+can be verified by a Monte Carlo run.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ Progress = Callable[[int], None]
 """Called with the number of values computed."""
 
 _TOLERANCE = 0.005
-"""The value is found to this share of itself."""
+"""Relative accuracy of the resulting value."""
 
 _BLEND_MAG = 0.8
 _LEAST_STARS = 2
-"""Fewer determine no attitude."""
+"""Minimum number of stars of an attitude."""
 
 
 def _focal_length(scenario: Scenario, field_deg: float) -> dict[str, Any]:
-    """Keys that give the detector's width this field, edge to edge."""
+    """Keys that give this field across the detector's width, edge to edge."""
     if not 0.0 < field_deg < 170.0:
         raise InputError(f"field: must be above 0 and below 170 degrees, not {field_deg:g}")
     half_mm = 0.5 * scenario.detector.width * scenario.detector.pitch_um[0] * 1e-3
@@ -64,56 +64,56 @@ PARAMETERS: dict[str, tuple[str, str, Callable[[Scenario, float], dict[str, Any]
     "field": ("field across the width", "°", _focal_length),
     "detector.exposure_s": ("exposure", "s", lambda scenario, value: {"detector.exposure_s": value}),
 }
-"""What can be chosen: its title, its unit, and the keys that a value sets. ``field`` changes the focal length, not the
-aperture and the detector."""
+"""Parameters: title, unit, and the keys set by a value. ``field`` changes the focal length, not the aperture or the
+detector."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One value of the parameter and what it gives."""
+    """Prediction for one value of the parameter."""
 
     value: float
-    """Of the parameter, in its unit."""
+    """Value of the parameter, in its unit."""
     impossible: str = ""
-    """Why no camera can be so; then nothing else is known."""
+    """Reason why no such camera is possible; the other fields are then undefined."""
     magnitude_limit: float | None = None
-    """Faintest star counted, V: what the camera detects or the tracker knows."""
+    """Faintest star counted, V: the detection limit of the camera or the limit of the tracker's catalogue."""
     stars_mean: float | None = None
     stars_min: int | None = None
     """Stars used in a field."""
     availability: float | None = None
-    """Share of the attitudes with enough stars."""
+    """Fraction of the attitudes with enough stars."""
     three_sigma_deg: dict[str, float | None] = field(default_factory=dict)
     """Predicted 3σ about roll, pitch and yaw: three times the root mean square over the attitudes with enough stars, as
-    ``boresight run`` has it."""
+    in ``boresight run``."""
     met: bool = False
     """Whether specification and availability are met."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """A Monte Carlo run of the value found beside its prediction, angles in degrees."""
+    """Monte Carlo run of the resulting value, compared with its prediction; angles in degrees."""
 
     trials: int
     solved: int
     wrong: int
-    """Frames, those with an attitude, and those whose attitude is wrong."""
+    """Frames, solved frames, and frames with a wrong attitude."""
     three_sigma_deg: dict[str, float | None]
     predicted_deg: dict[str, float | None]
     """Three times the rms error about each body axis, measured and predicted."""
     p997_deg: dict[str, float | None] = field(default_factory=dict)
-    """Magnitude that 99.7 % of the measured errors stay below."""
+    """99.7th percentile of the measured errors."""
     contradictions: tuple[str, ...] = ()
-    """In what the run contradicts the finding that the value meets everything; empty where it does not."""
+    """Contradictions between the run and the prediction that the requirements are met; empty if there are none."""
 
     def to_dict(self) -> dict[str, Any]:
-        """As ``design.json`` holds it."""
+        """As in ``design.json``."""
         return asdict(self) | {"contradicted": bool(self.contradictions)}
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The trade of one parameter."""
+    """Trade-off of one parameter."""
 
     name: str
     """Of the scenario."""
@@ -122,17 +122,17 @@ class Design:
     over: str
     """``sky`` or ``path``."""
     attitudes: int
-    """Boresights looked at."""
+    """Number of boresights."""
     least_stars: int
-    """Stars that an attitude needs."""
+    """Minimum number of stars for an attitude."""
     least_availability: float
-    """Share of the attitudes that must have them."""
+    """Required fraction of the attitudes with this number."""
     specification_deg: dict[str, float]
-    """3σ about each body axis."""
+    """Specified 3σ about each body axis."""
     points: tuple[Point, ...]
-    """By rising value."""
+    """In ascending order of value."""
     best: Point | None
-    """The smallest value that meets everything; None where none does."""
+    """The smallest value that meets the requirements; None if none does."""
 
     def to_dict(self) -> dict[str, Any]:
         """What ``design.json`` holds."""
@@ -140,15 +140,15 @@ class Design:
 
 
 def changed(scenario: Scenario, parameter: str, value: float) -> Scenario:
-    """The scenario with another value of a parameter; `InputError` where no such camera can be."""
+    """The scenario with another value of a parameter; `InputError` if no such camera is possible."""
     return _with(scenario, PARAMETERS[parameter][2](scenario, value))
 
 
 def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
-    """What a scenario's camera sees and how well it measures, at the given attitudes; `value` is 0.
+    """Stars and accuracy of a scenario's camera at the given attitudes; `value` is 0.
 
-    A star counts where the tracker knows it and the camera detects it, by its own electrons; as many as the tracker
-    takes (`tracker.detection.max_stars`), the brightest first.
+    Stars are counted if they are in the tracker's catalogue and detected by the camera; the brightest up to the
+    tracker's maximum (`tracker.detection.max_stars`).
     """
     sensitivity = build_sensitivity(scenario)
     camera = sensitivity.camera
@@ -191,7 +191,7 @@ def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
 
 @dataclass(frozen=True)
 class Trade:
-    """What is varied, and what the smallest value of it has to give."""
+    """The varied parameter, and the requirements for its smallest value."""
 
     parameter: str
     """A key of `PARAMETERS`."""
@@ -199,21 +199,21 @@ class Trade:
     high: float
     """Range searched, in the parameter's unit."""
     steps: int = 12
-    """Values of the table, at equal ratios, at least 2."""
+    """Number of values in the table, at equal ratios, at least 2."""
     least_stars: int = 5
-    """Stars an attitude needs to count as available."""
+    """Minimum number of stars for an attitude to be available."""
     least_availability: float = 0.999
-    """Share of the sky (or of the time along the path) that must have them, 0 to 1."""
+    """Required fraction of the sky (or of the time along the path) with this number, 0 to 1."""
     count: int = 5000
     """Attitudes."""
     path: bool = False
-    """Along the mission's path in place of the whole sky."""
+    """Along the mission's path instead of the whole sky."""
 
     def check(self) -> None:
-        """Raise `InputError` for an unknown parameter or numbers that cannot be."""
+        """Raise `InputError` for an unknown parameter or invalid values."""
         if self.parameter not in PARAMETERS:
             known = ", ".join(PARAMETERS)
-            raise InputError(f"--over: there is no parameter {self.parameter!r} to design; there are {known}")
+            raise InputError(f"--over: unknown parameter {self.parameter!r}; use one of {known}")
         if not (math.isfinite(self.high) and 0.0 < self.low < self.high):
             raise InputError(f"--from and --to: must be 0 < from < to, not {self.low:g} and {self.high:g}")
         if self.steps < 2:
@@ -225,15 +225,15 @@ class Trade:
 
 
 def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -> Design:
-    """The smallest value of a parameter that meets the specification and the availability.
+    """Smallest value of a parameter that meets the specification and the availability.
 
-    Between the first value of the table that meets everything and the one before it the limit is found by halving, to
-    0.5 %.
+    The limit is determined to 0.5 % by bisection between the first value of the table that meets the requirements and
+    the previous one.
 
     Parameters
     ----------
     scenario : Scenario
-        Everything else, the specification included.
+        All other parameters, including the specification.
     trade : Trade
         Parameter, range and conditions.
     progress : callable, optional
@@ -242,7 +242,7 @@ def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -
     Raises
     ------
     InputError
-        For an unknown parameter or numbers that cannot be.
+        For an unknown parameter or invalid values.
     """
     trade.check()
     looks = along_path(scenario, trade.count) if trade.path else whole_sky(trade.count)
@@ -282,12 +282,12 @@ def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -
 
 
 def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) -> Verification:
-    """Run trials of the value found: over the whole sky, or along the path, as the prediction was made.
+    """Run trials for the resulting value, over the whole sky or along the path as in the prediction.
 
     Raises
     ------
     InputError
-        Where no value was found, or for fewer than one trial.
+        If no value was found, or for fewer than one trial.
     """
     if result.best is None:
         raise InputError("--verify: no value meets the specification, so there is nothing to verify")
@@ -307,20 +307,20 @@ def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) ->
 
 
 def _contradictions(summary: Mapping[str, Any], result: Design) -> Iterator[str]:
-    """What a run of the value says against its meeting everything, beyond what chance explains.
+    """Statistically significant contradictions between a run and the requirements.
 
-    An axis contradicts where its verdict is "not met", or where three times its rms exceeds the specification by more
-    than 99.9 % of such runs would if it just met it: n (rms / σ)² is χ² of n degrees of freedom for normal errors of
-    one σ; a third of that is taken, as fields differ and the poorest weigh most (a kurtosis of 7; Box 1953).
+    An axis contradicts if its verdict is "not met", or if three times its rms exceeds the specification by more than in
+    99.9 % of runs that just meet it. For normal errors of equal σ, n (rms / σ)² has a χ² distribution of n degrees of
+    freedom; a third of n is used, because fields differ and the poorest dominate (a kurtosis of 7; Box 1953).
     """
     n = summary["solved"]
     if summary["wrong"]:
-        yield f"{summary['wrong']} of {n} attitudes are wrong"
+        yield f"{summary['wrong']} of {n} accepted attitudes are wrong"
     low, high = summary["availability_interval95"]
     if high < result.least_availability:
         yield (
             f"{100 * summary['availability']:.2f} % of the frames were solved (95 % interval {100 * low:.2f} to "
-            f"{100 * high:.2f} %), and {100 * result.least_availability:g} % are asked for"
+            f"{100 * high:.2f} %), but {100 * result.least_availability:g} % are required"
         )
     freedom = max(n / 3.0, 1.0)
     excess = math.sqrt(2.0 * gammaincinv(freedom / 2.0, 0.999) / freedom)
@@ -328,7 +328,7 @@ def _contradictions(summary: Mapping[str, Any], result: Design) -> Iterator[str]
         three_sigma = summary["errors_deg"][axis]["three_sigma"]
         not_met = summary["specification"][axis]["verdict"] == NOT_MET
         if not_met or (three_sigma is not None and three_sigma > excess * limit):
-            yield f"3σ {axis} is {deg_text(three_sigma)} where {deg_text(limit)} is specified"
+            yield f"3σ {axis} is {deg_text(three_sigma)} , but {deg_text(limit)} is specified"
 
 
 def _point(scenario: Scenario, trade: Trade, value: float, looks: Boresights, specification: dict[str, float]) -> Point:
@@ -346,7 +346,7 @@ def _point(scenario: Scenario, trade: Trade, value: float, looks: Boresights, sp
 
 
 def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
-    """The scenario with other values of keys, checked as a file is; `InputError` where no such camera can be."""
+    """The scenario with other values of keys, checked as a file is: `InputError` if no such camera is possible."""
     try:
         return scenario.changed(keys)
     except ValidationError as error:

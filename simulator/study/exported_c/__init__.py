@@ -1,1 +1,1 @@
-"""The exported C, compiled and measured, and centroid lists to try it with."""
+"""Compilation and measurement of the exported C; test centroid lists."""

@@ -1,7 +1,7 @@
-"""The exported C, compiled and measured: memory, stack, time, instructions.
+"""Compilation and measurement of the exported C: memory, stack, time, instructions.
 
-A compiler of the machine itself, or a cross compiler with an emulator (QEMU's user mode), which also counts
-instructions. Nothing here is needed to export.
+By the native compiler, or by a cross compiler with an emulator (QEMU user mode), which also counts instructions. Not
+required for an export.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign
 
 @dataclass(frozen=True)
 class Target:
-    """A processor that the C is compiled for."""
+    """Target processor."""
 
     name: str
-    """In words."""
+    """Description."""
     compiler: str
     size: str = "size"
     symbols: str = "nm"
-    """Commands of the tool chain: compiler, ``size`` and ``nm``."""
+    """Tool chain: compiler, ``size`` and ``nm``."""
     flags: tuple[str, ...] = ()
-    """For this processor."""
+    """Compiler options for this processor."""
     runner: tuple[str, ...] = ()
-    """Command before the program; empty: it runs by itself."""
+    """Command that runs the program; empty: run directly."""
     counter: tuple[str, ...] = ()
-    """The same with a line on standard error for every instruction; empty: they cannot be counted."""
+    """The same, printing one line per instruction to standard error; empty: instructions cannot be counted."""
 
     def missing(self) -> str | None:
         """The first command that is not installed, or None."""
@@ -58,11 +58,11 @@ M68K = Target(
     ("qemu-m68k", "-cpu", "m68020"),
     ("qemu-m68k", "-cpu", "m68020", "-singlestep", "-d", "nochain,exec"),
 )
-"""Her MC68360 is a CPU32+, whose instructions a 68020 runs; Debian: gcc-m68k-linux-gnu, qemu-user."""
+"""The MC68360 of Yee 1999 is a CPU32+, whose instructions run on a 68020; Debian: gcc-m68k-linux-gnu, qemu-user."""
 
 
 def native_compiler() -> Target | None:
-    """The machine's own compiler, where there is one."""
+    """The native compiler, if there is one."""
     for command in ("gcc", "cc"):
         target = Target("this machine", command)
         if target.missing() is None:
@@ -77,25 +77,25 @@ class Build:
     target: Target
     program: Path
     table_bytes: int
-    """Constant arrays."""
+    """Size of the constant arrays."""
     code_bytes: int
-    """Instructions of the solver, without the tables, the C library and ``main``."""
+    """Size of the solver's instructions, without tables, C library and ``main``."""
     static_bytes: int
-    """Its writable variables: none."""
+    """Size of its static variables: none."""
     context_bytes: int
-    """Working memory that the caller gives it."""
+    """Working memory provided by the caller."""
     stack_bytes: int
-    """At most: all its functions' frames together (``-fstack-usage``), as none calls itself."""
+    """Upper limit: sum of the frames of all functions (``-fstack-usage``), as none is recursive."""
     heap_calls: tuple[str, ...]
-    """Functions of the heap that it calls: none."""
+    """Heap functions called: none."""
 
     def solve(self, text: str, times: int = 1) -> list[str]:
-        """Lines that the program prints for lists of centroids, each list solved `times` times."""
+        """Output lines of the program for lists of centroids, with each list solved `times` times."""
         command = [*self.target.runner, str(self.program), str(times)]
         return _run(command, text).stdout.splitlines()
 
     def time_s(self, text: str, times: int) -> float:
-        """Seconds that one of the lists takes, from runs of 1 and `times` + 1 repetitions, the better of three."""
+        """Seconds per list, from runs with 1 and `times` + 1 repetitions, best of three."""
         lists = len(self.solve(text))
         spent = []
         for repetitions in (1, times + 1):
@@ -108,7 +108,7 @@ class Build:
         return (spent[1] - spent[0]) / times / lists
 
     def instructions(self, text: str) -> int:
-        """Instructions that the lists take, less those of a start without one."""
+        """Instructions for the lists, minus those of a start without lists."""
         return self._counted(text) - self._counted("")
 
     def _counted(self, text: str) -> int:
@@ -128,7 +128,7 @@ def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: 
     Raises
     ------
     InputError
-        The compiler is not installed, or refuses.
+        If the compiler is not installed or fails.
     """
     missing = target.missing()
     if missing:

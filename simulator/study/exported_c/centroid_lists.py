@@ -1,4 +1,4 @@
-"""Centroid lists of simulated fields, good and bad ones, to try an identification with."""
+"""Centroid lists of simulated fields, valid and invalid ones, for tests of an identification."""
 
 from __future__ import annotations
 
@@ -28,25 +28,24 @@ def centroid_list(
     kind: ListKind = "field",
     max_stars: int = 12,
 ) -> FloatArray:
-    """Centroids (N, 2) of one field near a star picked at random, at a random roll.
+    """Centroids (N, 2) of a field near a randomly chosen star, with random roll.
 
-    A camera of no distortion whose focal length across and down follows from field and size, x right and y up from the
-    centre, brightest first.
+    The camera has no distortion and focal lengths given by field and size; x right and y up from the centre, brightest
+    first.
 
     Parameters
     ----------
     directions, v_mag : array, shape (G, 3), (G,)
-        The sky.
+        Directions and magnitudes of the stars.
     fov_deg, size_px : (float, float), (int, int)
-        Across and down.
+        Along columns and rows.
     rng : Generator
-        Draws everything.
+        Source of all random numbers.
     kind : str
-        ``field``; ``false_stars``: one to three more anywhere in the order; ``few``: none to three stars;
-        ``duplicates``: the first stars named twice; ``format_edge``: coordinates stretched to the edge of 10.22 and
-        beyond.
+        ``field``; ``false_stars``: one to three additional ones, anywhere in the order; ``few``: zero to three stars;
+        ``duplicates``: the first stars repeated; ``format_edge``: coordinates scaled to the limits of 10.22 and beyond.
     max_stars : int
-        Of the field, the brightest.
+        Maximum number of stars, the brightest.
     """
     half = np.array(size_px) / 2.0
     focal = half / np.tan(np.radians(fov_deg) / 2.0)
@@ -74,5 +73,5 @@ def centroid_list(
 
 
 def list_text(xy: FloatArray) -> str:
-    """A list as the exported program reads it: a star a line, an empty line after the last."""
+    """A list in the input format of the exported program: one star per line, followed by an empty line."""
     return "".join(f"{x:.7f} {y:.7f}\n" for x, y in xy) + "\n"

@@ -1,6 +1,6 @@
-"""What the report says: the answer, the tables and the sentences, the same for the page and the PDF.
+"""Content of the report: answer, tables and sentences, for both the page and the PDF.
 
-Everything is taken from ``summary.json`` and ``trials.parquet``; what an older run did not measure is left out.
+Everything is taken from ``summary.json`` and ``trials.parquet``; quantities missing in older runs are omitted.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.html_page import Table, provenance
 from simulator.study.intervals import wilson_interval
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
 from simulator.study.verdict import FEWEST_TO_MEET, MET, NOT_MET, UNDECIDED, Verdict, advice, overall_verdict
@@ -21,25 +22,15 @@ from simulator.study.verdict import FEWEST_TO_MEET, MET, NOT_MET, UNDECIDED, Ver
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
 RENDER_COMMAND = "boresight render scenario.resolved.yaml --index I --preview trial-I.png"
-"""How any trial is seen again from the folder of the results."""
+"""Command that renders any trial again, in the results folder."""
 AT_THE_BOUND = 1.1
-"""A ratio of error to bound up to this is called the bound."""
+"""Maximum ratio of error to bound for the error to count as limited by the bound."""
 AXIS_NAMES = {axis: axis.replace("_", " ").replace("about boresight", "about the boresight") for axis in AXES}
 
 
 @dataclass(frozen=True)
-class Table:
-    """Headings and rows of text; columns in `words` are read, not compared, and stand to the left."""
-
-    headings: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-    words: tuple[int, ...] = ()
-    note: str = ""
-
-
-@dataclass(frozen=True)
 class Answer:
-    """First lines of the report: is the specification met, with what margin, how often, and what limits it."""
+    """First lines of the report: verdict on the specification, margin, rates, limiting effects."""
 
     state: str
     """`MET`, `NOT_MET` or `UNDECIDED`."""
@@ -59,6 +50,7 @@ class Content:
     outliers: Table
     budget: Table
     how: str
+    provenance: str
     notes: tuple[str, ...] = field(default=())
 
 
@@ -70,29 +62,30 @@ def content_of(
     Parameters
     ----------
     scenario : Scenario
-        What was run.
+        The scenario.
     summary : mapping
         As in ``summary.json``.
     columns : dict of arrays
         As in ``trials.parquet``.
     budget : mapping, optional
-        As in ``budget.json``, where ``boresight study budget`` has been run.
+        As in ``budget.json``, if ``boresight study budget`` has been run.
     """
-    notes = [f"Unphysical, and allowed by the scenario: {reason}" for reason in summary["unphysical"]]
+    notes = [f"Unphysical value permitted by the scenario: {reason}" for reason in summary["unphysical"]]
     if summary["interrupted"]:
-        notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are in it.")
+        notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are included.")
     return Content(
         answer=_answer(summary, columns, budget),
         accuracy=_accuracy(summary),
         outliers=_outliers(summary, columns),
         budget=_budget(budget),
         how=_how(scenario, summary),
+        provenance=provenance({"name": scenario.name, **summary}, scenario.fingerprint()),
         notes=tuple(notes),
     )
 
 
 def angle_text(value_deg: float | None) -> str:
-    """Angle for people, with the digits that distinguish it from the ends of its interval even after many trials."""
+    """Angle for display, with enough digits to distinguish it from the limits of its interval after many trials."""
     if value_deg is None or not math.isfinite(value_deg):
         return "–"
     if abs(value_deg) >= 0.1:
@@ -103,7 +96,7 @@ def angle_text(value_deg: float | None) -> str:
 
 
 def interval_text(interval: Any, text: Callable[[float | None], str] = angle_text) -> str:
-    """``low to high`` of an interval, the unit once where it is one; empty where there is none, – for an open end."""
+    """``low to high`` of an interval, with a common unit only once; empty without an interval, – for an open limit."""
     if interval is None or all(end is None for end in interval):
         return ""
     low, high = (text(end) for end in interval)
@@ -111,7 +104,7 @@ def interval_text(interval: Any, text: Callable[[float | None], str] = angle_tex
 
 
 def percent_text(share: float | None) -> str:
-    """A share in percent, with the digits that distinguish it from 0 and 100."""
+    """A fraction in per cent, with enough digits to distinguish it from 0 and 100."""
     if share is None:
         return "–"
     away = min(share, 1.0 - share)
@@ -140,9 +133,9 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         verdict = f"No: the specification is not met about {_listed(missed)}."
     elif wrong:
         within = "within their specification" if state == MET or not open_axes else "not beyond their specification"
-        verdict = f"No: the axes are {within}, but {wrong} of the accepted attitudes are wrong."
+        verdict = f"No: the axes are {within}, but {wrong} accepted attitude{'s are' if wrong > 1 else ' is'} wrong."
     elif state == UNDECIDED:
-        verdict = f"Not decided: the specification may or may not be met about {_listed(open_axes)}; {advice(solved)}."
+        verdict = f"Undecided: the specification may or may not be met about {_listed(open_axes)}; {advice(solved)}."
     else:
         verdict = "Yes: the specification is met about all three axes."
     known = {axis: factor for axis, factor in factors.items() if factor}
@@ -156,7 +149,7 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         )
     right = solved - wrong
     rates = []
-    for name, count in (("available (an attitude given)", solved), ("correctly identified", right), ("wrong", wrong)):
+    for name, count in (("available (solved)", solved), ("correctly identified", right), ("wrong", wrong)):
         between = interval_text(wilson_interval(count, n), percent_text)
         rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
     return Answer(
@@ -164,32 +157,32 @@ def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         verdict=verdict,
         margin=margin,
         axes=Table(
-            ("axis", "99.7 % below", "95 % interval", "specified", "factor", "verdict"),
+            ("axis", "99.7th percentile", "95 % interval", "specified", "margin", "verdict"),
             tuple(rows),
-            note="The specification is met where the whole interval of the 99.7th percentile is within it, and not met "
-            "where all of it is beyond; in between, more trials are needed. An end shown as – is beyond the largest "
-            f"error: the upper one needs {FEWEST_TO_MEET} trials.",
+            note="The specification is met if the whole interval of the 99.7th percentile is within it, and not met "
+            "if all of it is outside; otherwise more trials are needed. A limit shown as – is beyond the largest "
+            f"error: the upper limit needs {FEWEST_TO_MEET} trials.",
         ),
-        rates=Table(("rate", "frames", "share", "95 % interval"), tuple(rates)),
+        rates=Table(("rate", "frames", "fraction", "95 % interval"), tuple(rates)),
         limits=_limits(summary, columns, budget),
     )
 
 
 def verdict_on(summary: Mapping[str, Any], axis: str) -> Verdict:
-    """Verdict on an axis, from what ``summary.json`` says of its errors."""
+    """Verdict on an axis, from its errors in ``summary.json``."""
     interval = interval_of(summary, axis, "p997") or [None, None]
     specified_deg = summary["specification"][axis]["specified_deg"]
     return Verdict(axis, summary["errors_deg"][axis]["p997"], interval, specified_deg)
 
 
 def interval_of(summary: Mapping[str, Any], axis: str, key: str) -> list[float | None] | None:
-    """95 % interval of a statistic of ``errors_deg``, degrees; None where the run has none."""
+    """95 % interval of a statistic of ``errors_deg``, degrees; None if the run has none."""
     interval: list[float | None] | None = summary["errors_deg"][axis].get(f"{key}_interval95")
     return interval
 
 
 def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """Sentences on what limits the accuracy: the distance to the bound, the largest contributions, the stars."""
+    """Sentences on the limits of the accuracy: ratio to the bound, largest contributions, stars."""
     said = []
     if bound := summary.get("bound_ratio"):
         parts = []
@@ -199,19 +192,19 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
                 f"{_ratio_text(bound[axis]['ratio'])} {AXIS_NAMES[axis]}{f' ({interval})' if interval else ''}"
             )
         worst = max(bound[axis]["ratio"] for axis in CAMERA_AXES)
-        said.append(f"Error over the Cramér–Rao bound of the same stars: {', '.join(parts)}.")
+        said.append(f"Ratio of the rms error to the Cramér–Rao bound of the same stars: {', '.join(parts)}.")
         said.append(
-            "So the light and the noise of these stars set the error; no other processing could do noticeably better."
+            "The error is limited by photon and detector noise; no other processing would be noticeably more accurate."
             if worst <= AT_THE_BOUND
-            else f"So up to {100 * (1 - 1 / worst):.0f} % of the error is not the noise of the light: it lies in the "
-            "processing, or in what the tracker's camera model leaves out."
+            else f"Up to {100 * (1 - 1 / worst):.0f} % of the error is not photon and detector noise, but due to the "
+            "processing or to effects missing in the tracker's camera model."
         )
     if nees := summary.get("nees"):
         low, high = nees["bounds95"]
         finding = "is consistent" if nees["inside"] else "is too large" if nees["mean"] < low else "is too small"
         said.append(
-            f"The tracker's own covariance {finding}: mean normalised error squared {nees['mean']:.3f}, "
-            f"{low:.3f} to {high:.3f} expected of {nees['freedom']} axes."
+            f"The stated covariance {finding}: mean normalised error squared (NEES) {nees['mean']:.3f}, "
+            f"expected {low:.3f} to {high:.3f} for {nees['freedom']} axes."
         )
     if largest := _largest(budget):
         said.append(f"Largest contributions to the mean square error across the boresight: {largest}.")
@@ -221,8 +214,8 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         field_stars = np.asarray(columns["stars_in_field"], dtype=float)[solved]
         residual = np.asarray(columns["residual_rms_px"], dtype=float)[solved]
         said.append(
-            f"A frame gives {stars.mean():.1f} matched stars of {field_stars.mean():.1f} in the field "
-            f"({int(stars.min())} at least); centroid residual {np.sqrt(np.nanmean(residual**2)):.3f} px rms."
+            f"On average {stars.mean():.1f} of {field_stars.mean():.1f} stars in the field are matched "
+            f"(minimum {int(stars.min())}); centroid residual {np.sqrt(np.nanmean(residual**2)):.3f} px rms."
         )
     return tuple(said)
 
@@ -238,14 +231,14 @@ def _accuracy(summary: Mapping[str, Any]) -> Table:
         rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
     note = (
         "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
-        "included. An attitude is called wrong when a star is misidentified, "
-        "or when its error is beyond 5σ of the covariance that the tracker stated and larger than five Cramér–Rao "
-        "bounds, so that noise does not explain it; " + _beyond(summary)
+        "included. An attitude is wrong if a star is misidentified, "
+        "or if its error exceeds 5σ of the stated covariance and five Cramér–Rao bounds, so that it is not "
+        "explained by noise; " + _beyond(summary)
     )
     if any(interval_of(summary, axis, "rms") for axis in AXES):
-        note += " In brackets: 95 % intervals by bootstrap."
+        note += " 95 % bootstrap intervals in brackets."
     return Table(
-        ("axis", "mean", "std", "rms", "50 % below", "95 % below", "99.7 % below", "largest"), tuple(rows), note=note
+        ("axis", "mean", "std", "rms", "median", "95th percentile", "99.7th percentile", "max"), tuple(rows), note=note
     )
 
 
@@ -256,13 +249,13 @@ def _beyond(summary: Mapping[str, Any]) -> str:
 
 
 def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tuple[int, str]]:
-    """Positions of the trials to be looked at, and why: wrong, not solved, then those whose error stands out."""
+    """Positions of notable trials, with the reason: wrong, not solved, then outlying errors."""
     index = np.asarray(columns["index"])
     wrong = np.flatnonzero(np.asarray(columns["wrong"], dtype=bool))
     failed = np.flatnonzero(np.asarray(columns["status"]) != "solved")
     found = {int(i): "wrong" for i in wrong} | {int(i): str(columns["status"][i]) for i in failed}
     for entry in summary.get("outliers", ()):
-        i = int(np.searchsorted(index, entry["index"]))  # the rows are in the order of their index
+        i = int(np.searchsorted(index, entry["index"]))  # rows are in order of index
         if i < len(index) and index[i] == entry["index"]:
             found.setdefault(i, entry["why"])
     return list(found.items())
@@ -272,33 +265,33 @@ def _outliers(summary: Mapping[str, Any], columns: Columns) -> Table:
     found = outlier_positions(columns, summary)
     shown = [i for i, _ in found[:MOST_OUTLIERS]]
     texts = [[why for _, why in found[:MOST_OUTLIERS]]]
-    if shown:  # a column at a time: each is read from its file
+    if shown:  # one column at a time, as each is read from its file
         for name in ("index", "utc", "stars_matched", "reason"):
             texts.append([str(value) or "–" for value in columns[name][shown]])
         for axis in BODY_AXES:
             texts.append([angle_text(float(value)) for value in columns[f"error_{axis}_deg"][shown]])
     what, index, utc, stars, reason, *errors = texts if shown else [[]] * 8
     rows = list(zip(index, utc, what, *errors, stars, reason, strict=True))
-    note = "" if found else "None: every frame was solved, none wrongly, and no error stands out. "
+    note = "" if found else "None: every frame was solved, none wrong, and there are no outlying errors. "
     every = len(found) + max(0, summary.get("outliers_count", 0) - len(summary.get("outliers", ())))
     if every > MOST_OUTLIERS:
         note = f"The first {MOST_OUTLIERS} of {every}; all are in trials.parquet. "
-    note += "To see any trial again, in the folder of this report, with I its number:"
+    note += "To render any trial again, run in the folder of this report, with I its index:"
     return Table(("trial", "UTC", "what", *BODY_AXES, "stars", "reason"), tuple(rows), (1, 2, 7), note)
 
 
 def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
     sampling = {
-        "mission_year": "at times spread over a year of the mission",
-        "orbit": "spread over one turn" if scenario.pointing.spin.rate_deg_s else "spread over one orbit",
+        "mission_year": "at times distributed over a year of the mission",
+        "orbit": "distributed over one rotation" if scenario.pointing.spin.rate_deg_s else "distributed over one orbit",
         "sky": "at random attitudes over the whole sky",
     }[scenario.study.sampling]
     many = summary["workers"] > 1
     return (
         f"{summary['trials']} frames {sampling} were rendered from the scenario below and solved by the tracker, which "
-        "never sees the truth; the attitudes it gave were compared with the true ones. Every random number follows "
-        f"from the seed, {summary['seed']}, and the number of the trial. boresight {summary['version']}, "
-        f"{summary['trials_per_second']:.1f} trials a second on {summary['workers']} process{'es' if many else ''} "
+        "has no access to the truth; the resulting attitudes were compared with the true ones. All random numbers "
+        f"depend only on the seed, {summary['seed']}, and the index of the trial. boresight {summary['version']}, "
+        f"{summary['trials_per_second']:.1f} trials per second on {summary['workers']} process{'es' if many else ''} "
         f"(median {summary['median_ms']['render'] or 0:.1f} ms to render, {summary['median_ms']['solve'] or 0:.1f} ms "
         "to solve)."
     )
@@ -313,21 +306,21 @@ def _listed(names: list[str]) -> str:
 
 
 def _budget(budget: Mapping[str, Any] | None) -> Table:
-    """Rows of what each effect and each class adds, the largest first; of `Budget.to_dict`."""
+    """Rows of the contributions of effects and classes from `Budget.to_dict`, largest first."""
     if budget is None:
         return Table()
     rows = []
-    for what, entries in (("the effect", budget["effects"]), ("all of the class", budget["classes"])):
+    for what, entries in (("effect", budget["effects"]), ("class", budget["classes"])):
         for entry in sorted(entries, key=_added_across, reverse=True):
             rows.append((entry["name"], what, *(_added_text(entry["axes"][axis]) for axis in CAMERA_AXES)))
     if budget["remainder"] is not None:
         left = (angle_text(budget["remainder"]["axes"][axis]["rms_off_deg"]) for axis in CAMERA_AXES)
-        rows.append(("what is left", "everything", *left))
-    rows.append(("the error", "nothing", *(angle_text(budget["rms_deg"][axis]) for axis in CAMERA_AXES)))
+        rows.append(("remaining error", "all effects", *left))
+    rows.append(("total error", "none", *(angle_text(budget["rms_deg"][axis]) for axis in CAMERA_AXES)))
     note = (
-        f"From {budget['trials']} trials with each effect switched off in turn, the rest as it was (seed "
-        f"{budget['seed']}): the root of the mean square error that it adds, in brackets its 95 % interval; negative "
-        "where the error is larger without it. Classes as in ECSS-E-ST-60-20C. Effects need not add up."
+        f"From {budget['trials']} trials with one effect switched off at a time (seed {budget['seed']}): square root "
+        "of its contribution to the mean square error, 95 % interval in brackets; negative if the error is larger "
+        "without it. Classes as in ECSS-E-ST-60-20C. Contributions need not add up."
     )
     names = tuple(AXIS_NAMES[axis] for axis in CAMERA_AXES)
     return Table(("contribution", "switched off", *names), tuple(rows), (1,), note)
@@ -339,13 +332,14 @@ def _added_text(of_axis: Mapping[str, Any]) -> str:
 
 
 def _added_across(entry: Mapping[str, Any]) -> float:
-    """Mean square that an effect adds across the boresight, both axes together, degrees²."""
+    """Contribution of an effect to the mean square error across the boresight, both axes together, degrees²."""
     added = (entry["axes"][axis]["added_rms_deg"] or 0.0 for axis in CAMERA_AXES[:2])
     return sum(math.copysign(rms * rms, rms) for rms in added)
 
 
 def _largest(budget: Mapping[str, Any] | None) -> str:
-    """The three largest effects across the boresight with an interval above 0, as shares of the mean square error."""
+    """The three largest effects across the boresight with an interval above 0, as fractions of the mean square
+    error."""
     if budget is None:
         return ""
     whole = sum(budget["rms_deg"][axis] ** 2 for axis in CAMERA_AXES[:2])

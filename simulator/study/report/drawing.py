@@ -1,4 +1,4 @@
-"""Pages drawn by a process of their own, so that what renders frames and what draws them never share a memory."""
+"""Pages drawn in a separate process, to limit memory: the renderer and matplotlib are never loaded together."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Page = TypeVar("Page", str, bytes)
 
 
 def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:
-    """What `draw` makes of its content, a report, say, in a process that ends with it.
+    """Result of `draw` for its content, such as a report, computed in a separate process.
 
     Raises
     ------
     BoresightError
-        When that process fails (out of memory?).
+        If the process fails (out of memory?).
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-m", "simulator.study.report.drawing"]

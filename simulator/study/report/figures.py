@@ -1,4 +1,4 @@
-"""The figures of the report: each function draws one panel from the columns of the trials into given axes."""
+"""Figures of the report: each function draws one panel from the columns of the trials into the given axes."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ TITLES = {
 MARKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"), (GREEN, "^", ":"))
 VARIABLES = {
     "stars_matched": ("Number of stars", "stars matched"),
-    "orbit_argument_deg": ("Place in the orbit", "argument of latitude [°]"),
+    "orbit_argument_deg": ("Position in the orbit", "argument of latitude [°]"),
     "galactic_latitude_deg": ("Galactic latitude", "galactic latitude of the boresight [°]"),
     "rate_deg_s": ("Angular rate", "angular rate [°/s]"),
     "temperature_c": ("Temperature", "detector temperature [°C]"),
     "limit_mag": ("Limiting magnitude", "faintest star matched [V]"),
 }
-"""Columns against which the errors are plotted where they vary: title, axis label."""
+"""Columns against which errors are plotted if they vary: title, axis label."""
 BINS = 10
 LEAST_TRIALS = 20
-"""Fewer solved trials than this say nothing about a trend."""
+"""Minimum number of solved trials for a trend."""
 MANY_POINTS = 1500
-"""More points than this are drawn as pixels, so that the page stays small."""
+"""Above this number points are rasterised, to limit the size of the page."""
 _SKY_LIMIT_MAG = 4.5
 
 
 @dataclass(frozen=True)
 class Panels:
-    """Figures of the statistics: errors about every axis, what they depend on, and those across the page."""
+    """Figures of the statistics: errors about each axis, dependence on other quantities, and full-width figures."""
 
     errors: list[Panel]
     trends: list[Panel]
@@ -58,7 +58,7 @@ class Panels:
 
 
 def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarCatalog) -> Panels:
-    """All panels that the columns allow; a column that an older run did not write gives none."""
+    """All panels for the columns; columns missing in older runs are skipped."""
     solved = np.asarray(columns["status"]) == "solved"
     errors = [
         Panel(name.capitalize(), about, functools.partial(draw_histogram, columns, axis, specification_deg.get(axis)))
@@ -75,7 +75,7 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
         found.append(
             Panel(
                 "Error against the Cramér–Rao bound",
-                "Trials sorted by the bound of their own stars; the line is error = bound.",
+                "Trials binned by the bound of their stars; the line is error = bound.",
                 functools.partial(draw_against_bound, columns),
             )
         )
@@ -83,7 +83,7 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
         found.append(
             Panel(
                 "Consistency of the covariance",
-                "Share of trials whose error squared, normalised by the tracker's own covariance (NEES), exceeds a "
+                "Fraction of trials whose error squared, normalised by the stated covariance (NEES), exceeds a "
                 "value; the curve is chi-square with three degrees of freedom, the band the 95 % band for a consistent "
                 "covariance.",
                 functools.partial(draw_nees, columns),
@@ -91,15 +91,15 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
         )
     wide = [
         Panel(
-            "Time line",
-            "The trial's worst axis as a share of its specification (1 = at the limit).",
+            "Error over time",
+            "Largest error about a body axis relative to its specification (1: at the limit).",
             functools.partial(draw_time_line, columns, specification_deg),
             height_in=2.6,
             wide=True,
         ),
         Panel(
-            "Where the camera looked",
-            "Boresights of the trials in the Sanson–Flamsteed projection, ICRS.",
+            "Boresights",
+            "Boresights of the trials, Sanson–Flamsteed projection, ICRS.",
             functools.partial(draw_sky, columns, catalog.brighter_than(_SKY_LIMIT_MAG)),
             height_in=4.3,
             wide=True,
@@ -117,13 +117,14 @@ def _varies(columns: Columns, name: str, solved: NDArray[np.bool_]) -> bool:
 
 
 def draw_histogram(columns: Columns, axis: str, specified_deg: float | None, ax: Axes) -> None:
-    """Histogram of one axis' errors with the normal curve of the same mean and deviation, ±3σ and the specification."""
+    """Histogram of the errors about an axis with the normal distribution of the same mean and standard deviation, ±3σ
+    and the specification."""
     solved = np.asarray(columns["status"]) == "solved"
     errors = np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved] * 3600.0
     ax.set_xlabel("error [arcsec]")
     ax.set_ylabel("trials")
     if not len(errors):
-        _say(ax, "nothing solved")
+        _say(ax, "no solved trials")
         return
     three_sigma = 3 * float(np.sqrt(np.mean(errors**2)))
     limit = specified_deg * 3600.0 if specified_deg else None
@@ -144,13 +145,13 @@ def draw_histogram(columns: Columns, axis: str, specified_deg: float | None, ax:
     if limit is not None and not shown:
         ax.plot([], [], color=VERMILION, linewidth=1.6, label=f"specified {limit:.4g}″ (outside)")
     if outside := int(np.sum(np.abs(errors) > reach)):
-        ax.plot([], [], " ", label=f"{outside} beyond the plot")
+        ax.plot([], [], " ", label=f"{outside} outside the plot")
     ax.set_ylim(0, ax.get_ylim()[1] * 1.45)
     ax.legend(loc="upper left", ncols=2, columnspacing=1.0, handlelength=1.5)
 
 
 def error_histograms(columns: Columns, specification_deg: Mapping[str, float]) -> Figure:
-    """Histograms of the errors about the body and the camera axes in one picture."""
+    """Histograms of the errors about the body and camera axes in one figure."""
     figure, grid = new_figure(STUDY_STYLE, 2, 3, (11, 6))
     for ax, (axis, (name, _)) in zip(grid.ravel(), TITLES.items(), strict=True):
         draw_histogram(columns, axis, specification_deg.get(axis), ax)
@@ -203,13 +204,14 @@ def _finish_errors(ax: Axes) -> None:
     ax.set_yscale("log")
     ax.set_ylabel("rms error [arcsec]")
     low, high = ax.get_ylim()
-    ax.set_ylim(low, high * (high / low) ** 0.22)  # room for the legend
+    small = ax.bbox.width / ax.figure.dpi < 2.5  # inches: three per row of the PDF
+    ax.set_ylim(low, high * (high / low) ** (0.4 if small else 0.22))  # room for the legend
     _plain(ax, "y")
-    ax.legend(loc="upper left", ncols=4, columnspacing=1.0, handlelength=1.6)
+    ax.legend(loc="upper left", ncols=2 if small else 4, columnspacing=1.0, handlelength=1.6)
 
 
 def _plain(ax: Axes, which: str) -> None:
-    """Numbers of a logarithmic axis written out (0.1, 1, 10), with 2 and 5 between where it spans little."""
+    """Plain numbers on a logarithmic axis (0.1, 1, 10), with 2 and 5 in between for a small range."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis = ax.xaxis if which == "x" else ax.yaxis
@@ -221,7 +223,7 @@ def _plain(ax: Axes, which: str) -> None:
 
 
 def draw_nees(columns: Columns, ax: Axes) -> None:
-    """Survival function of the normalised estimation error squared beside that of chi-square with three degrees."""
+    """Survival function of the normalised estimation error squared and of chi-square with three degrees of freedom."""
     from scipy.special import betaincinv, chdtrc, chdtri
 
     solved = np.asarray(columns["status"]) == "solved"
@@ -232,7 +234,7 @@ def draw_nees(columns: Columns, ax: Axes) -> None:
     top = max(float(chdtri(3, 0.3 / n)), min(float(values[-1]), 60.0))
     x = np.linspace(0, top, 300)
     expected = chdtrc(3, x)
-    # the order statistics of n uniform numbers: the k-th largest is Beta(k, n − k + 1)
+    # order statistics of n uniform numbers: the k-th largest is Beta(k, n − k + 1)
     k = np.clip(expected * n, 0.5, n)
     low, high = betaincinv(k, n - k + 1, 0.025), betaincinv(k, n - k + 1, 0.975)
     ax.fill_between(x, np.maximum(low, 1e-9), high, color=LINE, alpha=0.7, linewidth=0, label="95 % band")
@@ -246,12 +248,12 @@ def draw_nees(columns: Columns, ax: Axes) -> None:
     ax.set_xlim(0, top)
     _plain(ax, "y")
     ax.set_xlabel("NEES, three axes (expected mean: 3)")
-    ax.set_ylabel("share of trials above")
+    ax.set_ylabel("fraction of trials above")
     ax.legend(loc="upper right")
 
 
 def draw_time_line(columns: Columns, specification_deg: dict[str, float], ax: Axes) -> None:
-    """Worst axis of every trial, as a share of its specification, against time; failures along the top."""
+    """Largest error about a body axis relative to its specification, over time; unsolved trials along the top."""
     t_s = np.asarray(columns["t_s"], dtype=float)
     span = float(np.ptp(t_s)) if len(t_s) else 0.0
     unit, name = (
@@ -289,7 +291,7 @@ _GALACTIC_POLE = (192.85948, 27.12825)  # J2000, Hipparcos catalogue vol. 1, sec
 
 
 def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes, magnitude_limit: float = _SKY_LIMIT_MAG) -> None:
-    """Boresights of all trials over the sky, Sanson–Flamsteed projection, right ascension growing to the left."""
+    """Boresights of all trials over the sky, Sanson–Flamsteed projection, right ascension increasing to the left."""
 
     def plane(ra_deg: NDArray[Any], dec_deg: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         offset = np.asarray(ra_deg, dtype=float) % 360.0 - 180.0
@@ -345,7 +347,7 @@ def _great_circle(pole_deg: tuple[float, float]) -> tuple[NDArray[Any], NDArray[
 
 
 def _legend_below(ax: Axes, share: float, columns: int) -> None:
-    if ax.figure.bbox.width / ax.figure.dpi < 5.0:  # inches: a phone's
+    if ax.figure.bbox.width / ax.figure.dpi < 5.0:  # inches: for a phone
         share, columns = share + 0.1, min(columns, 2)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -share), ncols=columns, columnspacing=1.2, borderaxespad=0.0)
 

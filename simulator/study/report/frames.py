@@ -1,4 +1,4 @@
-"""The frames of the report: the best, the median and the worst trial, and one that was not solved, made again."""
+"""Frames of the report: the best, the median and the worst trial, and one that was not solved, rendered again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.plots import draw_solution, shades_of
+from simulator.study.pictures import draw_solution, shades_of
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import Panel
 from simulator.study.trials.trial import TrialRunner, solve_frame
@@ -19,10 +19,10 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def chosen_trials(columns: Columns, specification_deg: Mapping[str, float]) -> list[tuple[str, int]]:
-    """Trials worth a look, as (what it is, its index).
+    """Selected trials, as (description, index).
 
-    The best, the median and the worst by the largest error about any body axis as a share of its specification, and
-    the first that was not solved.
+    The best, the median and the worst by the largest error about a body axis relative to its specification, and the
+    first unsolved one.
     """
     index = np.asarray(columns["index"])
     solved = np.asarray(columns["status"]) == "solved"
@@ -45,19 +45,19 @@ def chosen_trials(columns: Columns, specification_deg: Mapping[str, float]) -> l
 def frame_panels(
     scenario: Scenario, columns: Columns, specification_deg: Mapping[str, float], runner: TrialRunner | None = None
 ) -> list[tuple[Panel, int]]:
-    """Panels of the chosen trials with their indices; each frame is rendered and solved again, as it was in the run.
+    """Panels of the selected trials with their indices; each frame is rendered and solved again, as in the run.
 
     Parameters
     ----------
     runner : TrialRunner, optional
-        That of the run; one is built where there is none.
+        The runner of the run; by default a new one.
     """
     runner = runner or TrialRunner(scenario)
     made: dict[int, Panel] = {}
     for what, index in chosen_trials(columns, specification_deg):
-        if index in made:  # few trials: one frame may be two things
+        if index in made:  # with few trials a frame may be selected twice
             continue
-        frame = runner.renderer.frame(index)[0]  # its truth, an image of real numbers, is let go at once
+        frame = runner.renderer.frame(index)[0]  # the truth, a floating-point image, is released at once
         solution = solve_frame(runner.tracker, frame)
         height, width = frame.image.shape
         made[index] = Panel(

@@ -1,4 +1,5 @@
-"""The report: one self-contained HTML page, the answer in its first lines; as PDF in `simulator.study.report.pdf`."""
+"""The report: one self-contained HTML page, with the answer in its first lines; for PDF see
+`simulator.study.report.pdf`."""
 
 from __future__ import annotations
 
@@ -9,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.html_page import render_page
+from simulator.study.html_page import drawn, render_page
 from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
 from simulator.study.statistics import BODY_AXES
-from simulator.study.style import Panel, inline_svg, style_variables
+from simulator.study.style import Panel
 from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A report, its text and its figures, but not yet set in type."""
+    """Text and figures of a report, before layout."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
-    """What was run, and its ``summary.json``."""
+    """The scenario, and its ``summary.json``."""
     content: Content
     """Text and tables."""
     panels: Panels
@@ -46,18 +47,18 @@ def build_report(
     runner: TrialRunner | None = None,
     budget: Mapping[str, Any] | None = None,
 ) -> Report:
-    """Everything that a report says and shows.
+    """Content of a report.
 
     Parameters
     ----------
     scenario : Scenario
-        What was run.
+        The scenario.
     summary : mapping
-        As in ``summary.json``; where it says that the run was interrupted, the report says so too.
+        As in ``summary.json``; the report also states if the run was interrupted.
     columns : mapping of arrays
         As in ``trials.parquet``.
     runner : TrialRunner, optional
-        That of the run, so that the example frames need no second one.
+        The runner of the run, which is reused for the example frames.
     budget : mapping, optional
         As in ``budget.json``.
     """
@@ -72,13 +73,7 @@ def build_report(
 
 
 def html_of(report: Report) -> str:
-    """The report as one page: no script, no link to anything outside it, light and dark, for desk, phone and paper."""
-    from markupsafe import Markup
-
-    def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:
-        phone = Markup(inline_svg(panel, f"{key}n", narrow=True)) if panel.wide else ""
-        return {"panel": panel, "svg": Markup(inline_svg(panel, key)), "phone": phone, "anchor": anchor}
-
+    """The report as one page without scripts or external links, in light and dark, for desktop, phone and print."""
     return render_page(
         "report/report.html.j2",
         scenario=report.scenario,
@@ -89,7 +84,6 @@ def html_of(report: Report) -> str:
         trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
         wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],
         frames=[drawn(panel, f"f{i}", f"trial-{index}") for i, (panel, index) in enumerate(report.frames)],
-        colours=style_variables(),
         resolved=report.scenario.to_yaml(),
     )
 
@@ -101,5 +95,5 @@ def report_html(
     *,
     runner: TrialRunner | None = None,
 ) -> str:
-    """`build_report` and `html_of` in one: the page alone, drawn apart."""
+    """`build_report` and `html_of` in one, drawn in a separate process."""
     return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner))

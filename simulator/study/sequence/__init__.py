@@ -1,1 +1,1 @@
-"""Sequences: frame after frame in tracking mode."""
+"""Sequences of frames in tracking mode."""

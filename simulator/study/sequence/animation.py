@@ -1,6 +1,6 @@
-"""A sequence as a moving picture: the frame with its windows and matched stars, over the error against time.
+"""Animation of a sequence: the frame with its windows and matched stars, above a plot of the errors over time.
 
-GIF by Pillow; MP4 by ffmpeg where that is installed.
+GIF by Pillow; MP4 by ffmpeg if it is installed.
 """
 
 from __future__ import annotations
@@ -26,38 +26,38 @@ __all__ = ["FrameView", "find_ffmpeg", "gif_bytes", "mp4_bytes", "pictures", "vi
 Columns = dict[str, NDArray[Any]]
 
 SIDE_PX = 512
-"""Longest side of the frame as shown."""
+"""Longest side of the displayed frame."""
 PLOT_HEIGHT_PX = 230
 _MOST_PICTURES = 240
-"""A longer sequence is shown in steps."""
+"""Longer sequences are subsampled."""
 _PICTURE_MS = 100
 _HEAD_PX = 38
 _GREYS = 24
-"""Shades of the sky: noise of few shades packs well."""
+"""Number of grey levels of the sky: fewer levels compress better."""
 _DPI = 100
 _WINDOW, _MATCHED = (230, 159, 0), (86, 180, 233)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """What is shown of one frame."""
+    """Displayed content of one frame."""
 
     index: int
     """Row of the frame."""
     picture: NDArray[np.uint8]
-    """(h, w): Sky black, stars bright; made small."""
+    """(h, w): Reduced image, bright stars on a black sky."""
     factor: int
-    """Pixels of the frame in one of the picture."""
+    """Pixels of the frame per pixel of the reduced image."""
     window_xy: NDArray[np.float64]
     window_half_px: int
     matched_xy: NDArray[np.float64]
-    """On the frame, pixels."""
+    """Positions in the frame, pixels."""
     heading: str
-    """What is written above."""
+    """Caption."""
 
 
 def view_of(tracked: TrackedFrame) -> FrameView:
-    """Small picture of a tracked frame: the brightest pixel of every block, so that no star is lost."""
+    """Reduced image of a tracked frame: the brightest pixel of every block, so that no star is lost."""
     row = tracked.row
     state = (
         row["mode"].replace("_", " ")
@@ -74,7 +74,7 @@ def view_of(tracked: TrackedFrame) -> FrameView:
     low = float(np.nanmedian(image))
     spread = 1.4826 * float(np.nanmedian(np.abs(image - low))) or float(np.nanstd(image)) or 1.0
     blocks = image[:height, :width].reshape(height // factor, factor, width // factor, factor).max(axis=(1, 3))
-    # an arcsinh stretch from two deviations above the sky's level to a hundred times as much
+    # arcsinh stretch from two standard deviations above the sky to a hundred times as much
     stretched = np.arcsinh(np.clip((blocks - low) / spread - 2.5, 0.0, None) / 4.0) / np.arcsinh(60.0)
     shades = np.round(np.clip(np.nan_to_num(stretched), 0.0, 1.0) * (_GREYS - 1)) * (255.0 / (_GREYS - 1))
     return FrameView(
@@ -89,7 +89,7 @@ def view_of(tracked: TrackedFrame) -> FrameView:
 
 
 def pictures(views: list[FrameView], columns: Columns, name: str) -> Iterator[Image.Image]:
-    """The pictures of the animation, all of one size."""
+    """Images of the animation, all of the same size."""
     shown = views[:: -(-len(views) // _MOST_PICTURES)]
     height, width = max((view.picture.shape for view in views), key=lambda shape: shape[0] * shape[1])
     wide = max(width, 420)
@@ -130,7 +130,7 @@ def gif_bytes(views: list[FrameView], columns: Columns, name: str) -> bytes:
 
 
 def _palette(picture: Image.Image) -> Image.Image:
-    """Palette for all pictures: shades of the sky, marks, and the commonest colours of the plot, which stays."""
+    """Common palette: grey levels of the sky, marks, and the most frequent colours of the plot."""
     plot = picture.crop((0, picture.height - PLOT_HEIGHT_PX, picture.width, picture.height))
     reduced = plot.quantize(colors=96, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     shades = [round(k * 255.0 / (_GREYS - 1)) for k in range(_GREYS)]
@@ -143,17 +143,17 @@ def _palette(picture: Image.Image) -> Image.Image:
 
 
 def find_ffmpeg() -> str | None:
-    """The program ffmpeg, where it is installed."""
+    """Path of ffmpeg, or None."""
     return shutil.which("ffmpeg")
 
 
 def mp4_bytes(views: list[FrameView], columns: Columns, name: str, program: str) -> bytes:
-    """The animation as an MP4 (H.264 where this ffmpeg has it, else its own choice).
+    """The animation as MP4 (H.264 if available in ffmpeg, otherwise its default codec).
 
     Raises
     ------
     BoresightError
-        When ffmpeg fails; with its last words.
+        If ffmpeg fails, with its last message.
     """
     import tempfile
     from pathlib import Path
@@ -161,7 +161,7 @@ def mp4_bytes(views: list[FrameView], columns: Columns, name: str, program: str)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "sequence.mp4"
         images = [np.asarray(picture) for picture in pictures(views, columns, name)]
-        height, width = images[0].shape[0] // 2 * 2, images[0].shape[1] // 2 * 2  # yuv420p wants even sides
+        height, width = images[0].shape[0] // 2 * 2, images[0].shape[1] // 2 * 2  # yuv420p requires even sides
         command = [
             program,
             "-y",
@@ -179,8 +179,8 @@ def mp4_bytes(views: list[FrameView], columns: Columns, name: str, program: str)
         data = b"".join(np.ascontiguousarray(image[:height, :width]).tobytes() for image in images)
         done = subprocess.run(command, input=data, capture_output=True, check=False)
         if done.returncode or not target.is_file():
-            words = done.stderr.decode(errors="replace").strip().splitlines() or ["no file came"]
-            raise BoresightError(f"{program}: the animation could not be made ({words[-1]})")
+            words = done.stderr.decode(errors="replace").strip().splitlines() or ["no output file"]
+            raise BoresightError(f"{program}: the animation could not be created ({words[-1]})")
         return target.read_bytes()
 
 
@@ -201,7 +201,7 @@ def _marks(draw: ImageDraw.ImageDraw, view: FrameView, corner: tuple[int, int]) 
 
 
 def _plot(columns: Columns, width: int) -> tuple[Image.Image, tuple[float, float, float]]:
-    """Errors about the body axes against time as a picture; left, right and bottom of its time axis, pixels."""
+    """Plot of the errors about the body axes over time; left, right and bottom of its time axis, pixels."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""The frames of a sequence, one after the other: rendered along the true motion, tracked, compared with the truth."""
+"""Frames of a sequence: rendered along the true motion, tracked, and compared with the truth."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from simulator.study.trials.trial import (
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
+from startracker.display import fields_repr
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
@@ -40,16 +41,16 @@ __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFra
 FloatArray = NDArray[np.float64]
 
 MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
-"""How the attitude of a frame came about: windows; the whole frame around the prediction; the whole frame and the whole
-sky; not from this frame, predicted; not at all."""
+"""Source of the attitude of a frame: windows; whole frame near the prediction; whole frame and whole sky; prediction
+only; none."""
 NO_FRAME = "no_frame"
-"""Status of a frame that did not come."""
+"""Status of a missing frame."""
 LEAST_PRIOR_DEG = 0.1
 _LEAST_WALK = 1e-6
-"""Least disturbance, rad/s/√s, given to the filter: a body that drifts freely."""
+"""Minimum disturbance, rad/s/√s, assumed by the filter: a freely drifting body."""
 _FEWEST_FOR_WALK = 8
 _LAG_MARGIN = 3.0
-"""A steady acceleration is no white noise; given this many times as much, the filter lags by less than its σ."""
+"""Factor on a constant acceleration, which is not white noise, so that the lag of the filter is less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +58,16 @@ class TrackedFrame:
     """One frame of a sequence."""
 
     row: dict[str, Any]
-    """Its row of ``sequence.parquet``."""
+    """Row of ``sequence.parquet``."""
     frame: Frame | None
-    """The image; None where none came."""
+    """The image; None for a missing frame."""
     solution: Solution
-    """What the session said."""
+    """Result of the session."""
     window_xy: FloatArray
     window_half_px: int
-    """(M, 2): Windows looked at."""
+    """(M, 2): Centres of the windows."""
+
+    __repr__ = fields_repr
 
 
 class SequenceRunner:
@@ -75,7 +78,7 @@ class SequenceRunner:
     scenario : Scenario
         The scenario.
     single : bool
-        Solve every frame alone too, without prior.
+        Also solve every frame on its own, without a prior.
     """
 
     def __init__(self, scenario: Scenario, *, single: bool = False) -> None:
@@ -93,7 +96,7 @@ class SequenceRunner:
         self.renderer.scenes.plan([state.t_s for state in self.states])
         self.shaking = self._shaking()
         self.cameras = [state.camera for state in self.states]
-        """True attitudes: those of the motion, turned by the mean of the jitter over the exposure."""
+        """True attitudes, including the mean jitter over the exposure."""
         self.rates = [state.rate_camera_rad_s for state in self.states]
         if self.shaking:
             exposure_s = self.renderer.exposure_s
@@ -110,10 +113,10 @@ class SequenceRunner:
             self.gyro, self.biases = samples
         self.noise = self._noise()
         self.operated: OperatedCamera | None = None
-        """The camera under its rules of operation, once `frames` has begun; None where it has none."""
+        """The camera with its rules of operation, set by `frames`; None without rules."""
 
     def _shaking(self) -> list[JitterPath]:
-        """Jitter about each mid-exposure, one process through the sequence; empty without jitter."""
+        """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
         path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
         section = self.scenario.sequence
         return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
@@ -122,7 +125,7 @@ class SequenceRunner:
         return self.shaking[k] if self.shaking else None
 
     def _start(self) -> Pointing:
-        """Attitude at the first frame: as that of trial 0 at that time, without jitter."""
+        """Attitude at the first frame: that of trial 0 at this time, without jitter."""
         scenario, scenes = self.scenario, self.renderer.scenes
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
         if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
@@ -133,7 +136,7 @@ class SequenceRunner:
         return hold(self._pointing, nominal, rng)
 
     def _noise(self) -> GyroNoise | RateNoise:
-        """The noise of the motion and of the gyro, as the filter is given it."""
+        """Process noise of the filter: motion or gyro."""
         section = self.scenario.sequence
         walk = section.rate_walk_deg_s_sqrt_s
         if walk == "auto":
@@ -154,9 +157,9 @@ class SequenceRunner:
         )
 
     def _jitter_walk(self) -> float:
-        """White angular acceleration, rad/s/√s, that leaves the second differences of the jitter's angles.
+        """White angular acceleration, rad/s/√s, equivalent to the second differences of the jitter angles.
 
-        Those of an angle driven by a density q have the variance 2 q h³/3 at a step h.
+        For an angle driven by a density q their variance is 2 q h³/3 at a step h.
         """
         section = self.scenario.sequence
         angles = np.array([j.mean(self.renderer.exposure_s) for j in self.shaking])
@@ -167,10 +170,10 @@ class SequenceRunner:
 
     # ------------------------------------------------------------------ the frames
     def frames(self) -> Iterator[TrackedFrame]:
-        """All frames in order; the same every time."""
+        """All frames in order; reproducible."""
         scenario, section = self.scenario, self.scenario.sequence
         session = TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
-        if scenario.tracker.prior:  # uniform within its half width, about each axis
+        if scenario.tracker.prior:  # uniform within the half width about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
         self.operated = OperatedCamera(scenario, self.renderer, self.tracker) if section.operation.use else None
@@ -180,7 +183,7 @@ class SequenceRunner:
             if any(d.start_s <= since_s < d.start_s + d.duration_s for d in section.dropouts):
                 solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
                 row = self._row(k, state, self.cameras[k], session, solution, math.nan, 0.0)
-                row |= {"status": NO_FRAME, "reason": "no frame came"} | self._alone(None, None)
+                row |= {"status": NO_FRAME, "reason": "no frame"} | self._alone(None, None)
                 row |= self.operated.dropped(solution, session) if self.operated else {}
                 yield TrackedFrame(row, None, solution, np.empty((0, 2)), 0)
                 continue
@@ -216,7 +219,7 @@ class SequenceRunner:
     def _take(
         self, k: int, state: MotionState, since_s: float, session: TrackingSession
     ) -> tuple[Frame, FrameTruth] | None:
-        """Frame and truth; None while the sensor's own rules have it stand by."""
+        """Frame and truth; None while operation is suspended."""
         if self.operated is not None:
             return self.operated.expose(k, state, since_s, session, self._jitter(k))
         return self.renderer.frame(
@@ -237,7 +240,7 @@ class SequenceRunner:
         taken: tuple[Frame, FrameTruth] | None,
         render_ms: float,
     ) -> TrackedFrame:
-        """A frame that the rules of operation do not give to the tracker, or that was not taken at all."""
+        """A frame that is discarded by the rules of operation, or was not taken."""
         assert self.operated is not None
         solution = session.update_centroids(np.empty((0, 2)), None, since_s, gyro_rad_s=gyro)
         frame, truth = taken if taken is not None else (None, None)
@@ -342,7 +345,7 @@ class SequenceRunner:
         }
 
     def _alone(self, solution: Solution | None, truth: FrameTruth | None) -> dict[str, Any]:
-        """Columns of the frame solved alone; without a frame their empty values."""
+        """Columns of the frame solved on its own; empty values without a frame."""
         if not self.single:
             return {}
         row: dict[str, Any] = {
@@ -364,8 +367,8 @@ class SequenceRunner:
     def _is_wrong(
         self, truth: FrameTruth, solution: Solution, misidentified: int, nees: float, error_deg: FloatArray
     ) -> bool:
-        """Whether the attitude given with a solved frame is wrong (`simulator.study.statistics.is_wrong`), the noise
-        being that of this frame alone: its bound is computed only for the few attitudes that it can decide about."""
+        """Whether the attitude of a solved frame is wrong (`simulator.study.statistics.is_wrong`), with the noise of
+        this frame alone. The bound is computed only for the few attitudes for which it matters."""
         if not solution.solved:
             return False
         bound_deg = np.full(3, math.nan)

@@ -1,7 +1,7 @@
-"""A sequence under the sensor's own rules of operation: the camera exposed as they say, and what they leave behind.
+"""A sequence with the sensor's rules of operation: exposure control, and the resulting columns and summary.
 
-`startracker.tracking.operation` decides from the images alone; here are the exposures that it asks for, the columns
-and the summary, and the truth that the map of defective pixels and the magnitudes are held against.
+`startracker.tracking.operation` decides from the images alone; this module applies the exposures, and compares the map
+of defective pixels and the magnitudes with the truth.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 DISCARDED = "discarded"
 """Status of a frame whose brightest stars are over-exposed."""
 SUSPENDED = "suspended"
-"""Status of a frame that shows the Sun, and of those that are not taken until it has passed."""
+"""Status of a frame with the Sun, and of those not taken until it has passed."""
 _FEWEST_FOR_SLOPE = 8
 
 
@@ -41,9 +41,9 @@ class OperatedCamera:
     scenario : Scenario
         The scenario.
     renderer : Renderer
-        Of the scenario; it takes the exposures that the rules ask for.
+        Renderer of the scenario, used with the exposures set by the rules.
     tracker : StarTracker
-        Its settings and its catalogue.
+        The tracker, with its settings and catalogue.
     """
 
     def __init__(self, scenario: Scenario, renderer: Renderer, tracker: StarTracker) -> None:
@@ -56,14 +56,14 @@ class OperatedCamera:
         self._b_v = dict(zip(catalog.id.tolist(), catalog.b_v.tolist(), strict=True))
         self.verdict = Verdict("", "", None)
         self.exposure_s = self.rules.exposure_s
-        """Exposure of the frame under way."""
+        """Exposure of the current frame."""
         self.colours: list[FloatArray] = []
-        """B − V and error of the magnitude of every star measured, (N, 2) a frame."""
+        """B − V and magnitude error of every measured star, (N, 2) per frame."""
 
     def expose(
         self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterPath | None
     ) -> tuple[Frame, FrameTruth] | None:
-        """Frame and truth at the exposure that the rules ask for, judged; None while the sensor is suspended."""
+        """Frame and truth at the exposure set by the rules, with their verdict; None while suspended."""
         self.exposure_s = self.rules.exposure_s
         if self.rules.suspended(since_s):
             self.verdict = Verdict("sun", "suspended until the Sun has passed", None)
@@ -81,17 +81,17 @@ class OperatedCamera:
         return frame, truth
 
     def dropped(self, solution: Solution, session: TrackingSession) -> dict[str, Any]:
-        """Columns of a time without a frame that no rule is the cause of."""
+        """Columns of a missing frame not caused by a rule."""
         self.verdict = Verdict("", "", None)
         return self.columns(None, solution, session)
 
     def refused(self) -> dict[str, Any]:
-        """Status and reason of a frame that the tracker is not given."""
+        """Status and reason of a frame that is not passed to the tracker."""
         status = {"sun": SUSPENDED, "stale": str(Status.STALE)}.get(self.verdict.rule, DISCARDED)
         return {"status": status, "reason": self.verdict.reason}
 
     def columns(self, frame: Frame | None, solution: Solution, session: TrackingSession) -> dict[str, Any]:
-        """Columns of a frame, and what the sensor learns from it; call after the tracker."""
+        """Columns of a frame; also updates the maps of the sensor. To be called after the tracker."""
         row: dict[str, Any] = {
             "exposure_s": self.exposure_s,
             "rule": self.verdict.rule,
@@ -115,7 +115,7 @@ class OperatedCamera:
         return row
 
     def _magnitude_errors(self, frame: Frame, solution: Solution) -> FloatArray:
-        """B − V and magnitude read from the image minus V, (N, 2), of identified stars that are not saturated."""
+        """B − V and measured magnitude minus V, (N, 2), of identified stars that are not saturated."""
         stars = solution.stars
         read = image_magnitudes(stars.flux, frame.gain_e_per_dn, frame.exposure_s, self._zero_point)
         b_v = np.array([self._b_v.get(int(number), math.nan) for number in stars.catalog_id])
@@ -123,11 +123,11 @@ class OperatedCamera:
         return np.stack([b_v[good], (read - stars.v_mag)[good]], axis=1)
 
     def true_defects(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Pixels that are defective beyond doubt, and such that may be classified so, (H, W).
+        """Definitely defective pixels, and pixels that may be classified as defective, (H, W).
 
-        By the mean dark signal at the longest exposure: over its median by twice `blemish_sigma` times the noise of a
-        pixel (the spread of the ordinary dark signal with it), or by half as much. Dead pixels read the offset, as an
-        empty sky does: they count as such that may be found.
+        By the mean dark signal at the longest exposure: above its median by twice `blemish_sigma` times the noise of a
+        pixel (including the spread of the normal dark signal), or by half as much. Dead pixels read the offset like
+        empty sky, and belong to the second group.
         """
         scenario = self.scenario
         shape = (scenario.detector.height, scenario.detector.width)
@@ -143,10 +143,11 @@ class OperatedCamera:
 
 
 def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]], step_s: float) -> dict[str, Any]:
-    """How often each rule acted, the exposures, the map of defective pixels and the magnitudes against the truth.
+    """Number of actions of each rule, exposures, and comparison of the map of defective pixels and the magnitudes with
+    the truth.
 
-    The colour's slope is that of a straight line through all errors, magnitudes a magnitude of B − V: what one relation
-    for all stars leaves. Without it the errors have the standard deviation ``std_without_colour``.
+    The colour slope is that of a straight line through all errors, magnitudes per magnitude of B − V: the error of a
+    single relation for all stars. Without it the standard deviation of the errors is ``std_without_colour``.
     """
     status, rule = columns["status"], columns["rule"]
     certain, maybe = camera.true_defects()

@@ -1,4 +1,4 @@
-"""Plots of the rules of operation: exposure, where each rule acted, the map of defective pixels, magnitudes."""
+"""Plots of the rules of operation: exposure and actions, map of defective pixels, magnitudes."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ _MARKS = {
     "sun": (ORANGE, "*", "Sun: suspended"),
     "moon": (GREEN, "o", "Moon: cleared"),
 }
-"""Rule to colour, marker and words."""
+"""Colour, marker and label by rule."""
 
 
 def operation_panels(columns: Columns) -> list[Panel]:
     """Panels of a sequence under the rules of operation."""
     return [
-        Panel("Exposure", "Exposure of each frame, and where a rule acted.", lambda ax: _exposure(ax, columns)),
-        Panel("Defective pixels", "Pixels in the map.", lambda ax: _defects(ax, columns), 2.2),
+        Panel(
+            "Exposure", "Exposure of each frame, and frames in which a rule acted.", lambda ax: _exposure(ax, columns)
+        ),
+        Panel("Defective pixels", "Number of pixels in the map.", lambda ax: _defects(ax, columns), 2.2),
         Panel(
             "Magnitudes",
-            "Magnitude read from the image minus the catalogue's: mean of each frame, and its spread (rms).",
+            "Measured minus catalogue magnitude: mean and rms of each frame.",
             lambda ax: _magnitudes(ax, columns),
         ),
     ]

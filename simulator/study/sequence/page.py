@@ -1,4 +1,4 @@
-"""The page of a sequence: one self-contained HTML file, the answer in its first lines."""
+"""The page of a sequence: a self-contained HTML file with the answer in its first lines."""
 
 from __future__ import annotations
 
@@ -9,57 +9,94 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.html_page import render_page
+from simulator.study.html_page import Table, drawn, provenance, render_page
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.plots import MODE_TITLES, panels
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
-from simulator.study.style import inline_svg, style_variables
 
 _LARGEST_GIF_BYTES = 12_000_000
-"""A larger animation stays a file beside the page."""
+"""A larger animation remains a separate file."""
+
+_MOST_UNSOLVED = 20
+"""Maximum number of unsolved frames that the page lists."""
 
 
 def sequence_html(
     scenario: Scenario, summary: dict[str, Any], columns: dict[str, NDArray[Any]], gif: bytes | None = None
 ) -> str:
-    """Whole page: no script, no link to anything outside it.
+    """Complete page without scripts or external links.
 
     Parameters
     ----------
     scenario : Scenario
-        What was run.
+        The scenario.
     summary, columns : dict
         As in ``sequence.json`` and ``sequence.parquet``.
     gif : bytes, optional
         The animation.
     """
     groups = [
-        (heading, [(panel, inline_svg(panel, f"s{i}-{k}")) for k, panel in enumerate(group)])
+        (heading, [drawn(panel, f"s{i}-{k}") for k, panel in enumerate(group)])
         for i, (heading, group) in enumerate(panels(columns).items())
     ]
     limits = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
     p997 = {axis: summary["errors_deg"][axis]["p997"] for axis in BODY_AXES}
     # no interval: the errors of successive frames are not independent
     met = summary["wrong"] == 0 and all(p997[axis] is not None and p997[axis] <= limits[axis] for axis in BODY_AXES)
-    unsolved = [
-        (int(columns["index"][i]), float(columns["elapsed_s"][i]), str(columns["status"][i]), str(columns["reason"][i]))
-        for i in np.flatnonzero((columns["status"] != "solved") | columns["wrong"])[:20]
-    ]
     embedded = gif is not None and len(gif) <= _LARGEST_GIF_BYTES
     return render_page(
         "sequence/sequence.html.j2",
         scenario=scenario,
         summary=summary,
-        met=met,
+        provenance=provenance(summary, scenario.fingerprint()),
+        tone="good" if met else "bad",
         verdicts=[(axis, p997[axis], limits[axis]) for axis in BODY_AXES],
-        axes=[(axis.replace("_", " "), axis) for axis in AXES],
-        modes=[(MODE_TITLES[mode], summary["time_in_mode_s"][mode]) for mode in MODES],
+        accuracy=_accuracy(summary),
+        modes=Table(("mode", "time"), tuple((MODE_TITLES[m], f"{summary['time_in_mode_s'][m]:g} s") for m in MODES)),
         groups=groups,
-        unsolved=unsolved,
-        missing=summary["frames"] - summary["solved"] + summary["wrong"],
+        unsolved=_unsolved(summary, columns),
         animation="data:image/gif;base64," + base64.b64encode(gif).decode("ascii") if embedded and gif else None,
         beside=gif is not None and not embedded,
-        colours=style_variables(),
         resolved=scenario.to_yaml(),
         deg=deg_text,
+    )
+
+
+def _accuracy(summary: dict[str, Any]) -> Table:
+    single = summary.get("single")
+    rows = []
+    for axis in AXES:
+        errors = summary["errors_deg"][axis]
+        row = [
+            axis.replace("_", " "),
+            *(deg_text(errors[name]) for name in ("mean", "std", "rms", "three_sigma", "max")),
+        ]
+        if single:
+            gain = single["gain"][axis]
+            row += [deg_text(single["errors_deg"][axis]["rms"]), f"{gain:.2f}" if gain else "–"]
+        rows.append(tuple(row))
+    note = "The error is the rotation vector from the true to the estimated attitude, over the solved frames"
+    if single:
+        note += f"; single frames: {single['solved']} frames solved one by one without prediction"
+    headings = ("axis", "mean", "std", "rms", "3σ", "max", *(("rms, single frames", "gain") if single else ()))
+    return Table(headings, tuple(rows), note=f"{note}.")
+
+
+def _unsolved(summary: dict[str, Any], columns: dict[str, NDArray[Any]]) -> Table:
+    """Frames that are unsolved or wrong, up to `_MOST_UNSOLVED`."""
+    found = np.flatnonzero((columns["status"] != "solved") | columns["wrong"])[:_MOST_UNSOLVED]
+    count = summary["frames"] - summary["solved"] + summary["wrong"]
+    return Table(
+        ("frame", "time", "status", "reason"),
+        tuple(
+            (
+                str(columns["index"][i]),
+                f"{columns['elapsed_s'][i]:g} s",
+                str(columns["status"][i]),
+                str(columns["reason"][i]),
+            )
+            for i in found
+        ),
+        (2, 3),
+        f"The first {_MOST_UNSOLVED} of {count}; all are in sequence.parquet." if count > _MOST_UNSOLVED else "",
     )

@@ -1,4 +1,4 @@
-"""Plots of a sequence: each panel draws one quantity against time from the columns of the frames."""
+"""Plots of a sequence: each panel shows one quantity over time from the columns of the frames."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ _AXIS_TITLES = {
     "about_boresight": "about the boresight",
 }
 _MANY_FRAMES = 1500
-"""Beyond this, points go into the page as pixels: as lines they would make it slow."""
+"""Above this number points are rasterised, as vector graphics would make the page slow."""
 
 
 def panels(columns: Columns) -> dict[str, list[Panel]]:
     """All panels of the page by their heading."""
     groups = {
         "Modes and stars": [
-            Panel("Mode", "How the attitude of each frame came about.", lambda ax: draw_modes(ax, columns), 2.2),
-            Panel("Stars", "Guide stars in the field, looked for, and matched.", lambda ax: _stars(ax, columns), 2.2),
+            Panel("Mode", "Source of the attitude of each frame.", lambda ax: draw_modes(ax, columns), 2.2),
+            Panel("Stars", "Guide stars in the field, searched for, and matched.", lambda ax: _stars(ax, columns), 2.2),
         ],
         "Errors about the body axes": [_error_panel(axis, columns) for axis in BODY_AXES],
         "Errors about the camera axes": [_error_panel(axis, columns) for axis in CAMERA_AXES],
         "Consistency": [
             Panel(
                 "NEES",
-                "Normalised estimation error squared of the attitude (3 degrees of freedom): a consistent filter stays "
-                "below the line in 95 % of frames, and its mean is 3.",
+                "Normalised estimation error squared of the attitude (3 degrees of freedom): for a consistent filter "
+                "95 % of the frames are below the line, and the mean is 3.",
                 lambda ax: _nees(ax, columns),
             )
         ],
@@ -78,7 +78,7 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
 
 
 def draw_modes(ax: Axes, columns: Columns) -> None:
-    """Modes as a strip: one row a mode, a bar where it held."""
+    """Modes as a strip chart: one row per mode, with bars for its frames."""
     t, mode = columns["elapsed_s"], columns["mode"]
     step = _step(columns)
     shown = [m for m in MODES if np.any(mode == m)]
@@ -94,7 +94,7 @@ def draw_modes(ax: Axes, columns: Columns) -> None:
 
 
 def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
-    """Error of the filter with its ±3σ; and of the frames solved alone where these were."""
+    """Error of the filter with its ±3σ, and of the frames solved on their own, if any."""
     t = columns["elapsed_s"]
     many = len(t) > _MANY_FRAMES
     error, sigma = columns[f"error_{axis}_deg"] * 3600.0, columns[f"sigma_{axis}_deg"] * 3600.0
@@ -102,7 +102,7 @@ def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
     ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=BLUE, alpha=0.15, linewidth=0, label="±3σ", rasterized=many)
     if f"single_error_{axis}_deg" in columns:
         single = columns[f"single_error_{axis}_deg"] * 3600.0
-        ax.plot(t, single, ".", color=ORANGE, markersize=2.5, label="frame alone", rasterized=many)
+        ax.plot(t, single, ".", color=ORANGE, markersize=2.5, label="single frame", rasterized=many)
     ax.plot(t, error, "-", color=BLUE, linewidth=1.0, label="tracking", rasterized=many)
     if np.any(~solved & np.isfinite(error)):
         ax.plot(t[~solved], error[~solved], "x", color=VERMILION, markersize=3.5, label="not solved", rasterized=many)
@@ -118,7 +118,7 @@ def _error_panel(axis: str, columns: Columns) -> Panel:
 
 
 def _robust_limits(ax: Axes, error: NDArray[Any], band: NDArray[Any], single: NDArray[Any] | None) -> None:
-    """Limits that show nearly all of what there is: an acquisition or an outage may widen the band a thousandfold."""
+    """Axis limits for nearly all values: acquisition or an outage may widen the band a thousandfold."""
     known = [np.abs(v[np.isfinite(v)]) for v in (error, band)]
     if single is not None:
         known.append(np.abs(single[np.isfinite(single)]) * 3600.0)
@@ -136,7 +136,7 @@ def _stars(ax: Axes, columns: Columns) -> None:
     )
     expected = columns["stars_expected"]
     looked = came & (expected > 0)
-    ax.plot(t[looked], expected[looked], ".", color=ORANGE, markersize=2.5, label="looked for", rasterized=many)
+    ax.plot(t[looked], expected[looked], ".", color=ORANGE, markersize=2.5, label="searched for", rasterized=many)
     ax.plot(
         t, columns["stars_matched"], ".-", color=BLUE, markersize=3, linewidth=0.8, label="matched", rasterized=many
     )
@@ -209,7 +209,7 @@ def _compared(key: str, label: str, columns: Columns) -> Callable[[Axes], None]:
 
 
 def _most(values: NDArray[Any]) -> NDArray[Any]:
-    """The finite values but for the extreme 3 %, such as those before the filter has seen two frames."""
+    """Finite values without the extreme 3 %, such as those before the second frame."""
     finite = values[np.isfinite(values)]
     return np.asarray(np.percentile(finite, [3.0, 97.0])) if len(finite) else finite
 

@@ -1,4 +1,4 @@
-"""A whole sequence: frames in tracking mode, statistics, and the files that ``boresight run --sequence`` leaves."""
+"""A complete sequence: frames in tracking mode, statistics, and the files of ``boresight run --sequence``."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.result_files import json_text, parquet_bytes, write_files
+from simulator.study.data_frames import Rows
+from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
@@ -21,31 +23,43 @@ from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.statistics import median
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import BoresightError
 
 __all__ = ["Sequence", "run_sequence"]
 
 Progress = Callable[[int, int], None]
-"""Called with (frames finished, frames in all)."""
+"""Called with (frames finished, total frames)."""
 
 _FLUSH_FRAMES = 500
-"""Rows are kept as columns in pieces of this many: a long sequence takes little memory."""
+"""Rows are stored as columns in chunks of this size, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class Sequence(Rows):
     """Result of a sequence."""
 
     scenario: Scenario
-    """What was run."""
+    """The scenario."""
     frames: pa.Table
-    """A row a frame."""
+    """One row per frame."""
     summary: dict[str, Any]
     """What ``sequence.json`` holds."""
     folder: Path | None = None
-    """Where the files are."""
+    """Folder of the files."""
     files: tuple[str, ...] = ()
-    """Their names."""
+    """Names of the files."""
+
+    def _table(self) -> pa.Table:
+        return self.frames
+
+    def _meta(self) -> dict[str, Any]:
+        return {"name": self.scenario.name, "seed": self.scenario.seed, "version": __version__}
+
+    def __repr__(self) -> str:
+        solved = int(np.count_nonzero(self.frames["status"].to_numpy(zero_copy_only=False) == "solved"))
+        counts = f"{self.frames.num_rows} frames, {solved} solved"
+        return described("Sequence", self.scenario.name, counts, str(self.folder or ""))
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -62,36 +76,36 @@ def run_sequence(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Sequence:
-    """Run a scenario's sequence: an orbit or a slew, frame after frame, in tracking mode.
+    """Run a scenario's sequence: frames of an orbit or a slew in tracking mode.
 
     Parameters
     ----------
     scenario : Scenario
-        The scenario; its ``sequence`` section says what happens.
+        The scenario, with its ``sequence`` section.
     out : path, optional
         Folder for ``sequence.parquet``, ``sequence.json``, ``sequence.html``, ``scenario.resolved.yaml`` and, with
-        `animate`, ``sequence.gif`` and, where ffmpeg is installed, ``sequence.mp4``; none: nothing is written.
+        `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; None: nothing is written.
     single : bool
-        Solve every frame alone too, to compare.
+        Also solve every frame on its own, for comparison.
     animate : bool
-        Make the animation.
+        Create the animation.
     force : bool
-        Replace what stands in `out`, whatever it is.
+        Replace any results in `out`.
     progress : callable, optional
-        Called with (finished, all).
+        Called with (finished, total).
 
     Raises
     ------
     InputError
-        For an unwritable folder, or names or files in the scenario that cannot be used; where `out` holds results of
-        another scenario, seed, version or longer sequence; or where another process is at work there.
+        For an unwritable folder, or invalid names or files in the scenario; if `out` contains results of another
+        scenario, seed, version or longer sequence; or if another process uses it.
     BoresightError
-        For a sequence that is interrupted before it has as many frames as the one whose results stand in `out`.
+        For a sequence interrupted with fewer frames than the results in `out`.
 
     Notes
     -----
-    Ctrl-C ends the sequence after the frame under way; results and files are then those of the frames so far, and the
-    summary says ``interrupted``.
+    Ctrl-C ends the sequence after the current frame; results and files contain the frames so far, and the summary has
+    ``interrupted``.
     """
     if out is None:
         return _run(scenario, None, single, animate, progress)
@@ -101,7 +115,7 @@ def run_sequence(
 
 
 def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
-    """Identity of so many frames of a sequence."""
+    """Identity of a number of frames of a sequence."""
     begun = scenario.changed({"sequence.frames": 1})
     sha256 = scenario_sha256(begun, sequence=True, single=single)
     return Identity("sequence", scenario.name, scenario.seed, sha256, {"frames": frames})
@@ -139,7 +153,8 @@ def _run(
                 break
     if done < frames_standing:
         raise BoresightError(
-            f"interrupted after {done} frames; {folder} keeps the results of an earlier run of {frames_standing}"
+            f"interrupted after {done} frames; {folder} still contains the "
+            f"results of an earlier run of {frames_standing}"
         )
     if rows:
         pieces.append(pa.Table.from_pylist(rows))
@@ -151,6 +166,7 @@ def _run(
         name=scenario.name,
         seed=scenario.seed,
         version=__version__,
+        finished_utc=now_utc(),
         identity=_identity(scenario, single, done).to_dict(),
         requested=requested,
         interrupted=done < requested,
@@ -167,7 +183,7 @@ def _run(
 
 
 def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[str, ...]:
-    """Write the result files, each moved into place whole."""
+    """Write the result files atomically."""
     from simulator.study.sequence.page import sequence_html
 
     files: dict[str, bytes | str] = {

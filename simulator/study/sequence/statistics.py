@@ -1,4 +1,4 @@
-"""Statistics of a sequence: how long there was an attitude, in which mode, how good, and whether the filter knew."""
+"""Statistics of a sequence: availability, modes, accuracy, and consistency of the filter."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ FloatArray = NDArray[np.float64]
 def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
     """Numbers of ``sequence.json`` from the columns of ``sequence.parquet``.
 
-    A frame stands for the step that begins with it: times in modes and outages are numbers of frames times the step.
-    Errors are those of the solved frames, and those of the solved frames that were also solved alone where they are set
-    against each other (``gain``: rms alone over rms in tracking).
+    A frame represents the step that begins with it: times in modes and outages are numbers of frames times the step.
+    Errors are those of the solved frames; comparisons with single frames (``gain``: rms of single frames over rms in
+    tracking) use the frames solved both ways.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
@@ -82,7 +82,7 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def effective_number(values: FloatArray) -> float:
-    """Number of independent values that say as much of the mean as these correlated ones.
+    """Effective number of independent values of a correlated series, for its mean.
 
     N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
     7, 473: the initial positive sequence); between 1 and N.
@@ -104,11 +104,11 @@ def effective_number(values: FloatArray) -> float:
 
 
 def nees_test(nees: FloatArray) -> dict[str, Any]:
-    """Mean of the normalised estimation error squared and the bounds that hold 95 % of such means.
+    """Mean of the normalised estimation error squared and its 95 % bounds.
 
     e P⁻¹ e of a consistent filter is χ² of 3 degrees of freedom; the mean of N independent ones is χ²(3 N)/N
     (Bar-Shalom, Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
-    Successive errors of a filter are correlated; for N the effective number is taken.
+    Successive errors of a filter are correlated; N is the effective number.
     """
     nees = nees[np.isfinite(nees)]
     if not len(nees):

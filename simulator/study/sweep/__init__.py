@@ -1,1 +1,1 @@
-"""Sweeps over keys, and runs side by side."""
+"""Sweeps over keys, and comparison of runs."""

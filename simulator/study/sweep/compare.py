@@ -1,14 +1,14 @@
-"""Several runs beside each other: what differs in their scenarios, and what that does to the errors.
+"""Comparison of runs: differences of their scenarios, and of their errors.
 
-Runs of one seed share their trials (same times, attitudes and random streams), so they are also compared trial by
-trial: the ratio of their rms errors over the trials that both solved is more certain than the two intervals suggest.
+Runs with the same seed share their trials (times, attitudes and random streams), and are also compared trial by trial:
+the ratio of their rms errors over the trials solved by both is more accurate than the separate intervals suggest.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,42 +25,46 @@ from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.sweep.files import cell
 from simulator.study.trials.columns import Columns
+from startracker.display import fields_repr
 from startracker.errors import InputError
 
 IGNORED = ("name", "description")
-"""Keys that say nothing of what was simulated."""
+"""Keys without effect on the simulation."""
 
 MAX_RUNS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """A run, or a point of a sweep, as it is compared."""
+    """A run, or a point of a sweep, in a comparison."""
 
     name: str
-    """The folder as it was given, and for a point its number."""
+    """The folder as given, and the number of a point."""
     values: dict[str, Any]
-    """Every key of its scenario by dotted path."""
+    """All keys of its scenario by dotted path."""
     columns: Mapping[str, NDArray[Any]]
-    """Columns of its trials, those of `TRIAL_COLUMNS`."""
+    """Columns `TRIAL_COLUMNS` of its trials."""
     statistics: dict[str, Any]
     """From `simulator.study.point_statistics.point_statistics`."""
     trials_per_second: float | None = None
-    """Speed, where the run says so."""
+    """Speed, if recorded."""
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """Scenario, seed and version of the results, as in their JSON file."""
+
+    __repr__ = fields_repr
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Runs beside each other."""
+    """Comparison of runs."""
 
     runs: tuple[ComparedRun, ...]
-    """In the order given; the first is what the others are measured against."""
+    """In the given order; the first is the reference."""
     differences: dict[str, tuple[Any, ...]]
-    """Dotted path of every key that is not the same in all runs to its value in each; None where a run has no such
-    key."""
+    """Values in each run of every key that differs, by dotted path; None if a run does not have the key."""
     ratios: tuple[dict[str, tuple[float, float | None, float | None]] | None, ...]
-    """Of every run: for each axis (ratio, low, high) of its rms error to that of the first run, over the trials that
-    both solved, with the 95 % interval; None for the first run, and where trials cannot be paired."""
+    """For every run, by axis: (ratio, low, high) of its rms error relative to the first run, over the trials solved by
+    both, with 95 % interval; None for the first run, and if trials cannot be paired."""
 
 
 def compare(folders: Sequence[str | Path]) -> Comparison:
@@ -69,7 +73,8 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
     Parameters
     ----------
     folders : sequence of paths
-        Results of ``boresight run``; of ``boresight sweep`` for all its points, ``DIR:3`` for the point of that number.
+        Results of ``boresight run``, or of ``boresight sweep`` (all points, or with ``DIR:3`` the point of that
+        number).
 
     Raises
     ------
@@ -78,16 +83,16 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
     """
     runs = [run for folder in folders for run in _load(str(folder))]
     if len(runs) < 2:
-        raise InputError("compare: needs two runs or more; give more folders")
+        raise InputError("compare: needs at least two runs; give more folders")
     if len(runs) > MAX_RUNS:
-        raise InputError(f"compare: {len(runs)} runs do not fit a page; choose points of the sweep, as DIR:3")
+        raise InputError(f"compare: {len(runs)} runs are too many for a page; select points of the sweep, as DIR:3")
     return Comparison(
         tuple(runs), differences([run.values for run in runs]), (None, *(_ratios(runs[0], run) for run in runs[1:]))
     )
 
 
 def differences(scenarios: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Keys that are not the same in all scenarios, in the order in which they are met."""
+    """Keys that differ between scenarios, in order of occurrence."""
     paths = dict.fromkeys(path for values in scenarios for path in values)
     rows = {path: tuple(values.get(path) for values in scenarios) for path in paths if path not in IGNORED}
     return {
@@ -106,7 +111,7 @@ def _load(given: str) -> list[ComparedRun]:
         return [_load_run(path, given)]
     if (path / "sweep.json").is_file() and (path / "sweep.parquet").is_file():
         return _load_points(path, int(number) if number else None)
-    what = "no such folder" if not path.is_dir() else "holds no results of boresight run or boresight sweep"
+    what = "no such folder" if not path.is_dir() else "contains no results of boresight run or boresight sweep"
     raise InputError(f"{given}: {what}")
 
 
@@ -115,7 +120,7 @@ def _load_run(folder: Path, name: str) -> ComparedRun:
     values = _resolved(folder / "scenario.resolved.yaml")
     columns = Columns(_trials(folder / "trials.parquet"))
     statistics = point_statistics(columns, int(summary["seed"]))
-    return ComparedRun(name, values, columns, statistics, summary.get("trials_per_second"))
+    return ComparedRun(name, values, columns, statistics, summary.get("trials_per_second"), summary.get("identity", {}))
 
 
 def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
@@ -135,13 +140,14 @@ def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
                 base | done[index]["values"],
                 Columns(mine),
                 done[index]["statistics"],
+                identity=table.get("identity", {}),
             )
         )
     return runs
 
 
 def _ratios(first: ComparedRun, other: ComparedRun) -> dict[str, tuple[float, float | None, float | None]] | None:
-    """Ratio of the rms errors over the trials that both solved; None where no trials can be paired."""
+    """Ratio of the rms errors over the trials solved by both; None if no trials can be paired."""
     if any(first.values.get(key) != other.values.get(key) for key in ("seed", "study.sampling")):
         return None
     _, mine, theirs = np.intersect1d(first.columns["index"], other.columns["index"], return_indices=True)
@@ -178,7 +184,7 @@ def _json(file: Path) -> dict[str, Any]:
 
 
 def _resolved(file: Path) -> dict[str, Any]:
-    """Every key of a resolved scenario, read without its schema, so that runs of other versions compare too."""
+    """All keys of a resolved scenario, read without the schema, so that runs of other versions can be compared."""
     text = read_text(file, str(file))
     problems = [text] if isinstance(text, Problem) else []
     table = parse_document(text, str(file), problems) if isinstance(text, str) else None
@@ -188,7 +194,7 @@ def _resolved(file: Path) -> dict[str, Any]:
 
 
 def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Dotted path to value as `cell` has it, which compares and prints the same wherever it was read from."""
+    """Dotted path to value in the form of `cell`, independent of its origin."""
     flat: dict[str, Any] = {}
     for key, value in nested.items():
         path = f"{prefix}.{key}" if prefix else str(key)

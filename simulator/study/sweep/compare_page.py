@@ -1,52 +1,127 @@
-"""The page of a comparison: errors of every run with their intervals in one picture, and tables."""
+"""The page of a comparison: figures of the errors of all runs with their intervals, and tables."""
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simulator.study.plots import BLUE, GREY, TITLES, save_bytes
+from simulator.study.html_page import DIGEST_DIGITS, Table, drawn, render_page
+from simulator.study.plots import TITLES
 from simulator.study.statistics import AXES
-from simulator.study.sweep.compare import Comparison
-from simulator.study.sweep.page import embedded, table_page
-from simulator.study.sweep.plots import figure_of_panels
+from simulator.study.style import BLUE, SOFT, Panel
+from simulator.study.sweep.compare import ComparedRun, Comparison
+from simulator.study.sweep.page import interval_text, number_text, percent_text, value_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _ARCSEC = 3600.0
+_QUANTITIES = (*AXES, "rate", "stars")
 
 
 def comparison_page(comparison: Comparison) -> str:
-    """Whole page of a comparison: no script, no link to anything outside it."""
-    return table_page("compare.html.j2", comparison=comparison, picture=embedded(comparison_picture(comparison)))
+    """Complete page of a comparison, without scripts or external links."""
+    runs = comparison.runs
+    names = tuple(axis.replace("_", " ") for axis in AXES)
+    return render_page(
+        "sweep/compare.html.j2",
+        runs=Table(
+            ("run", "results", "scenario digest", "seed", "version"),
+            tuple((str(n + 1), run.name, *_origin(run)) for n, run in enumerate(runs)),
+            (1, 2),
+        ),
+        differences=_differences(comparison),
+        panels=[drawn(panel, f"c{k}") for k, panel in enumerate(comparison_panels(comparison))],
+        errors=Table(
+            ("run", *(f"rms {name} (95 %)" for name in names)),
+            _rows(runs, lambda run: tuple(interval_text(run.statistics, axis) for axis in AXES)),
+            note="Rms errors of the solved trials with 95 % bootstrap intervals; identification rates with Wilson's. "
+            "The dotted line is run 1.",
+        ),
+        ratios=Table(
+            ("run", *names),
+            tuple((str(n + 1), *_ratios(found)) for n, found in enumerate(comparison.ratios) if n),
+            note="Ratio of the rms error to that of run 1 over the trials solved by both, with 95 % interval by "
+            "bootstrap of pairs; an interval without 1 is a significant difference. Trials are common to runs "
+            "of the same seed and sampling.",
+        ),
+        rates=Table(
+            ("run", "solved", "wrong", "identified (95 %)", "stars matched", "render [ms]", "solve [ms]", "trials/s"),
+            _rows(runs, _rates),
+        ),
+    )
 
 
-def comparison_picture(comparison: Comparison) -> bytes:
-    """PNG: rms error about every axis, share identified, and matched stars, a line a run, with 95 % intervals."""
+def _differences(comparison: Comparison) -> Table:
+    """Values of the keys that differ: one row per key, or one per run if there are more runs than keys."""
+    runs = [f"run {n + 1}" for n in range(len(comparison.runs))]
+    rows = {path: [value_text(value) for value in values] for path, values in comparison.differences.items()}
+    if len(runs) <= max(len(rows), 4):
+        return Table(("key", *runs), tuple((path, *values) for path, values in rows.items()))
+    return Table(("run", *rows), tuple((run, *(values[n] for values in rows.values())) for n, run in enumerate(runs)))
+
+
+def _rows(
+    runs: tuple[ComparedRun, ...], cells: Callable[[ComparedRun], tuple[str, ...]]
+) -> tuple[tuple[str, ...], ...]:
+    return tuple((str(n + 1), *cells(run)) for n, run in enumerate(runs))
+
+
+def _origin(run: ComparedRun) -> tuple[str, str, str]:
+    """Digest of the scenario, seed and version; – if the results do not state them."""
+    digest, seed, version = (str(run.identity.get(key, "–")) for key in ("sha256", "seed", "version"))
+    return digest[:DIGEST_DIGITS], seed, version
+
+
+def _ratios(found: dict[str, tuple[float, float | None, float | None]] | None) -> list[str]:
+    if found is None:
+        return ["no common trials", *["–"] * (len(AXES) - 1)]
+    texts = []
+    for axis in AXES:
+        ratio, low, high = found[axis]
+        texts.append(f"{ratio:.3f}" + ("" if low is None or high is None else f" ({low:.3f} to {high:.3f})"))
+    return texts
+
+
+def _rates(run: ComparedRun) -> tuple[str, ...]:
+    s = run.statistics
+    times = (s["stars_matched_mean"], s["median_render_ms"], s["median_solve_ms"], run.trials_per_second)
+    return f"{s['solved']} of {s['trials']}", str(s["wrong"]), percent_text(s), *map(number_text, times)
+
+
+def comparison_panels(comparison: Comparison) -> list[Panel]:
+    """Rms error about each axis, identification rate and matched stars, one line per run, with 95 % intervals."""
+    height_in = 1.1 + 0.3 * max(3, len(comparison.runs))
+    titles = {"rate": "identified", "stars": "stars matched, mean"}
+    return [
+        Panel(titles.get(name, TITLES.get(name, "")), "", functools.partial(_draw, comparison, name), height_in)
+        for name in _QUANTITIES
+    ]
+
+
+def _draw(comparison: Comparison, name: str, ax: Axes) -> None:
     runs = comparison.runs
     y = np.arange(len(runs))
-    figure, panels = figure_of_panels((12.5, 2.4 + 0.44 * len(runs)), sharey=True)
-    for ax, name in zip(panels.ravel(), [*AXES[:3], "rate", *AXES[3:], "stars"], strict=True):
-        rows = [_numbers(run.statistics, name) for run in runs]
-        value, low, high = np.array(rows, dtype=float).T
-        bars = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
-        ax.errorbar(value, y, xerr=bars, fmt="o", color=BLUE, markersize=5, elinewidth=1.2, capsize=3)
-        if np.isfinite(value[0]):
-            ax.axvline(value[0], color=GREY, linewidth=0.8, linestyle=":")
-        ax.set_title({"rate": "identified [%]", "stars": "stars matched, mean"}.get(name, TITLES.get(name)), fontsize=8)
-        ax.set_xlabel("" if name in ("rate", "stars") else "rms [arcsec]", fontsize=8)
-        if name == "rate":
-            ax.set_xlim(right=102.0)
-        elif np.any(np.isfinite(value)):
-            ax.set_xlim(0.0, 1.05 * float(np.nanmax([value, high])) or 1.0)
-        ax.set_yticks(y, [str(n + 1) for n in y])
-    panels[0, 0].set_ylim(len(runs) - 0.5, -0.5)
-    for row in panels:
-        row[0].set_ylabel("run")
-    return save_bytes(figure)
+    value, low, high = np.array([_numbers(run.statistics, name) for run in runs], dtype=float).T
+    bars = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
+    ax.errorbar(value, y, xerr=bars, fmt="o", color=BLUE, markersize=5, elinewidth=1.2, capsize=3)
+    if np.isfinite(value[0]):
+        ax.axvline(value[0], color=SOFT, linewidth=0.8, linestyle=":")
+    ax.set_xlabel({"rate": "[%]", "stars": ""}.get(name, "rms [arcsec]"))
+    if name == "rate":
+        ax.set_xlim(right=102.0)
+    elif np.any(np.isfinite(value)):
+        ax.set_xlim(0.0, 1.05 * float(np.nanmax([value, high])) or 1.0)
+    ax.set_yticks(y, [str(n + 1) for n in y])
+    ax.set_ylim(len(runs) - 0.5, -0.5)
+    ax.set_ylabel("run")
 
 
 def _numbers(statistics: dict[str, Any], name: str) -> tuple[float, float, float]:
-    """Value and ends of its interval as the picture has them; NaN for what is not there."""
+    """Value and limits of its interval in the units of the figure; NaN if missing."""
     if name == "rate":
         keys, scale = [f"identification_rate{end}" for end in ("", "_low", "_high")], 100.0
     elif name == "stars":

@@ -1,4 +1,4 @@
-"""The files of a sweep: one dataset of all trials, the table of points, the plots and the page."""
+"""Files of a sweep: a dataset of all trials, the table of points, the plots and the page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simulator.study.trials.columns import Columns
 RESULT_FILES = ("sweep.parquet", "points.csv", "sweep.json", "sweep.html", "plots")
 
 Row = tuple[int, tuple[Any, ...], str | None]
-"""Number of a point, its values, and why it is refused where it is."""
+"""Number of a point, its values, and the reason if it is refused."""
 
 
 def point_files(folder: Path) -> dict[int, Path]:
@@ -29,12 +29,12 @@ def point_files(folder: Path) -> dict[int, Path]:
 
 
 def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept: Path, folder: Path) -> None:
-    """Write all files of a sweep, each moved into place whole; the points' statistics join `table`.
+    """Write all files of a sweep atomically; the statistics of the points are added to `table`.
 
     Parameters
     ----------
     table : dict
-        What ``sweep.json`` holds beside its points.
+        Content of ``sweep.json`` except the points.
     paths : list of str
         Swept keys.
     rows : list
@@ -42,7 +42,7 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
     kept : Path
         Folder of the finished points.
     folder : Path
-        Where the results go.
+        Folder of the results.
     """
     from simulator.study.sweep.page import sweep_page
     from simulator.study.sweep.plots import sweep_figures
@@ -66,13 +66,13 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
     pictures = make_folder(folder / "plots")
     figures = sweep_figures(table)
     for figure in figures:
-        write_atomically(pictures / f"{figure.name}.png", figure.png)
+        write_atomically(pictures / f"{figure.name}.png", figure.png())
     write_atomically(folder / "sweep.html", sweep_page(table, figures))
 
 
 def join(files: list[Path], target: Path) -> None:
-    """Point files as one dataset, a row group each: only one of them is in memory at a time."""
-    # a column that is empty at one point has no type there
+    """Point files as one dataset with one row group each; only one of them is in memory at a time."""
+    # a column without values in a point has no type there
     schema = pa.unify_schemas([pq.read_schema(file) for file in files], promote_options="permissive")
     with open_atomically(target) as stream, pq.ParquetWriter(stream, schema, compression="zstd") as writer:
         for file in files:
@@ -82,7 +82,7 @@ def join(files: list[Path], target: Path) -> None:
 
 
 def points_csv(table: dict[str, Any]) -> str:
-    """A line a point: number, values, status and reason, then its statistics; empty where there are none."""
+    """One line per point: number, values, status, reason and statistics; empty if there are none."""
     paths = [axis["path"] for axis in table["swept"]]
     names = next(list(point["statistics"]) for point in table["points"] if "statistics" in point)
     text = io.StringIO()
@@ -103,6 +103,6 @@ def points_csv(table: dict[str, Any]) -> str:
 
 
 def cell(value: Any) -> Any:
-    """A value of a key as JSON and CSV hold it: numbers and text as they are, anything else as its YAML."""
+    """A value of a key for JSON and CSV: numbers and text unchanged, others as YAML."""
     plain = isinstance(value, (int, float, str)) and not isinstance(value, bool)
     return value if plain else yaml_value(value)

@@ -1,17 +1,17 @@
-"""Pages with tables of several studies: that of a sweep, and that of a comparison. Self-contained, light and dark."""
+"""The page of a sweep: self-contained, light and dark."""
 
 from __future__ import annotations
 
-import base64
 from typing import Any
 
-from simulator.study.html_page import render_page
+from simulator.study.html_page import Table, drawn, provenance, render_page
 from simulator.study.statistics import AXES, BODY_AXES, deg_text
-from simulator.study.sweep.plots import SweepFigure
+from simulator.study.sweep.plots import SweepFigure, key_label
+from simulator.study.verdict import FEWEST_TO_MEET
 
 
 def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
-    """Whole page of a sweep: no script, no link to anything outside it.
+    """Complete page of a sweep, without scripts or external links.
 
     Parameters
     ----------
@@ -21,49 +21,50 @@ def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
         From `simulator.study.sweep.plots.sweep_figures`.
     """
     done = [point for point in table["points"] if "statistics" in point]
-    specification = table["specification_deg"]
-    return table_page(
-        "sweep.html.j2",
-        table=table,
-        done=done,
-        refused=[point for point in table["points"] if point["status"] == "refused"],
-        not_run=[point for point in table["points"] if point["status"] == "not run"],
-        meeting=[point for point in done if meets(point["statistics"], specification)],
-        best=[(axis, best) for axis in AXES if (best := _best(done, axis))],
-        figures=[(f, embedded(f.png)) for f in figures],
+    refused = [point for point in table["points"] if point["status"] == "refused"]
+    meeting = sum(meets(point["statistics"], table["specification_deg"]) for point in done)
+    swept = [axis["path"] for axis in table["swept"]]
+    keys = tuple(key_label(axis) for axis in table["swept"])
+    return render_page(
+        "sweep/sweep.html.j2",
+        sweep=table,
+        provenance=provenance(table, table["identity"]["sha256"]),
+        tone="good" if meeting else "bad",
+        meeting=meeting,
+        done=len(done),
+        fewest=FEWEST_TO_MEET,
+        not_run=sum(point["status"] == "not run" for point in table["points"]),
+        best=_best(done, keys, swept),
+        figures=[
+            {
+                "title": figure.title,
+                "note": figure.note,
+                "legend": figure.legend,
+                "panels": [drawn(panel, f"p{i}-{k}") for k, panel in enumerate(figure.panels)],
+            }
+            for i, figure in enumerate(figures)
+        ],
+        points=_points(done, keys, swept),
+        refused=Table(
+            ("point", *keys, "reason"),
+            tuple((str(point["point"]), *_values(point, swept), point["reason"]) for point in refused),
+            (len(keys) + 1,),
+        ),
+        deg=deg_text,
     )
 
 
 def meets(statistics: dict[str, Any], specification_deg: dict[str, float]) -> bool:
     """Whether 99.7 % of the errors about every body axis are within the specification, and nothing is wrong.
 
-    Of the trials of the point alone: a point has too few of them for an interval of that percentile.
+    Based on the sample alone, as a point has too few trials for an interval of this percentile.
     """
     found = [(statistics[f"{axis}_p997_deg"], specification_deg[axis]) for axis in BODY_AXES]
     return statistics["wrong"] == 0 and all(p997 is not None and p997 <= limit for p997, limit in found)
 
 
-def table_page(template: str, **values: Any) -> str:
-    """A template of this folder filled in, with what pages of tables share."""
-    return render_page(
-        f"sweep/{template}",
-        axes=AXES,
-        body_axes=BODY_AXES,
-        deg=deg_text,
-        interval=interval_text,
-        percent=percent_text,
-        text=value_text,
-        **values,
-    )
-
-
-def embedded(png: bytes) -> str:
-    """A picture as a data address."""
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
-
-
 def interval_text(statistics: dict[str, Any], axis: str) -> str:
-    """Rms of an axis and its 95 % interval, for people."""
+    """Rms of an axis and its 95 % interval, for display."""
     rms, low, high = (deg_text(statistics[f"{axis}_{name}_deg"]) for name in ("rms", "rms_low", "rms_high"))
     if "–" in (low, high):
         return rms
@@ -71,18 +72,54 @@ def interval_text(statistics: dict[str, Any], axis: str) -> str:
 
 
 def percent_text(statistics: dict[str, Any]) -> str:
-    """Share identified and its 95 % interval, for people."""
+    """Identification rate and its 95 % interval, for display."""
     rate, low, high = (statistics[f"identification_rate{end}"] for end in ("", "_low", "_high"))
     return "–" if rate is None else f"{100 * rate:.2f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
+def number_text(value: float | None) -> str:
+    """A mean or a time with one decimal, for display; – if missing."""
+    return "–" if value is None else f"{value:.1f}"
+
+
 def value_text(value: Any) -> str:
-    """A value of a key, for people."""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    """A value of a key, for display; – if missing."""
+    return "–" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _best(done: list[dict[str, Any]], axis: str) -> dict[str, Any] | None:
-    name = f"{axis}_rms_deg"
-    return min(
-        (p for p in done if p["statistics"][name] is not None), key=lambda p: p["statistics"][name], default=None
+def _values(point: dict[str, Any], swept: list[str]) -> list[str]:
+    return [value_text(point["values"][path]) for path in swept]
+
+
+def _best(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str]) -> Table:
+    """The point with the smallest rms error about each axis."""
+    rows = []
+    for axis in AXES:
+        known = [point for point in done if point["statistics"][f"{axis}_rms_deg"] is not None]
+        if known:
+            point = min(known, key=lambda p: p["statistics"][f"{axis}_rms_deg"])
+            title = axis.replace("_", " ")
+            rows.append((title, interval_text(point["statistics"], axis), str(point["point"]), *_values(point, swept)))
+    return Table(("axis", "rms (95 % interval)", "point", *keys), tuple(rows))
+
+
+def _points(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str]) -> Table:
+    """Statistics of all points."""
+    rows = []
+    for point in done:
+        s = point["statistics"]
+        rows.append((
+            str(point["point"]),
+            *_values(point, swept),
+            f"{s['solved']} of {s['trials']}",
+            str(s["wrong"]),
+            percent_text(s),
+            *(interval_text(s, axis) for axis in BODY_AXES),
+            number_text(s["stars_matched_mean"]),
+        ))  # fmt: skip
+    names = (f"rms {axis} (95 %)" for axis in BODY_AXES)
+    return Table(
+        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "stars"),
+        tuple(rows),
+        note="All statistics are in points.csv and sweep.json, all trials in sweep.parquet.",
     )

@@ -1,41 +1,86 @@
-"""Plots of a sweep: errors and identification against every swept key, and maps over two.
+"""Plots of a sweep: errors and identification rate by swept key, and maps over two keys.
 
-A logarithmic range has a logarithmic axis; names and mixed lists stand side by side. Grey crosses mark what physics
-refuses. The hues are those of Okabe & Ito (2008); every curve has a marker of its own.
+A logarithmic range has a logarithmic axis; names and mixed lists are categories. Grey crosses mark unphysical points.
+The colours are those of Okabe & Ito (2008); curves also differ in their markers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, TITLES, VERMILION, picture, save_bytes
+from simulator.study.plots import TITLES, picture, save_bytes
 from simulator.study.statistics import AXES
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MAX_CURVES = 6
-"""More curves than this in one panel cannot be distinguished: the points are then drawn, and their pooled rms."""
+"""Maximum number of curves in a panel; above it points and their pooled rms are drawn."""
 
-_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, "#CC79A7", "#444444")
-_MARKERS = "osD^vP"
+_LOOKS = (
+    ("blue", BLUE, "o", "●"),
+    ("vermilion", VERMILION, "s", "■"),
+    ("green", GREEN, "D", "◆"),
+    ("orange", ORANGE, "^", "▲"),
+    ("soft", SOFT, "v", "▼"),
+    ("text", INK, "P", "✚"),
+)
+"""Of each curve: name of its colour in `simulator.study.style.COLOURS`, colour, marker, and marker in a legend."""
+
 _ARCSEC = 3600.0
 Point = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class SweepFigure:
-    """A picture of the page: the stem of its file, heading, a sentence to read it by, and the PNG."""
+    """A figure of the page: stem of its file, heading, caption, its eight panels and its legend."""
 
     name: str
     title: str
     note: str
-    png: bytes
+    panels: list[Panel]
+    legend: list[tuple[str, str, str]] = field(default_factory=list)
+    """Colour, marker and text of each curve."""
+
+    def png(self) -> bytes:
+        """The panels in one picture, as the bytes of a PNG file."""
+        figure, axes = picture(3, 3, (12.5, 0.3 + 3.0 * self.panels[0].height_in))
+        axes[-1, -1].remove()
+        for ax, panel in zip(axes.ravel(), self.panels, strict=False):
+            panel.draw(ax)
+            ax.set_title("\n".join(filter(None, (panel.title, panel.note))), fontsize=8)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        if self.legend:
+            figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=4, frameon=False)
+        return save_bytes(figure)
+
+
+class _Quantity(NamedTuple):
+    """Quantity of a panel: name, column of the statistics, and factor to its unit in the panel."""
+
+    name: str
+    column: str
+    scale: float
+
+    @property
+    def is_error(self) -> bool:
+        return self.name in AXES
+
+
+_QUANTITIES = (
+    *(_Quantity(axis, f"{axis}_rms_deg", _ARCSEC) for axis in AXES),
+    _Quantity("identification_rate", "identification_rate", 100.0),
+    _Quantity("stars_matched_mean", "stars_matched_mean", 1.0),
+)
+_TITLES = TITLES | {"identification_rate": "identified", "stars_matched_mean": "stars matched, mean"}
+_Y_LABELS = {"identification_rate": "identified [%]", "stars_matched_mean": "stars matched, mean"}
 
 
 def sweep_figures(table: dict[str, Any]) -> list[SweepFigure]:
@@ -46,124 +91,136 @@ def sweep_figures(table: dict[str, Any]) -> list[SweepFigure]:
     table : dict
         As in ``sweep.json``.
     """
-    figures = []
-    for axis in table["swept"]:
-        figure, note = against(table, axis["path"])
-        name = f"errors_against_{axis['path'].replace('.', '_')}"
-        figures.append(SweepFigure(name, f"Against {_label(axis)}", note, save_bytes(figure)))
+    figures = [against(table, axis["path"]) for axis in table["swept"]]
     if len(table["swept"]) == 2 and table["kind"] == "grid":
-        down, across = table["swept"]
-        note = "A number in a cell is the rms in arcseconds, or the share identified in per cent; darker is worse."
-        title = f"{_label(down)} and {_label(across)} together"
-        figures.append(SweepFigure("map", title, note, save_bytes(error_maps(table))))
+        figures.append(error_maps(table))
     return figures
 
 
-def against(table: dict[str, Any], path: str) -> tuple[Figure, str]:
-    """Rms error about every axis, identification rate and matched stars against one key, and how to read it."""
+class _Curves(NamedTuple):
+    """Points of a sweep by one key."""
+
+    axis: dict[str, Any]
+    done: list[Point]
+    families: dict[str, list[Point]] | None
+    """Points of each combination of the other keys, by label; None: too many for curves."""
+    pooled: bool
+    refused: list[float]
+    position: Callable[[Any], float]
+
+
+def against(table: dict[str, Any], path: str) -> SweepFigure:
+    """Rms error about each axis, identification rate and matched stars by one key."""
     axis = next(a for a in table["swept"] if a["path"] == path)
     others = [a["path"] for a in table["swept"] if a["path"] != path]
     done = [p for p in table["points"] if "statistics" in p]
     position = _position_along(axis, table["points"])
-    families: dict[tuple[Any, ...], list[Point]] = {}
+    families: dict[str, list[Point]] = {}
     for point in done:
-        families.setdefault(tuple(point["values"][other] for other in others), []).append(point)
-    curves = table["kind"] == "grid" and len(families) <= MAX_CURVES
-    figure, panels = figure_of_panels()
-    refused = _refused_everywhere(table["points"], path, position)
-    for ax, (name, title, scale) in zip(panels.ravel(), _quantities(), strict=True):
-        if curves:
-            for n, (values, points) in enumerate(families.items()):
-                x, y, low, high = _series(points, path, position, name, scale)
-                label = ", ".join(f"{o.rpartition('.')[2]} {_text(v)}" for o, v in zip(others, values, strict=True))
-                colour, marker = _COLOURS[n % len(_COLOURS)], _MARKERS[n % len(_MARKERS)]
-                ax.plot(x, y, f"{marker}-", color=colour, markersize=4, linewidth=1.2, label=label or "rms")
-                ax.errorbar(x, y, _bars(y, low, high), fmt="none", ecolor=colour, elinewidth=1, capsize=2.5)
-        else:
-            x, y, low, high = _series(done, path, position, name, scale)
-            ax.errorbar(x, y, _bars(y, low, high), fmt="o", color=BLUE, markersize=3, elinewidth=0.6, alpha=0.45,
-                        label="a point of the sweep")  # fmt: skip
-            if table["kind"] == "grid":
-                ax.plot(
-                    *_pooled(x, y, squares=name in AXES),
-                    "s-",
-                    color=VERMILION,
-                    markersize=4,
-                    label="over all other keys",
-                )
-        if refused:
-            ax.plot(refused, [0.03] * len(refused), "x", color=GREY, transform=ax.get_xaxis_transform(),
-                    label="refused by physics", clip_on=False)  # fmt: skip
-        found = [p["statistics"][_column(name)] for p in done]
-        limit_deg = table["specification_deg"].get(name)
-        _dress_x(ax, axis)
-        shown = np.array([v * scale for v in found if v is not None])
-        _dress_y(ax, name, title, shown, limit_deg and limit_deg * _ARCSEC)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    if len(labels) > 1 or not curves:
-        figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=4, frameon=False)
-    return figure, (
-        "Root mean square error (left scale) and 3σ, three times it (right scale); dashed: the 3σ specified. "
-        "Bars: 95 % intervals, by bootstrap, and Wilson's for the share identified. "
-        + ("" if curves else "The other keys differ from point to point. ")
-        + "All points saw the same skies and draws, so differences between them are more certain than the bars suggest."
+        label = ", ".join(f"{other.rpartition('.')[2]} {_text(point['values'][other])}" for other in others)
+        families.setdefault(label, []).append(point)
+    is_grid = table["kind"] == "grid"
+    shown = families if is_grid and len(families) <= MAX_CURVES else None
+    curves = _Curves(axis, done, shown, is_grid, _refused_everywhere(table["points"], path, position), position)
+    if shown is not None:
+        legend = [(look[0], look[3], label) for look, label in zip(_LOOKS, shown, strict=False) if label]
+    else:
+        legend = [("blue", "●", "single point"), *([("vermilion", "■", "all points")] if is_grid else [])]
+    panels = []
+    for quantity in _QUANTITIES:
+        limit_deg = table["specification_deg"].get(quantity.name)
+        limit = limit_deg and limit_deg * _ARCSEC
+        note = "" if limit is None else f"specified 3σ {limit:.4g}″"
+        draw = functools.partial(_draw_against, curves, quantity, limit)
+        panels.append(Panel(_TITLES[quantity.name], note, draw))
+    return SweepFigure(
+        f"errors_against_{path.replace('.', '_')}",
+        f"By {key_label(axis)}",
+        "Rms error (left scale) and 3σ, three times the rms (right scale); dashed: specified 3σ. "
+        "Bars: 95 % intervals, by bootstrap, and Wilson's for the identification rate. "
+        + ("" if shown is not None else "The other keys vary between points. ")
+        + ("Grey crosses: unphysical points. " if curves.refused else "")
+        + "All points share the same attitudes and random numbers, so differences are more accurate than the "
+        "bars suggest.",
+        panels,
+        legend,
     )
 
 
-def error_maps(table: dict[str, Any]) -> Figure:
-    """Maps of the rms error about every axis and of the share identified over two swept keys."""
+def _draw_against(curves: _Curves, quantity: _Quantity, limit: float | None, ax: Axes) -> None:
+    """One quantity by one key; `limit` is the specified 3σ, arcseconds."""
+    path = curves.axis["path"]
+    if curves.families is not None:
+        for (_, colour, marker, _), (label, points) in zip(_LOOKS, curves.families.items(), strict=False):
+            x, y, low, high = _series(points, path, curves.position, quantity)
+            ax.plot(x, y, f"{marker}-", color=colour, markersize=4, linewidth=1.2, label=label or "rms")
+            ax.errorbar(x, y, _bars(y, low, high), fmt="none", ecolor=colour, elinewidth=1, capsize=2.5)
+    else:
+        x, y, low, high = _series(curves.done, path, curves.position, quantity)
+        bars = _bars(y, low, high)
+        ax.errorbar(x, y, bars, fmt="o", color=BLUE, markersize=3, elinewidth=0.6, alpha=0.45, label="single point")
+        if curves.pooled:
+            pooled = _pooled(x, y, squares=quantity.is_error)
+            ax.plot(*pooled, "s-", color=VERMILION, markersize=4, label="all points")
+    if curves.refused:
+        heights = [0.03] * len(curves.refused)
+        ax.plot(curves.refused, heights, "x", color=SOFT, transform=ax.get_xaxis_transform(), clip_on=False)
+    _dress_x(ax, curves.axis)
+    found = [p["statistics"][quantity.column] for p in curves.done]
+    _dress_y(ax, quantity, np.array([v * quantity.scale for v in found if v is not None]), limit)
+
+
+def error_maps(table: dict[str, Any]) -> SweepFigure:
+    """Maps of the rms error about each axis and of the identification rate over two swept keys."""
+    down, across = table["swept"]
+    height_in = 1.0 + max(2.0, 0.3 * len(down["values"]))
+    panels = []
+    for quantity in _QUANTITIES:
+        title = _TITLES[quantity.name].split(" (")[0]
+        unit = "rms [arcsec]" if quantity.is_error else "[%]" if quantity.name == "identification_rate" else ""
+        draw = functools.partial(_draw_map, table, quantity)
+        panels.append(Panel(f"{title} {unit}".strip(), "", draw, height_in))
+    return SweepFigure(
+        "map",
+        f"{key_label(down)} and {key_label(across)}",
+        "Values are rms errors in arcseconds, or identification rates in per cent; darker is worse. ×: unphysical.",
+        panels,
+    )
+
+
+def _draw_map(table: dict[str, Any], quantity: _Quantity, ax: Axes) -> None:
     down, across = table["swept"]
     rows, columns = down["values"], across["values"]
     at = {(p["values"][down["path"]], p["values"][across["path"]]): p for p in table["points"]}
-    figure, panels = figure_of_panels((12.5, 1.8 + 2 * max(2.2, 0.3 * len(rows))))
-    for ax, (name, title, scale) in zip(panels.ravel(), _quantities(), strict=True):
-        grid = np.full((len(rows), len(columns)), np.nan)
-        for i, r in enumerate(rows):
-            for j, c in enumerate(columns):
-                statistics = at[r, c].get("statistics")
-                value = statistics and statistics[_column(name)]
-                if value is not None:
-                    grid[i, j] = value * scale
-                if at[r, c]["status"] == "refused":
-                    ax.text(j, i, "×", ha="center", va="center", color=GREY)
-        shade = np.log(np.maximum(grid, 1e-12)) if name in AXES else -grid
-        ax.imshow(shade, cmap="Blues", aspect="auto", origin="lower", interpolation="nearest")
-        if grid.size <= 150:
-            finite = shade[np.isfinite(shade)]
-            middle = 0.5 * (finite.min() + finite.max()) if len(finite) else 0.0
-            for i, j in np.argwhere(np.isfinite(grid)):
-                dark = shade[i, j] > middle and finite.max() > finite.min()
-                ax.text(j, i, f"{grid[i, j]:.3g}", ha="center", va="center", fontsize=6.5,
-                        color="white" if dark else "black")  # fmt: skip
-        ax.set_title(f"{title.split(' (')[0]} {'rms [arcsec]' if name in AXES else _Y_LABELS[name]}", fontsize=8)
-        ax.set_xticks(range(len(columns)), [_text(v) for v in columns], rotation=0 if len(columns) < 6 else 60)
-        ax.set_yticks(range(len(rows)), [_text(v) for v in rows])
-        ax.set_xlabel(_label(across), fontsize=8)
-        ax.set_ylabel(_label(down), fontsize=8)
-        ax.grid(visible=False)
-    return figure
+    grid = np.full((len(rows), len(columns)), np.nan)
+    for i, r in enumerate(rows):
+        for j, c in enumerate(columns):
+            statistics = at[r, c].get("statistics")
+            value = statistics and statistics[quantity.column]
+            if value is not None:
+                grid[i, j] = value * quantity.scale
+            if at[r, c]["status"] == "refused":
+                ax.text(j, i, "×", ha="center", va="center", color=SOFT)
+    shade = np.log(np.maximum(grid, 1e-12)) if quantity.is_error else -grid
+    ax.imshow(shade, cmap="Blues", aspect="auto", origin="lower", interpolation="nearest")
+    if grid.size <= 150:
+        finite = shade[np.isfinite(shade)]
+        middle = 0.5 * (finite.min() + finite.max()) if len(finite) else 0.0
+        for i, j in np.argwhere(np.isfinite(grid)):
+            dark = shade[i, j] > middle and finite.max() > finite.min()
+            # nearly white and black, as pure ones follow the theme of the page
+            ax.text(
+                j, i, f"{grid[i, j]:.3g}", ha="center", va="center", fontsize=7, color="#fefefe" if dark else "#010101"
+            )
+    ax.set_xticks(range(len(columns)), [_text(v) for v in columns], rotation=0 if len(columns) < 6 else 60)
+    ax.set_yticks(range(len(rows)), [_text(v) for v in rows])
+    ax.set_xlabel(key_label(across), fontsize=8)
+    ax.set_ylabel(key_label(down), fontsize=8)
+    ax.grid(visible=False)
 
 
-_Y_LABELS = {"identification_rate": "identified [%]", "stars_matched_mean": "stars matched, mean"}
-
-
-def _quantities() -> list[tuple[str, str, float]]:
-    """What the eight panels show: name, title, scale."""
-    rows = [(axis, TITLES[axis], _ARCSEC) for axis in AXES]
-    rows.insert(3, ("identification_rate", "", 100.0))
-    return [*rows, ("stars_matched_mean", "", 1.0)]
-
-
-def _column(name: str) -> str:
-    return f"{name}_rms_deg" if name in AXES else name
-
-
-def figure_of_panels(size: tuple[float, float] = (12.5, 6.2), **axes: Any) -> tuple[Figure, NDArray[Any]]:
-    """Empty figure of two rows of four panels, sizes in inches; `axes` go to matplotlib's ``subplots``."""
-    return picture(2, 4, size, **axes)
-
-
-def _label(axis: dict[str, Any]) -> str:
+def key_label(axis: dict[str, Any]) -> str:
+    """Path of a swept key, with its unit."""
     return f"{axis['path']} [{axis['unit']}]" if axis["unit"] else str(axis["path"])
 
 
@@ -172,35 +229,35 @@ def _text(value: Any) -> str:
 
 
 def _position_along(axis: dict[str, Any], points: list[Point]) -> Any:
-    """Function from a value to its position along the axis: itself, or its number among the names."""
+    """Function from a value to its position on the axis: the value, or the index of a name."""
     if axis["numeric"]:
         return float
     names = list(dict.fromkeys(axis["values"] or [p["values"][axis["path"]] for p in points]))
     return lambda value: float(names.index(value))
 
 
-def _series(points: list[Point], path: str, position: Any, name: str, scale: float) -> tuple[NDArray[np.float64], ...]:
-    """Position, value and interval of every point that has the statistic, by position; NaN for no interval."""
-    low, high = f"{name}_rms_low_deg", f"{name}_rms_high_deg"
-    if name not in AXES:
-        low, high = f"{name}_low", f"{name}_high"
+def _series(
+    points: list[Point], path: str, position: Callable[[Any], float], quantity: _Quantity
+) -> tuple[NDArray[np.float64], ...]:
+    """Position, value and interval of every point with the statistic, by position; NaN without an interval."""
+    stem, unit = (f"{quantity.name}_rms", "_deg") if quantity.is_error else (quantity.name, "")
     rows = []
     for point in points:
         s = point["statistics"]
-        if s[_column(name)] is not None:
-            ends = [np.nan if s.get(key) is None else s[key] for key in (low, high)]
-            rows.append([position(point["values"][path]), s[_column(name)] * scale, ends[0] * scale, ends[1] * scale])
+        if s[quantity.column] is not None:
+            ends = [np.nan if s.get(key) is None else s[key] for key in (f"{stem}_low{unit}", f"{stem}_high{unit}")]
+            rows.append([position(point["values"][path]), *(quantity.scale * v for v in (s[quantity.column], *ends))])
     data = np.array(sorted(rows), dtype=float).reshape(-1, 4)
     return tuple(data.T)
 
 
 def _bars(y: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of the bars below and above; none where there is no interval."""
+    """Lengths of the bars below and above; zero without an interval."""
     return np.nan_to_num(np.maximum(np.stack([y - low, high - y]), 0.0))
 
 
 def _refused_everywhere(points: list[Point], path: str, position: Any) -> list[float]:
-    """Positions at which no point can be."""
+    """Positions at which all points are unphysical."""
     possible = {position(p["values"][path]) for p in points if p["status"] != "refused"}
     return sorted({position(p["values"][path]) for p in points} - possible)
 
@@ -226,27 +283,27 @@ def _dress_x(ax: Axes, axis: dict[str, Any]) -> None:
         ax.margins(x=0.15)
     elif 1 < len(axis["values"]) <= 5:
         ax.set_xticks(axis["values"], [_text(v) for v in axis["values"]])
-    ax.set_xlabel(_label(axis), fontsize=8)
+    ax.set_xlabel(key_label(axis), fontsize=8)
 
 
-def _dress_y(ax: Axes, name: str, title: str, values: NDArray[np.float64], limit: float | None) -> None:
-    """Scale and label of a statistic; for an error 3σ on the right, and the specification where it is within reach.
+def _dress_y(ax: Axes, quantity: _Quantity, values: NDArray[np.float64], limit: float | None) -> None:
+    """Scale and label of a quantity; for an error 3σ on the right, and the specification if it is within range.
 
     Parameters
     ----------
     ax : Axes
         The panel.
-    name, title : str
-        Name and heading of the statistic.
+    quantity : _Quantity
+        The quantity.
     values : array
-        What the panel shows.
+        Values of the panel.
     limit : float, optional
         Specified 3σ, arcseconds.
     """
     values = values[values > 0]
-    if name == "identification_rate":
+    if quantity.name == "identification_rate":
         ax.set_ylim(min(ax.get_ylim()[0], 90.0), 101.0)
-    elif name not in AXES:
+    elif not quantity.is_error:
         ax.set_ylim(bottom=0)
     elif len(values):
         if limit is not None and limit / 3 <= 3 * values.max():
@@ -257,13 +314,12 @@ def _dress_y(ax: Axes, name: str, title: str, values: NDArray[np.float64], limit
             _decades(ax.yaxis)
         else:
             ax.set_ylim(bottom=0)
-        # made once the scale stands: a secondary axis forgets its ticks when its parent's scale changes
+        # created after the scale is set: a secondary axis loses its ticks if its parent's scale changes
         right = ax.secondary_yaxis("right", functions=(_three_sigma, _rms))
         right.set_ylabel("3σ [arcsec]", fontsize=8)
         if wide:
             _decades(right.yaxis)
-    ax.set_ylabel(_Y_LABELS.get(name, "rms error [arcsec]"))
-    ax.set_title(title + ("" if limit is None else f"\nspecified 3σ {limit:.4g}″"), fontsize=8)
+    ax.set_ylabel(_Y_LABELS.get(quantity.name, "rms error [arcsec]"))
 
 
 def _three_sigma(rms: Any) -> Any:

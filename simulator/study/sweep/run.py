@@ -1,9 +1,9 @@
 """A sweep: the Monte Carlo study of a scenario at many values of some of its keys.
 
-Every point is a run of the engine with the same seed: trial i meets the same times, attitudes, stars and noise draws at
-every point (common random numbers; Law 2015, *Simulation Modeling and Analysis*, section 11.2), so that a difference
-between points is more certain than either point by itself. Finished points are kept one file each in ``points/`` until
-all are done; a kill costs the point under way at most.
+Every point is a run of the engine with the same seed: trial i has the same time, attitude, stars and random numbers at
+every point (common random numbers; Law 2015, *Simulation Modeling and Analysis*, section 11.2), so that differences
+between points are more accurate than the points themselves. Finished points are stored in one file each in ``points/``
+until all are done; if the process is killed, at most the current point is lost.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
-from simulator.study.result_files import parquet_bytes
+from simulator.study.data_frames import Rows
+from simulator.study.result_files import now_utc, parquet_bytes
 from simulator.study.results_folder import (
     FILES,
     IDENTITY_FILE,
@@ -45,20 +46,21 @@ from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
 from simulator.study.trials.trial import TrialRunner
 from startracker._version import __version__
+from startracker.display import described
 from startracker.errors import BoresightError, InputError
 
 POINTS_FOLDER = "points"
 
 
 class Where(NamedTuple):
-    """Where trials are run: on processes here, or on the cluster of a scheduler."""
+    """Where trials are run: in local processes, or on a cluster."""
 
     workers: int
     dask: str | None
 
 
 Progress = Callable[[int, int, "Point"], None]
-"""Called with (trials finished, trials in all, the point under way)."""
+"""Called with (trials finished, total trials, current point)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,41 +68,41 @@ class Point:
     """One combination of values."""
 
     index: int
-    """Its number, from 0."""
+    """Number, from 0."""
     values: tuple[Any, ...]
-    """Values of the swept keys, in their order."""
+    """Values of the swept keys, in order."""
     scenario: Scenario | None
-    """What is run; None where physics refuses it."""
+    """Scenario of the point; None if it is unphysical."""
     refused: str = ""
-    """Why, where it is."""
+    """Reason, if it is refused."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All points of a sweep, before anything is run."""
+    """All points of a sweep, before the run."""
 
     swept: tuple[SweptKey, ...]
-    """What is swept."""
+    """Swept keys."""
     points: tuple[Point, ...]
-    """In the order in which they are run."""
+    """Points in the order of the run."""
     kind: str
     """``grid`` or ``latin_hypercube``."""
 
     @property
     def runnable(self) -> tuple[Point, ...]:
-        """Points that physics allows."""
+        """Physically possible points."""
         return tuple(point for point in self.points if point.scenario is not None)
 
     @property
     def scenario(self) -> Scenario:
-        """Scenario of the first point that can be."""
+        """Scenario of the first possible point."""
         scenario = self.runnable[0].scenario
         assert scenario is not None
         return scenario
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of what every point's trials depend on: what has to be the same to go on."""
+        """SHA-256 of the inputs of all points, which must be unchanged to resume."""
         lines = [
             scenario_sha256(point.scenario, trials=point.scenario.study.trials) if point.scenario else point.refused
             for point in self.points
@@ -109,7 +111,7 @@ class Plan:
         return hashlib.sha256("\n".join([__version__, self.kind, *keys, *lines]).encode()).hexdigest()
 
     def identity(self, points: int) -> Identity:
-        """Identity of so many points of it."""
+        """Identity of a number of points."""
         trials = self.scenario.study.trials
         amounts = {"points": points, "trials each": trials}
         return Identity("sweep", self.scenario.name, self.scenario.seed, self.fingerprint, amounts)
@@ -124,25 +126,25 @@ def plan_sweep(
     seed: int | None = None,
     set_values: Sequence[str] = (),
 ) -> Plan:
-    """Points of a sweep, each with its scenario, or with the reason why it cannot be.
+    """Points of a sweep, each with its scenario, or with the reason why it is impossible.
 
     Parameters
     ----------
     path : path
-        Scenario file, or the name of one that ships.
+        Scenario file, or the name of an included one.
     over : sequence of str
         ``path=low:high:count[,log]`` or ``path=v1,v2,…``.
     lhs : int, optional
-        Number of points of a Latin hypercube, drawn from the scenario's seed; None: the full grid.
+        Number of points of a Latin hypercube, from the scenario's seed; None: the full grid.
     trials, seed : int, optional
-        In place of the scenario's own.
+        Replace those of the scenario.
     set_values : sequence of str
         ``path=value`` at every point.
 
     Raises
     ------
     InputError
-        For a mistake in the options or the file, or when no point at all can be.
+        For errors in the options or the file, or if no point is possible.
     """
     swept = parse_swept_keys(over, NAME_CHECKS)
     if lhs is None:
@@ -159,28 +161,32 @@ def plan_sweep(
             points.append(Point(index, row, None, "; ".join(p.message for p in error.problems)))
     plan = Plan(swept, tuple(points), kind)
     if not plan.runnable:
-        load_scenario(
-            path, set_values, trials=trials, seed=seed
-        )  # a mistake of the file itself is reported with its line
-        raise InputError(f"--over: none of the {len(points)} points can be; the first: {points[0].refused}")
+        load_scenario(path, set_values, trials=trials, seed=seed)  # errors in the file are reported with their line
+        raise InputError(f"--over: none of the {len(points)} points are possible; the first: {points[0].refused}")
     return plan
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Rows):
     """Result of a sweep."""
 
     table: dict[str, Any]
-    """What ``sweep.json`` holds: the points with their values, states and statistics, and how they were made."""
+    """Content of ``sweep.json``: the points with their values, states and statistics, and their inputs."""
     folder: Path
-    """Where the files are."""
+    """Folder of the files."""
     notes: tuple[str, ...] = ()
-    """Sentences on files of finished points that were found damaged and computed again."""
+    """Messages on damaged files of finished points that were computed again."""
 
     @property
     def trials(self) -> pa.Table:
         """All trials of all points, in memory."""
         return pq.read_table(self.folder / "sweep.parquet")
+
+    def _table(self) -> pa.Table:
+        return self.trials
+
+    def __repr__(self) -> str:
+        return described("Sweep", f"{len(self.table['points'])} points", str(self.folder))
 
 
 def run_sweep(
@@ -206,18 +212,17 @@ def run_sweep(
     dask : str, optional
         Address of a dask.distributed scheduler, to run on its workers instead.
     resume : bool
-        Where a sweep of the *same* plan stands whole in `out`, return it. Finished points of one that was interrupted
-        are taken over in any case.
+        If `out` contains a complete sweep of the *same* plan, return it. Finished points of an interrupted sweep are
+        always reused.
     force : bool
-        Compute everything again, and replace what stands in `out`, whatever it is.
+        Compute everything again, and replace any results in `out`.
     progress : callable, optional
-        Called for every block of trials.
+        Called after every block of trials.
 
     Raises
     ------
     InputError
-        For no workers, an unwritable folder; where `out` holds another sweep; or where another process is at work
-        there.
+        For no workers or an unwritable folder; if `out` contains another sweep; or if another process uses it.
     """
     if workers < 1:
         raise InputError(f"workers: must be at least 1, not {workers}")
@@ -230,12 +235,12 @@ def run_sweep(
 
 @dataclass
 class _State:
-    """How far a sweep has come."""
+    """Progress of a sweep."""
 
     refused: dict[int, str]
-    """Why a point cannot be, by its number."""
+    """Reasons why points are impossible, by number."""
     whole: set[int] = field(default_factory=set)
-    """Points whose trials are kept."""
+    """Points with stored trials."""
     notes: list[str] = field(default_factory=list)
     trials_run: int = 0
     interrupted: bool = False
@@ -244,27 +249,28 @@ class _State:
 def _run_sweep(
     plan: Plan, folder: Path, where: Where, force: bool, progress: Progress | None, points_standing: int
 ) -> Sweep:
-    """Run what is left of a plan and write the results, unless they are fewer points than those that stand there."""
+    """Run the remaining points of a plan and write the results, unless they have fewer points than existing ones."""
     kept = _open_points(plan, folder, force)
     state = _State({point.index: point.refused for point in plan.points if point.scenario is None})
     started = time.perf_counter()
     _run_points(plan, kept, state, where, progress)
     if not state.whole:
         if state.interrupted:
-            raise BoresightError("interrupted before the first point was finished: nothing to report")
+            raise BoresightError("interrupted before the first point was finished: no results")
         first = state.refused[min(state.refused)]
-        raise InputError(f"--over: none of the {len(plan.points)} points can be; the first: {first}")
+        raise InputError(f"--over: none of the {len(plan.points)} points are possible; the first: {first}")
     reached = len(state.whole) if state.interrupted else len(plan.points)
     if reached < points_standing:
         raise BoresightError(
-            f"interrupted: {len(state.whole)} points are finished and kept for the next run; {folder} keeps the "
-            f"results of the earlier sweep of {points_standing} points"
+            f"interrupted: {len(state.whole)} points are finished and kept for the next run; {folder} still contains "
+            f"the results of the earlier sweep of {points_standing} points"
         )
     specification = plan.scenario.specification
     table = {
         "name": plan.scenario.name,
         "scenario_file": plan.scenario.source_name,
         "version": __version__,
+        "finished_utc": now_utc(),
         "seed": plan.scenario.seed,
         "trials_per_point": plan.scenario.study.trials,
         "kind": plan.kind,
@@ -285,7 +291,7 @@ def _run_sweep(
 
 
 def _run_points(plan: Plan, kept: Path, state: _State, where: Where, progress: Progress | None) -> None:
-    """Run the points that are not kept yet, again those whose files are found damaged at the end."""
+    """Run the points that are not stored yet, and again those whose files are damaged at the end."""
     with WorkerPool(where.workers) as pool:
         for attempt in itertools.count():
             state.whole = _whole_points(kept, state.notes)
@@ -302,7 +308,7 @@ def _run_points(plan: Plan, kept: Path, state: _State, where: Where, progress: P
                 report = _shifted(progress, done, total, point)
                 try:
                     trials = _run_point(point, pool, where.dask, report)
-                except KeyboardInterrupt:  # where the engine does not listen: between points, or asked twice
+                except KeyboardInterrupt:  # between points, or after a second Ctrl-C
                     state.interrupted = True
                     break
                 if isinstance(trials, str):
@@ -324,20 +330,20 @@ def _trials_of(point: Point) -> int:
 def _run_point(
     point: Point, pool: WorkerPool, dask: str | None, progress: Callable[[int, int], None] | None
 ) -> Trials | str:
-    """Trials of a point, or why there can be none."""
+    """Trials of a point, or the reason why it is impossible."""
     scenario = point.scenario
     assert scenario is not None
     try:
         if dask is None:
             return run_trials(scenario, scenario.study.trials, workers=pool, progress=progress)
-        TrialRunner(scenario)  # what cannot be is reported here; a cluster that is not there is another matter
+        TrialRunner(scenario)  # impossible scenarios are reported here, separately from missing clusters
     except InputError as error:
         return " ".join(str(error).split())
     return run_trials(scenario, scenario.study.trials, dask=dask, progress=progress)
 
 
 def _shifted(progress: Progress | None, before: int, total: int, point: Point) -> Callable[[int, int], None] | None:
-    """Progress of a point as progress of the sweep."""
+    """Progress of a point converted to progress of the sweep."""
     return (lambda finished, _: progress(before + finished, total, point)) if progress else None
 
 
@@ -353,7 +359,7 @@ def _describe(axis: SweptKey) -> dict[str, Any]:
 
 
 def _write_point(plan: Plan, point: Point, trials: pa.Table, kept: Path) -> None:
-    """The trials of a point with its number and its values before them."""
+    """Store the trials of a point, preceded by columns of its number and values."""
     n = trials.num_rows
     columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, point.index, dtype=np.int32))}
     for axis, value in zip(plan.swept, point.values, strict=True):
@@ -367,11 +373,11 @@ def _write_point(plan: Plan, point: Point, trials: pa.Table, kept: Path) -> None
 
 
 def _open_points(plan: Plan, folder: Path, force: bool) -> Path:
-    """Folder of finished points: those of an interrupted sweep of the same plan stay."""
+    """Folder of finished points; those of an interrupted sweep of the same plan are kept."""
     kept = folder / POINTS_FOLDER
     identity_file = kept / IDENTITY_FILE
     if kept.exists() and any(kept.iterdir()) and not identity_file.exists():
-        raise InputError(f"{kept}: holds files that are no sweep's; choose another --out")
+        raise InputError(f"{kept}: contains files that do not belong to a sweep; choose another --out")
     if force:
         shutil.rmtree(kept, ignore_errors=True)
     new = plan.identity(0)
@@ -383,7 +389,7 @@ def _open_points(plan: Plan, folder: Path, force: bool) -> Path:
 
 
 def _whole_points(kept: Path, notes: list[str]) -> set[int]:
-    """Numbers of the points whose trials are kept; damaged files are set aside, with a sentence each."""
+    """Numbers of the points with stored trials; damaged files are moved aside, with a message each."""
     whole = set()
     for index, path in point_files(kept).items():
         if fault := fault_of(path):

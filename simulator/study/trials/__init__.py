@@ -1,1 +1,1 @@
-"""Trials: one, and any number of them, on processes or a cluster, kept as they come."""
+"""Trials: single ones, and runs in processes or on a cluster, stored as they finish."""

@@ -1,7 +1,7 @@
-"""Which trials are run together: blocks cut from what is left, as long as one takes about `TARGET_S` seconds.
+"""Division of the remaining trials into blocks of about `TARGET_S` seconds.
 
-Rows depend on (scenario, seed, index) alone, so the cut is free: it differs with the number of workers and the speed of
-the machine, and the rows do not.
+Rows depend only on (scenario, seed, index), so that blocks may vary with the number of workers and the speed of the
+machine.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ import pyarrow as pa
 from startracker.kernels import clock
 
 FIRST_TRIALS = 10
-"""Trials of a block while their cost is not known yet."""
+"""Trials per block while their duration is unknown."""
 MOST_TRIALS = 5000
-"""Trials of a block at most: its rows are in memory as Python objects for a moment."""
+"""Maximum number of trials per block, whose rows are temporarily Python objects."""
 TARGET_S = 1.5
-"""Seconds that a block should take: long beside handing it over, short enough to lose in a kill."""
+"""Target duration of a block, seconds: long compared with the transfer, short enough to be lost if killed."""
 MAX_ATTEMPTS = 4
-"""Times that a block may be under way when a worker dies; more, and the block itself is suspected."""
+"""Maximum number of worker deaths during a block; beyond it the block is assumed to be the cause."""
 
 
 class Result(NamedTuple):
     """A finished block."""
 
     block: range
-    """Indices of its trials."""
+    """Indices of the trials."""
     table: pa.Table
-    """A row a trial."""
+    """One row per trial."""
     seconds: float
-    """Time that it took the worker."""
+    """Computing time in the worker."""
 
 
 def run_block(
     trial: Callable[[int], dict[str, Any]], block: range, stopped: Callable[[], bool] | None = None
 ) -> Result:
-    """Rows of the trials of a block; only the first of them where `stopped` says so in the middle."""
+    """Rows of the trials of a block; only the first ones if `stopped` becomes true."""
     started = clock()
     rows: list[dict[str, Any]] = []
     for index in block:
@@ -49,14 +49,14 @@ def run_block(
 
 
 class Blocks:
-    """What is left to run, handed out in blocks.
+    """Remaining trials, distributed in blocks.
 
     Parameters
     ----------
     gaps : iterable of range
-        Indices that no finished block has, in ascending order.
+        Indices without finished trials, in ascending order.
     workers : int
-        How many take from it; towards the end blocks get smaller, so that all finish together.
+        Number of workers; blocks become smaller towards the end, so that all workers finish together.
     """
 
     def __init__(self, gaps: Iterable[range], workers: int = 1) -> None:
@@ -72,7 +72,7 @@ class Blocks:
 
     @property
     def size(self) -> int:
-        """Trials of the next block."""
+        """Number of trials of the next block."""
         if self._cost_s is None:
             wanted = FIRST_TRIALS
         else:
@@ -81,7 +81,7 @@ class Blocks:
         return max(1, min(wanted, max(share, wanted // 8)))
 
     def take(self) -> range:
-        """Next block; those that were given back come first, as they were."""
+        """Next block; returned blocks come first, unchanged."""
         if self._returned:
             block = self._returned.popleft()
         else:
@@ -93,7 +93,7 @@ class Blocks:
         return block
 
     def give_back(self, blocks: Iterable[range]) -> bool:
-        """Blocks whose worker died, to be run again; False when one of them has been tried too often."""
+        """Return blocks whose worker died, to be run again; False if one of them has been tried too often."""
         tried = 0
         for block in blocks:
             self._attempts[block.start] = self._attempts.get(block.start, 0) + 1
@@ -103,14 +103,14 @@ class Blocks:
         return tried < MAX_ATTEMPTS
 
     def drop(self) -> None:
-        """Forget what nobody has begun."""
+        """Discard blocks that have not been started."""
         self._gaps.clear()
         self._returned.clear()
         self.left = 0
 
     def finished(self, result: Result) -> None:
-        """Learn from a finished block what a trial costs."""
+        """Update the duration of a trial from a finished block."""
         self._attempts.pop(result.block.start, None)
         cost_s = result.seconds / len(result.block)
-        # the first block also pays for compilation and caches: half the weight of the past is gone with each block
+        # the first block includes compilation and caches: the weight of the past is halved with each block
         self._cost_s = cost_s if self._cost_s is None else 0.5 * (self._cost_s + cost_s)

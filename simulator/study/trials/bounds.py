@@ -1,8 +1,8 @@
-"""What limits it: the Cramér–Rao bound of every trial, from the truth.
+"""Cramér–Rao bound of every trial, from the truth.
 
-No unbiased estimator of a star's position does better than the inverse of its Fisher matrix, none of the attitude
-better than these positions determine it. Both follow from what really was: the star's image, its electrons, and the
-noise of each pixel about it.
+The covariance of an unbiased estimator of a star's position is at least the inverse of its Fisher matrix, and that of
+the attitude follows from these positions. Both are computed from the true star image, its electrons, and the noise of
+each pixel around it.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 SAME_STAR_PX = 3.0
-"""A matched centroid belongs to the brightest true star this near."""
+"""A matched centroid is attributed to the brightest true star within this distance."""
 
 _STEP_PX = 0.02
 _HALF_WIDTHS, _LEAST_HALF, _MOST_HALF = 4.0, 4, 16
 
 
 class Wells(NamedTuple):
-    """What fills the pixels: dark current (H, W), or (1, 1) for all alike, exposure, electrons a photo-electron of the
-    photocathode, and where charge overflows."""
+    """Charge of the pixels: dark current, (H, W) or (1, 1) if uniform, exposure, electrons per photo-electron of the
+    photocathode, and full well."""
 
     dark_e_s: FloatArray | NDArray[np.float32]
     exposure_s: float
@@ -50,27 +50,27 @@ class Wells(NamedTuple):
 
 
 def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
-    """Cramér–Rao bound of the attitude of one frame: least standard deviation about x, y, z of the camera, degrees.
+    """Cramér–Rao bound of the attitude of one frame: minimum standard deviation about x, y, z of the camera, degrees.
 
     P = [Σ Jᵢᵀ Fᵢ Jᵢ]⁻¹ with the Fisher matrix Fᵢ (2, 2) of each star's position (`star_information`) and
-    Jᵢ = ∂(x, y)/∂θ (2, 3), the slopes of its pixel against the camera's rotation vector. For equal errors σᵢ on both
-    axes of a star and pixels of equal size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster & Oh 1981, J. Guidance & Control
-    4, 70); but unlike that it holds away from the axis too, where a pixel of a pinhole spans a smaller angle.
+    Jᵢ = ∂(x, y)/∂θ (2, 3), the derivatives of its pixel position with respect to the camera's rotation vector. For
+    equal errors σᵢ on both axes of a star and pixels of equal angular size it is P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ (Shuster &
+    Oh 1981, J. Guidance & Control 4, 70); it is also valid off axis, where a pixel of a pinhole subtends a smaller
+    angle.
 
     Parameters
     ----------
     renderer : Renderer
-        Of the scenario.
+        Renderer of the scenario.
     truth : FrameTruth
         With `mean_electrons`.
     stars : (N,) int array
-        Rows of the true sources that are used: those that the tracker has matched (`matched_sources`).
+        Rows of the true sources to use: those matched by the tracker (`matched_sources`).
 
     Returns
     -------
     (3,) array
-        NaN where the stars do not determine an attitude, or where nothing in the scenario is random, in which case
-        there is no bound.
+        NaN if the stars do not determine an attitude, or if the scenario has no noise and therefore no bound.
     """
     if len(stars) < 2:
         return np.full(3, np.nan)
@@ -80,7 +80,7 @@ def attitude_bound_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -
 
 
 def _deviations_deg(information: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Roots of the diagonal of [Σ Jᵀ F J]⁻¹ in degrees (3,); NaN where it has none."""
+    """Square roots of the diagonal of [Σ Jᵀ F J]⁻¹ in degrees (3,); NaN if singular."""
     rows = slopes.reshape(-1, 3)
     total = rows.T @ (information @ slopes).reshape(-1, 3)
     if np.isfinite(total).all():
@@ -91,8 +91,7 @@ def _deviations_deg(information: FloatArray, slopes: FloatArray) -> FloatArray:
 
 
 def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
-    """Rows of the true stars that matched centroids (N, 2) belong to, each once; those that belong to none are left
-    out."""
+    """Rows of the true stars of matched centroids (N, 2), without duplicates and without unmatched ones."""
     sources = truth.sources
     best = _brightest_near(np.asarray(xy, dtype=float), sources.image_xy, sources.electrons, sources.is_star)
     return np.array(sorted({*best.tolist()} - {-1}), np.int64)
@@ -113,15 +112,14 @@ def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
-    """Fisher matrices (N, 2, 2), px⁻², of the positions of stars at mid-exposure, their flux unknown too.
+    """Fisher matrices (N, 2, 2), px⁻², of the positions of stars at mid-exposure, with unknown flux.
 
-    With the mean μ = F p(x, y) of the pixels about a star, F_ab = Σ ∂_a μ ∂_b μ / v over x, y and F, and F eliminated
-    (Schur's complement), as its value says nothing of the position that is not in these sums (Winick 1986, J. Opt. Soc.
-    Am. A 3, 1809; King 1983, PASP 95, 163). p is the scenario's own PSF, pixel-integrated and trailed along the
-    star's path over the exposure; slopes are central differences of 0.02 px. The background counts as known: the
-    tracker has it from thousands of pixels. v is the variance of a pixel (`pixel_variance_e2`), to which neighbours add
-    their shot noise. Jitter is left out, which blurs further: without it the bound is lower, and still a bound.
-    Saturated pixels hold no information.
+    With the mean μ = F p(x, y) of the pixels about a star, F_ab = Σ ∂_a μ ∂_b μ / v over x, y and F, with F eliminated
+    by the Schur complement (Winick 1986, J. Opt. Soc. Am. A 3, 1809; King 1983, PASP 95, 163). p is the scenario's own
+    PSF, pixel-integrated and smeared along the star's path over the exposure; derivatives are central differences of
+    0.02 px. The background is assumed known, as the tracker estimates it from thousands of pixels. v is the variance of
+    a pixel (`pixel_variance_e2`), including the shot noise of neighbours. Jitter, which adds blur, is neglected: the
+    bound is then lower, but still valid. Saturated pixels contain no information.
 
     Parameters
     ----------
@@ -134,7 +132,7 @@ def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> 
 
 
 def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directions: FloatArray) -> FloatArray:
-    """`star_information` of stars seen along unit vectors (N, 3) in the camera."""
+    """`star_information` of stars in the directions (N, 3), camera axes."""
     plane, sources, detector = renderer.focal_plane, truth.sources, renderer.detector.parameters
     information = np.empty((len(stars), 2, 2))
     assert truth.mean_electrons is not None
@@ -165,7 +163,8 @@ def _about_stars(
     wells: Wells,
     noise: tuple[float, float, float, float],
 ) -> FloatArray:
-    """Kernel: Fisher matrices (N, 2, 2) from images of unit flux and their slopes (N, M, M) about middle pixels."""
+    """Kernel: Fisher matrices (N, 2, 2) from images of unit flux and their derivatives (N, M, M) around central
+    pixels."""
     variance, out = share.copy(), np.empty((len(flux), 2, 2))
     for n in range(len(flux)):
         variance[n] *= flux[n]
@@ -177,8 +176,8 @@ def _about_stars(
 def fisher_of_position(
     share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> FloatArray:
-    """Fisher matrices (N, 2, 2) of positions from images of unit flux, their slopes, and variances (N, M, M); pixels of
-    infinite variance hold no information."""
+    """Fisher matrices (N, 2, 2) of positions from images of unit flux, their derivatives, and variances (N, M, M);
+    pixels with infinite variance are ignored."""
     out = np.empty((len(flux), 2, 2))
     _fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
     return out
@@ -194,7 +193,7 @@ def _fisher(
         for j in range(share.shape[1]):
             for i in range(share.shape[2]):
                 x, y, f = flux[n] * slope_x[n, j, i], flux[n] * slope_y[n, j, i], share[n, j, i]
-                if f == 0.0 and x == 0.0 and y == 0.0:  # a pixel that neither varies nor changes holds no information
+                if f == 0.0 and x == 0.0 and y == 0.0:  # a constant pixel contains no information
                     continue
                 weight = 1.0 / variance[n, j, i] if variance[n, j, i] > 0.0 else np.inf
                 xx += x * weight * x
@@ -211,8 +210,8 @@ def _fisher(
 def image_slopes(
     psf: Psf, paths: FloatArray, weights: FloatArray, half: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Share of a star's light in the pixels about it, and its slopes against x and y, px⁻¹: three (N, M, M) arrays,
-    M = 2 `half` + 1, of stars with paths (N, K, 2) relative to the middle pixel."""
+    """Fraction of a star's light in the surrounding pixels, and its derivatives in x and y, px⁻¹: three (N, M, M)
+    arrays, M = 2 `half` + 1, of stars with paths (N, K, 2) relative to the central pixel."""
     side = 2 * half + 1
     if psf.core is None or psf.wing is None or psf.drawn is None:
         images = np.zeros((3, len(paths), side, side))
@@ -233,8 +232,8 @@ def image_slopes(
 def _gaussian_slopes(
     images: FloatArray, paths: FloatArray, weights: FloatArray, radius: float, sigma_x: float, sigma_y: float
 ) -> None:
-    """Kernel: pixel-integrated Gaussians of one electron as `simulator.optics.splat.add_gaussians` draws them, each
-    on an image of its own, and their slopes: `images` (3, N, M, M), which start black."""
+    """Kernel: pixel-integrated Gaussians of one electron as in `simulator.optics.splat.add_gaussians`, each in a
+    separate image, and their derivatives: `images` (3, N, M, M), initially zero."""
     side = images.shape[2]
     scale_x, scale_y = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
     column, row = np.empty((3, side)), np.empty((3, side))
@@ -258,7 +257,7 @@ def _gaussian_slopes(
 
 @kernel
 def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None:
-    """Share of a Gaussian in each of the pixels of a line, as far as `radius`."""
+    """Fraction of a Gaussian in each pixel of a line, out to `radius`."""
     out[:] = 0.0
     first, last = max(math.ceil(centre - radius), 0), min(math.floor(centre + radius), len(out) - 1)
     shares_of_pixels(out[first:], first, last, centre, scale)
@@ -266,7 +265,7 @@ def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None
 
 @kernel
 def _widest(paths: FloatArray) -> float:
-    """Kernel: the longest side of the boxes around paths (N, K, 2), without those that have a NaN."""
+    """Kernel: the longest side of the boxes around paths (N, K, 2), without those with a NaN."""
     widest = 0.0
     for n in range(len(paths)):
         left = right = paths[n, 0, 0]
@@ -285,18 +284,18 @@ def pixel_variance_e2(
     mean_e: FloatArray, dark_e: FloatArray | float, star_e: FloatArray, detector: DetectorParameters, exposure_s: float
 ) -> FloatArray:
     """Variance of pixels, photo-electrons²: shot noise of light and dark current, reset and read noise, the converter's
-    rounding (g²/12), and what is fixed in the device but not known to the tracker: the response of a pixel (PRNU) times
-    the star's light in it, and DSNU times the mean dark current. Behind an intensifier shot noise grows by the excess
-    noise factor, all else is divided by the gain; what its phosphor blurs is left out: the bound stays one.
+    rounding (g²/12), and the fixed pattern, which the tracker does not know: PRNU times the star's light in a pixel,
+    and DSNU times the mean dark current. With an intensifier shot noise is multiplied by the excess noise factor and
+    other noise divided by the gain; the blur of its phosphor is neglected, and the bound remains valid.
 
     Parameters
     ----------
     mean_e : array
         Mean photo-electrons, all sources and the background.
     dark_e : array or float
-        Dark electrons, the mean over exposures: of each pixel, where they are not alike.
+        Mean dark electrons, of each pixel if not uniform.
     star_e : array
-        Of `mean_e`, those of the star itself.
+        The part of `mean_e` from the star itself.
     detector, exposure_s : DetectorParameters, float
         The detector and its exposure time.
     """
@@ -311,7 +310,7 @@ def _variance(
 
 
 def _noise(detector: DetectorParameters, exposure_s: float) -> tuple[float, float, float, float]:
-    """Variance an electron of light and of dark current, the variance that is alike in every pixel, and the PRNU."""
+    """Variance per electron of light and of dark current, the uniform variance, and the PRNU."""
     gain, dn_e = signal_gain(detector), gain_e_per_dn(detector)
     of_light = excess_noise_factor(detector) if detector.shot_noise else 0.0
     of_dark = 1.0 / gain**2 if detector.shot_noise else 0.0
@@ -324,13 +323,13 @@ def _noise(detector: DetectorParameters, exposure_s: float) -> tuple[float, floa
 
 
 def mean_dark_e(detector: DetectorParameters, exposure_s: float) -> float:
-    """Mean dark electrons of an ordinary pixel over the exposure."""
+    """Mean dark electrons of a normal pixel over the exposure."""
     factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
     return detector.dark_current_e_s * exposure_s * factor
 
 
 def _wells(pattern: FixedPattern, detector: DetectorParameters, exposure_s: float) -> Wells:
-    """What fills the pixels of a device."""
+    """`Wells` of a device."""
     dark_e_s = pattern.dark_e_s
     if not isinstance(dark_e_s, np.ndarray):
         dark_e_s = np.full((1, 1), dark_e_s, np.float32)
@@ -345,8 +344,8 @@ def _variances_about(
     centres: FloatArray,
     noise: tuple[float, float, float, float],
 ) -> None:
-    """Kernel: variances (N, M, M) of the pixels about stars in the array of their light; infinite off the image and
-    where charge overflows. A single dark pixel stands for all."""
+    """Kernel: variances (N, M, M) of the pixels around stars; infinite outside the image and above the full well. A
+    single dark pixel represents all."""
     height, width = mean_e.shape
     uneven = wells.dark_e_s.size > 1
     half = stars_e.shape[1] // 2
@@ -363,7 +362,7 @@ def _variances_about(
 
 
 def pixel_slopes(camera: Camera, vectors: FloatArray) -> FloatArray:
-    """∂(x, y)/∂θ (N, 2, 3), pixels per radian: how stars seen along unit vectors (N, 3) in the camera move on the image
-    when it turns by small rotation vectors θ, v → v − θ × v; central differences, which lens and distortion go through.
+    """∂(x, y)/∂θ (N, 2, 3), pixels per radian: motion of the images of stars in the directions (N, 3), camera axes, for
+    small rotation vectors θ of the camera, v → v − θ × v; central differences including lens and distortion.
     """
     return np.asarray(slopes_of_pixels(vectors, camera.image_map))

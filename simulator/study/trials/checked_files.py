@@ -1,4 +1,4 @@
-"""Files of finished trials that show whether they are still as they were written."""
+"""Files of finished trials with a checksum in their names."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from simulator.paths import make_folder, write_atomically
 
 CHECKSUM_DIGITS = 16
-"""Hexadecimal digits of the SHA-256 in the name of a file."""
+"""Number of hexadecimal digits of the SHA-256 in a file name."""
 DAMAGED_FOLDER = ".trials-damaged"
-"""Where damaged files are set aside, in the folder of the results."""
+"""Subfolder of the results to which damaged files are moved."""
 
 
 def file_sha256(path: Path) -> str:
@@ -22,12 +22,12 @@ def file_sha256(path: Path) -> str:
 
 
 def write_checked(folder: Path, stem: str, data: bytes, *, durable: bool = True) -> Path:
-    """Write ``STEM-CHECKSUM.parquet``, moved into place whole.
+    """Write ``STEM-CHECKSUM.parquet`` atomically.
 
     Raises
     ------
     InputError
-        When it cannot be written.
+        If it cannot be written.
     """
     path = folder / f"{stem}-{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}.parquet"
     write_atomically(path, data, durable=durable)
@@ -35,20 +35,20 @@ def write_checked(folder: Path, stem: str, data: bytes, *, durable: bool = True)
 
 
 def fault_of(path: Path, checksum: str | None = None) -> str:
-    """What is wrong with a file; empty for one that is as it was written.
+    """Fault of a file; empty if it is intact.
 
     Parameters
     ----------
     path : Path
         The file.
     checksum : str, optional
-        First digits of its SHA-256; None: those in its name.
+        First digits of the expected SHA-256; None: those in its name.
     """
     expected = path.stem.rpartition("-")[2] if checksum is None else checksum
     try:
         found = file_sha256(path)
     except FileNotFoundError:
-        return "is gone"
+        return "is missing"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if len(expected) >= CHECKSUM_DIGITS and found.startswith(expected):
@@ -57,11 +57,11 @@ def fault_of(path: Path, checksum: str | None = None) -> str:
 
 
 def set_aside(path: Path, fault: str, results: Path) -> str:
-    """Move a damaged file to `DAMAGED_FOLDER` of the folder of the results; a sentence that says so."""
+    """Move a damaged file to `DAMAGED_FOLDER` of the results folder; returns a message."""
     sentence = f"{path}: {fault}"
     if path.exists():
         with contextlib.suppress(OSError):  # on a failing disk
             aside = make_folder(results / DAMAGED_FOLDER)
             os.replace(path, aside / path.name)
-            sentence += f"; set aside in {aside}"
+            sentence += f"; moved to {aside}"
     return f"{sentence}; its trials are computed again"

@@ -1,4 +1,4 @@
-"""Columns of the trials as arrays, read when they are asked for: a million trials need not be in memory at once."""
+"""Columns of the trials as arrays, read on demand, so that a million trials need not be in memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from startracker.errors import BoresightError
 
 CACHE_BYTES = 4_000_000
-"""Memory for columns that were read; the longest unused are dropped first."""
+"""Memory of the cache of columns; the least recently used are dropped first."""
 
 
 class Columns(Mapping[str, NDArray[Any]]):
@@ -24,14 +24,14 @@ class Columns(Mapping[str, NDArray[Any]]):
     Parameters
     ----------
     source : pyarrow.Table or Path
-        The trials, or the Parquet file that has them.
+        The trials, or their Parquet file.
 
     Raises
     ------
     KeyError
-        For a column that is not there.
+        For a missing column.
     BoresightError
-        When the file is another one by now.
+        If the file has been changed.
     """
 
     def __init__(self, source: pa.Table | Path) -> None:
@@ -40,6 +40,10 @@ class Columns(Mapping[str, NDArray[Any]]):
         self._stamp = _stamp(source)
         self._cache: OrderedDict[str, NDArray[Any]] = OrderedDict()
 
+    def __repr__(self) -> str:
+        first = ", ".join(self._schema.names[:6])
+        return f"Columns({len(self)} columns: {first}{', …' if len(self) > 6 else ''})"
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name in self._cache:
             self._cache.move_to_end(name)
@@ -47,7 +51,7 @@ class Columns(Mapping[str, NDArray[Any]]):
         if name not in self:
             raise KeyError(name)
         array = as_array(self._read(name))
-        pa.default_memory_pool().release_unused()  # it keeps what it had for the file, tens of megabytes
+        pa.default_memory_pool().release_unused()  # it retains tens of megabytes
         array.flags.writeable = False
         self._cache[name] = array
         while len(self._cache) > 1 and sum(_memory(kept) for kept in self._cache.values()) > CACHE_BYTES:
@@ -55,7 +59,7 @@ class Columns(Mapping[str, NDArray[Any]]):
         return array
 
     def __getstate__(self) -> dict[str, Any]:
-        """Another process reads columns again rather than getting them in its mail."""
+        """Other processes read columns again instead of receiving them."""
         return self.__dict__ | {"_cache": OrderedDict()}
 
     def __iter__(self) -> Iterator[str]:
@@ -68,7 +72,7 @@ class Columns(Mapping[str, NDArray[Any]]):
         return name in self._schema.names
 
     def table(self) -> pa.Table:
-        """All of them, in memory."""
+        """All columns, in memory."""
         self._check()
         return pq.read_table(self._source) if isinstance(self._source, Path) else self._source
 
@@ -81,11 +85,11 @@ class Columns(Mapping[str, NDArray[Any]]):
 
     def _check(self) -> None:
         if _stamp(self._source) != self._stamp:
-            raise BoresightError(f"{self._source}: moved or changed since the study was made; read it again")
+            raise BoresightError(f"{self._source}: moved or changed since the study was loaded; load it again")
 
 
 def as_array(column: pa.ChunkedArray) -> NDArray[Any]:
-    """A column as an array; equal strings are one object, however many rows have them."""
+    """A column as an array; equal strings are one object."""
     if pa.types.is_string(column.type):
         column = column.dictionary_encode()
     if not pa.types.is_dictionary(column.type):
@@ -101,7 +105,7 @@ def as_array(column: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def _memory(array: NDArray[Any]) -> int:
-    return array.nbytes * (10 if array.dtype == object else 1)  # a pointer, and at worst a string of its own
+    return array.nbytes * (10 if array.dtype == object else 1)  # a pointer, and at worst a separate string
 
 
 def _stamp(source: pa.Table | Path) -> tuple[int, int] | None:

@@ -1,4 +1,4 @@
-"""Blocks of trials on a dask.distributed cluster; a worker that dies costs only the time of its blocks."""
+"""Blocks of trials on a dask.distributed cluster; if a worker dies, only the time of its blocks is lost."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 CONNECT_S = 15.0
 """Seconds to wait for the scheduler and its first worker."""
 LOOK_S = 5.0
-"""Seconds between looks at how many workers there are: they may come and go."""
+"""Seconds between checks of the number of workers, which may change."""
 STOP_CHECK_S = 0.2
-"""Seconds between looks at whether the run is to stop."""
+"""Seconds between checks for a stop."""
 
 _local = threading.local()
 
@@ -32,28 +32,27 @@ _local = threading.local()
 def run_on_cluster(
     scenario: Scenario, blocks: Blocks, address: str, stop: threading.Event
 ) -> Generator[Result, None, None]:
-    """Finished blocks in the order in which they come, two under way for every thread of the cluster.
+    """Finished blocks in order of completion, with two submitted per thread of the cluster.
 
-    dask itself runs the blocks of a worker that died on another one. A stop keeps what is finished and drops the rest.
+    Dask reruns the blocks of a dead worker on another one. On a stop finished blocks are kept and others dropped.
 
     Parameters
     ----------
     scenario : Scenario
-        Sent with every block; a worker builds what its trials share once. Files that it names must be at the same
-        path on every machine.
+        Sent with every block; a worker builds common data once. Its files must have the same path on every machine.
     blocks : Blocks
-        What is left to run.
+        Remaining trials.
     address : str
-        Of the scheduler, such as ``tcp://10.0.0.1:8786``.
+        Address of the scheduler, such as ``tcp://10.0.0.1:8786``.
     stop : threading.Event
-        Set to end early.
+        Set to stop early.
 
     Raises
     ------
     InputError
-        When dask is not installed, nobody answers at the address, there are no workers, or they run another version.
+        If dask is not installed, no scheduler responds, there are no workers, or they run another version.
     BoresightError
-        When workers die with the same block again and again, or the scheduler is gone.
+        If workers die repeatedly with the same block, or the connection to the scheduler is lost.
     """
     with _connected(address) as client:
         from distributed import KilledWorker, wait
@@ -84,16 +83,16 @@ def run_on_cluster(
                     raise CommClosedError("no connection")
         except KilledWorker:
             raise BoresightError(
-                f"--dask {address}: workers died again and again with the same trials (out of memory?); the finished "
+                f"--dask {address}: workers died repeatedly with the same trials (out of memory?); finished "
                 "trials are kept: run again with --resume"
             ) from None
         except (CommClosedError, FutureCancelledError) as error:
             raise BoresightError(
-                f"--dask {address}: the scheduler is gone ({error}); the finished trials are kept: run again with "
-                "--resume"
+                f"--dask {address}: the connection to the scheduler was lost ({error}); finished trials are kept: "
+                "run again with --resume"
             ) from None
         finally:
-            with contextlib.suppress(Exception):  # a cluster that is gone has nothing left to cancel
+            with contextlib.suppress(Exception):  # a lost cluster has nothing to cancel
                 client.cancel(list(pending))
 
 
@@ -103,14 +102,14 @@ def _connected(address: str) -> Iterator[Client]:
         from distributed import Client
     except ImportError:
         raise InputError(
-            "--dask: needs the package distributed; install it with: pip install 'boresight[dask]'"
+            "--dask needs the package distributed; install it with: pip install 'boresight[dask]'"
         ) from None
     with contextlib.ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=CONNECT_S, set_as_default=False))
         except (OSError, TimeoutError, ValueError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"--dask {address}: no scheduler answers there ({reason})") from None
+            raise InputError(f"--dask {address}: no scheduler responds ({reason})") from None
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
@@ -121,7 +120,7 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 def _run_block(scenario: Scenario, key: str, version: str, block: range) -> Result:
-    """On the worker: what the trials of a scenario share is built once a thread, and only the last one is kept."""
+    """On the worker: common data of a scenario is built once per thread; only the last one is kept."""
     if version != __version__:
         raise InputError(f"--dask: a worker has boresight {__version__}, this is {version}; install the same on all")
     if getattr(_local, "key", None) != key:

@@ -1,8 +1,7 @@
-"""The Monte Carlo engine: trials here, on processes of this machine or on a cluster, kept as they come.
+"""Monte Carlo engine: trials in this process, in local processes or on a cluster, stored as they finish.
 
-Every block of finished trials is written at once to a folder of its own beside the results, so that an interrupt, a
-kill or a full disk costs no finished block: the next run of the scenario goes on from there. The rows depend on
-(scenario, seed, index) alone.
+Every finished block is written at once to a separate folder, so that no finished block is lost on an interrupt, a kill
+or a full disk: the next run of the scenario continues from there. The rows depend only on (scenario, seed, index).
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from startracker.errors import BoresightError, InputError
 __all__ = ["Progress", "Trials", "discard_parts", "run_trials"]
 
 Progress = Callable[[int, int], None]
-"""Called with (trials finished, trials in all)."""
+"""Called with (trials finished, total trials)."""
 
 MAX_ROUNDS = 3
-"""Times that trials are run whose finished parts are found damaged."""
+"""Maximum number of attempts for trials whose stored parts are damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,23 +37,23 @@ class Trials:
     """Finished trials, by index."""
 
     store: PartStore
-    """Where they are."""
+    """Store of the trials."""
     finished: int
-    """How many there are."""
+    """Number of trials."""
     taken_over: int
-    """How many of them an earlier run left."""
+    """Number of trials reused from an earlier run."""
     requested: int
-    """Trials asked for."""
+    """Requested number of trials."""
     interrupted: bool
     """Whether the run was stopped before all were done."""
     workers: int
-    """Processes, or threads of the cluster, that ran them."""
+    """Number of processes, or of threads of the cluster."""
     runner: TrialRunner | None = None
-    """What ran them, where that was this process."""
+    """Runner of the trials, if run in this process."""
 
     @cached_property
     def table(self) -> pa.Table:
-        """A row a trial, in memory."""
+        """One row per trial, in memory."""
         return self.store.table(self.requested)
 
 
@@ -74,20 +73,20 @@ def run_trials(
     Parameters
     ----------
     scenario : Scenario
-        Its seed is the run's.
+        The scenario, including the seed.
     trials : int
         Number of trials, at least 1.
     workers : int or WorkerPool
-        Processes, or those that are there already; 1 runs in this one.
+        Number of processes, or an existing pool; 1 runs in this process.
     dask : str, optional
         Address of a dask.distributed scheduler; the trials run on its workers instead.
     folder : Path, optional
-        Where finished blocks are kept until the results are written; none: in memory. Those that an unfinished run of
-        the same scenario left there are taken over.
+        Folder of finished blocks until the results are written; None: in memory. Blocks of an unfinished run of the
+        same scenario are reused.
     resume : bool
-        Take over the trials of a finished run too.
+        Also reuse the trials of a finished run.
     force : bool
-        Discard what an unfinished run left in `folder`.
+        Discard the trials of an unfinished run in `folder`.
     progress : callable, optional
         Called after every block.
 
@@ -96,7 +95,7 @@ def run_trials(
     InputError
         For no trials, no workers, no cluster, a full disk, or unfinished trials of another scenario in `folder`.
     BoresightError
-        When workers die again and again, finished trials are damaged again and again, or the cluster is gone.
+        If workers die repeatedly, finished trials are damaged repeatedly, or the cluster is lost.
     """
     if trials < 1:
         raise InputError(f"trials: must be at least 1, not {trials}")
@@ -132,7 +131,7 @@ def run_trials(
 def _keep(
     store: PartStore, found: Generator[Result, None, None], done: int, trials: int, progress: Progress | None
 ) -> None:
-    """Keep blocks as they come."""
+    """Store blocks as they finish."""
     with contextlib.closing(found) as results:
         for result in results:
             store.put(result.block, result.table)
@@ -156,7 +155,7 @@ def _run_elsewhere(
 
 
 def _run_here(runner: TrialRunner | None, blocks: Blocks, stop: threading.Event) -> Generator[Result, None, None]:
-    """Trials in this process; a stop ends after the trial under way, and keeps what its block has."""
+    """Trials in this process; a stop takes effect after the current trial, and its block is kept."""
     while runner and blocks and not stop.is_set():
         result = run_block(runner.run, blocks.take(), stop.is_set)
         if result.block:

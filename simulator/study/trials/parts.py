@@ -1,9 +1,9 @@
-"""The store of finished trials: Parquet parts named by the indices they hold, few and whole at any moment.
+"""Store of finished trials: Parquet parts named by their indices, complete at any moment.
 
-Each finished block is written at once as ``START-STOP-CHECKSUM.parquet``, beside and moved into place. Small parts that
-touch are merged into larger ones as the run goes on: the merged part is in place before its members go, and a part
-whose trials another one holds too is dropped, so that a kill between the two loses and doubles nothing. A part whose
-contents no longer match its checksum is set aside, and its trials are missing again.
+Each finished block is written atomically as ``START-STOP-CHECKSUM.parquet``. Small adjacent parts are merged during the
+run: the merged part is written before its members are deleted, and a part whose trials are contained in another one is
+dropped, so that a kill in between neither loses nor duplicates trials. A part that does not match its checksum is moved
+aside, and its trials are computed again.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ from startracker.errors import InputError
 PARTS_FOLDER = ".trials-parts"
 TRIALS_FILE = "trials.parquet"
 MERGE_EVERY = 50
-"""Parts that may come before those that touch are merged."""
+"""Number of parts before adjacent ones are merged."""
 MERGED_TRIALS = 50_000
-"""Trials of a merged part at most: as many are in memory while it is made."""
+"""Maximum number of trials of a merged part, which are in memory during the merge."""
 ROW_GROUP_TRIALS = 10_000
-"""Trials of a row group of ``trials.parquet``: the same whatever the parts."""
+"""Trials per row group of ``trials.parquet``, independent of the parts."""
 KEY = b"boresight.scenario.sha256"
-"""Where ``trials.parquet`` says whose trials it holds."""
+"""Metadata key of the identity in ``trials.parquet``."""
 
 _NAME = re.compile(r"(\d+)-(\d+)-([0-9a-f]{16})\.parquet")
 
 Key = tuple[int, int]
-"""First index, and last + 1."""
+"""First index, and last index + 1."""
 
 
 def run_identity(scenario: Scenario, trials: int) -> Identity:
-    """Identity of a Monte Carlo run of so many trials."""
+    """Identity of a Monte Carlo run with a number of trials."""
     return Identity("run", scenario.name, scenario.seed, scenario_sha256(scenario), {"trials": trials})
 
 
@@ -61,23 +61,23 @@ class PartStore:
     Parameters
     ----------
     scenario : Scenario
-        Whose trials they are; their number may differ.
+        Scenario of the trials; their number may differ.
     folder : Path, optional
-        Folder of the results; none: in memory.
+        Folder of the results; None: in memory.
     resume : bool
-        Take over the trials of a finished run in `folder` too, not only the parts of an unfinished one.
+        Also reuse the trials of a finished run in `folder`, not only the parts of an unfinished one.
     force : bool
-        Discard what is in `folder`.
+        Discard the content of `folder`.
 
     Attributes
     ----------
     notes : list of str
-        A sentence for every damaged file that was found.
+        A message for every damaged file.
 
     Raises
     ------
     InputError
-        For another scenario's parts, or a folder that cannot be written.
+        For parts of another scenario, or a folder that cannot be written.
     """
 
     def __init__(self, scenario: Scenario, folder: Path | None, resume: bool, force: bool = False) -> None:
@@ -104,7 +104,7 @@ class PartStore:
 
     @property
     def key(self) -> str:
-        """SHA-256 that distinguishes these trials from those of another scenario, seed or version."""
+        """SHA-256 of scenario, seed and version of these trials."""
         return self.identity.sha256
 
     def _load(self) -> None:
@@ -114,7 +114,7 @@ class PartStore:
         found: dict[Key, Path] = {}
         for path in sorted(self.folder.glob("[0-9]*.parquet")):
             name = _NAME.fullmatch(path.name)
-            if fault := fault_of(path) if name else "is no part of this version":
+            if fault := fault_of(path) if name else "is not a part of this version":
                 self._set_aside(path, fault)
             elif name:
                 found[int(name[1]), int(name[2])] = path
@@ -123,15 +123,15 @@ class PartStore:
             if start >= end:
                 self._parts[start, stop] = path
                 end = stop
-            else:  # a member of a merged part, left by a kill before it went
+            else:  # a member of a merged part that was not deleted because of a kill
                 path.unlink()
 
     def _take_over(self, folder: Path) -> None:
-        """Take over the trials of a finished run of this scenario."""
+        """Reuse the trials of a finished run of this scenario."""
         finished = folder / TRIALS_FILE
         trials = self._finished_trials(finished)
         within = [key for key in self._parts if key[0] < trials]
-        # parts that reach across its end come of a run that began anew
+        # parts beyond its end are from a new run
         if self.missing(trials) and all(stop <= trials for _, stop in within):
             for key in within:
                 part = self._parts.pop(key)
@@ -140,7 +140,7 @@ class PartStore:
             self._parts[0, trials] = finished
 
     def _finished_trials(self, path: Path) -> int:
-        """Number of trials of an earlier run's results; 0 where they are another scenario's, or damaged."""
+        """Number of trials in the results of an earlier run; 0 if they are of another scenario or damaged."""
         if not path.exists():
             return 0
         try:
@@ -149,7 +149,7 @@ class PartStore:
         except (OSError, ValueError, KeyError, TypeError):
             return 0
         if fault := fault_of(path, self._finished_checksum):
-            # a run that was killed while its results were moved into place: the parts have all of its trials
+            # a run killed while its results were moved: the parts contain all of its trials
             if not (self.folder and (self.folder / TRIALS_FILE).exists()):
                 self._set_aside(path, fault)
             return 0
@@ -162,7 +162,7 @@ class PartStore:
         Raises
         ------
         InputError
-            Where parts hold more than the first `trials` trials.
+            If parts contain trials beyond the first `trials`.
         """
         if self.folder is None:
             return
@@ -172,7 +172,7 @@ class PartStore:
             refuse_other(self.folder.parent, old, new, "unfinished trials")
 
     def check(self, keys: Iterable[Key] | None = None) -> bool:
-        """Whether every part, or those of `keys`, is as it was written; those that are not are set aside."""
+        """Whether all parts, or those of `keys`, are intact; damaged ones are moved aside."""
         some = self._parts if keys is None else keys
         files = {key: part for key in some if isinstance(part := self._parts[key], Path)}
         faults = {
@@ -190,18 +190,18 @@ class PartStore:
         self.notes.append(set_aside(path, fault, self.folder.parent))
 
     def missing(self, trials: int) -> list[range]:
-        """Indices below `trials` that no part has, as ranges in ascending order."""
+        """Indices below `trials` without a part, as ranges in ascending order."""
         edges = [(start, stop) for start, stop in sorted(self._parts) if start < trials]
         gaps = itertools.pairwise([(0, 0), *edges, (trials, trials)])
         return [range(left, right) for (_, left), (right, _) in gaps if left < right]
 
     def put(self, block: range, table: pa.Table) -> None:
-        """Keep a finished block.
+        """Store a finished block.
 
         Raises
         ------
         InputError
-            When the disk is full or the folder is gone; what was kept before stays.
+            If the disk is full or the folder is missing; earlier blocks are kept.
         """
         key = (block.start, block.stop)
         if self.folder is None:
@@ -214,14 +214,14 @@ class PartStore:
             self._unmerged = 0
 
     def _keep(self, key: Key, table: pa.Table, *, durable: bool) -> None:
-        """Write trials as a part with its checksum in its name."""
+        """Write trials as a part, with the checksum in its name."""
         assert self.folder is not None
         data = parquet_bytes(table, row_group_size=ROW_GROUP_TRIALS)
         with nothing_lost():
             self._parts[key] = write_checked(self.folder, f"{key[0]:09d}-{key[1]:09d}", data, durable=durable)
 
     def schema(self) -> pa.Schema:
-        """Columns that hold every part: an integer column meets a real one as real numbers."""
+        """Common columns of all parts; integer and floating-point columns become floating point."""
         schemas = [
             pq.read_schema(part) if isinstance(part, Path) else part.schema
             for part in (self._parts[key] for key in sorted(self._parts))
@@ -230,7 +230,7 @@ class PartStore:
         return pa.unify_schemas(plain, promote_options="permissive") if plain else pa.schema([("index", pa.int64())])
 
     def row_groups(self, trials: int) -> Iterator[pa.Table]:
-        """The trials below `trials` by index, `ROW_GROUP_TRIALS` at a time; the cut does not depend on the parts."""
+        """The trials below `trials` by index, `ROW_GROUP_TRIALS` at a time, independent of the parts."""
         schema = self.schema()
         kept: list[pa.Table] = []
         rows = 0
@@ -247,12 +247,13 @@ class PartStore:
             yield pa.concat_tables(kept).combine_chunks()
 
     def write(self, path: Path, trials: int) -> str:
-        """Write the trials below `trials` to one Parquet file, a row group in memory at a time; its SHA-256.
+        """Write the trials below `trials` to a Parquet file, with one row group in memory at a time; returns its
+        SHA-256.
 
         Raises
         ------
         InputError
-            When it cannot be written.
+            If it cannot be written.
         """
         schema = self.schema().with_metadata({KEY: self.key.encode()})
         with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, compression="zstd") as writer:
@@ -277,7 +278,8 @@ class PartStore:
                 left -= batch.num_rows
 
     def _merge(self) -> None:
-        """Merge parts that touch, a part with the smaller ones after it, so that each trial is rewritten few times."""
+        """Merge adjacent parts, each with the smaller ones after it, so that each trial is rewritten only a few
+        times."""
         groups: list[list[Key]] = []
         for key in sorted(self._parts, reverse=True):
             group = groups[-1] if groups else []
@@ -306,18 +308,18 @@ class PartStore:
 
 @contextlib.contextmanager
 def nothing_lost() -> Iterator[None]:
-    """What cannot be written says that nothing finished is lost."""
+    """Add to write errors that finished trials are kept."""
     try:
         yield
     except InputError as error:
         reason = str(error).removesuffix("; choose another path")
         raise InputError(
-            f"{reason}; the finished trials are kept: make room there and run again with --resume"
+            f"{reason}; finished trials are kept: free some disk space and run again with --resume"
         ) from error
 
 
 def discard_parts(folder: Path) -> None:
-    """Remove the blocks of a finished run, once its results have replaced them."""
+    """Remove the blocks of a finished run after its results are written."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
 
 

@@ -1,4 +1,4 @@
-"""Blocks of trials on processes of this machine; a process that dies costs only the time of its blocks."""
+"""Blocks of trials on processes of this machine; if a process dies, only the time of its blocks is lost."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from simulator.study.trials.warm_up import warm_up
 from startracker.errors import BoresightError
 
 STOP_CHECK_S = 0.2
-"""Seconds between looks at whether the run is to stop."""
+"""Seconds between checks for a stop."""
 
 _local = threading.local()
 
 
 class WorkerPool:
-    """Processes of this machine that run blocks of trials, of one scenario after the other; started when first needed.
+    """Local processes that run blocks of trials of successive scenarios; started when first needed.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ class WorkerPool:
         self.close()
 
     def submit(self, scenario: Scenario, key: str, block: range) -> Future[Result]:
-        """Have a block run by the next process that is free; `key` distinguishes scenarios."""
+        """Submit a block to the next free process; `key` identifies the scenario."""
         if self._executor is None:
             self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=_start_worker)
         return self._executor.submit(_run_block, scenario, key, block)
 
     def close(self) -> None:
-        """End the processes, once they have finished what they are at; the next block starts new ones."""
+        """End the processes after their current blocks; the next block starts new ones."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
             self._executor = None
@@ -60,17 +60,17 @@ class WorkerPool:
 def run_in_pool(
     scenario: Scenario, blocks: Blocks, pool: WorkerPool, stop: threading.Event
 ) -> Generator[Result, None, None]:
-    """Finished blocks in the order in which they come, only a few under way at a time, so that memory stays flat.
+    """Finished blocks in order of completion, with only a few submitted at a time to limit memory.
 
-    A stop drops the blocks that no worker has begun and waits, a moment, for the others. When a worker dies its blocks
-    are run again by new processes.
+    On a stop blocks that have not been started are dropped, and the others are awaited briefly. If a worker dies, its
+    blocks are run again by new processes.
 
     Raises
     ------
     InputError
-        What a worker says of a scenario that cannot be.
+        Errors of the scenario reported by a worker.
     BoresightError
-        When the workers die with the same block again and again.
+        If workers die repeatedly with the same block.
     """
     key = scenario_sha256(scenario)
     warm_up(scenario)
@@ -103,7 +103,7 @@ def run_in_pool(
                     "finished trials are kept: run again with --resume and fewer --workers"
                 ) from None
         finally:
-            for future in pending:  # those of an earlier end: nobody waits for them
+            for future in pending:  # of an earlier end, no longer awaited
                 future.cancel()
 
 
@@ -114,7 +114,7 @@ def _start_worker() -> None:
 
 
 def _run_block(scenario: Scenario, key: str, block: range) -> Result:
-    """In a worker: what the trials of a scenario share is built once, and only the last one is kept."""
+    """In a worker: common data of a scenario is built once; only the last one is kept."""
     if getattr(_local, "key", None) != key:
         runner = TrialRunner(scenario)
         refuse_other_files(scenario, key)
@@ -123,7 +123,7 @@ def _run_block(scenario: Scenario, key: str, block: range) -> Result:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed sends no message, and its workers would wait for more blocks for ever."""
+    """End this worker if its parent is killed, which would otherwise leave it waiting forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Ctrl-C as a wish to stop, so that what is done can be kept."""
+"""Ctrl-C as a request to stop, so that finished results are kept."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from types import FrameType
 
 @contextlib.contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """Event that Ctrl-C, or a polite kill, sets; a second one interrupts at once.
+    """Event that is set by Ctrl-C or SIGTERM; a second one interrupts at once.
 
-    An exception raised wherever the signal happens to arrive could come out of compiled code as something else.
+    An exception raised at an arbitrary point could be converted to another one by compiled code.
     """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -35,7 +35,7 @@ def stop_on_signal() -> Iterator[threading.Event]:
 
 @contextlib.contextmanager
 def no_interrupt_for_children() -> Iterator[None]:
-    """Processes started within ignore Ctrl-C from their first instruction on."""
+    """Processes started within this context ignore Ctrl-C from the start."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

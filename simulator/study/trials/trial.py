@@ -24,8 +24,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
-"""Stages of the tracker whose times are columns; with ``render_ms`` and ``solve_ms`` the only columns that may differ
-between two runs of the same scenario and seed."""
+"""Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
+may differ between runs of the same scenario and seed."""
 
 _ERRORS = (*CAMERA_AXES, *BODY_AXES)
 _ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
@@ -35,7 +35,7 @@ _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
 
 
 def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
-    """Star tracker that a scenario's ``tracker`` section describes, for a camera."""
+    """Star tracker of a scenario's ``tracker`` section for a camera."""
     section = scenario.tracker
     return StarTracker(
         camera,
@@ -52,7 +52,7 @@ def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
 
 
 def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
-    """Solve a frame with all that the spacecraft knows of it."""
+    """Solve a frame with all data known on board."""
     return tracker.solve(
         frame.image,
         prior=frame.prior,
@@ -66,14 +66,14 @@ def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
 def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
     """Rotation vector from the true to the estimated attitude, in camera axes and in body axes, degrees."""
     camera = np.degrees(truth.rotation_vector_to(estimate))
-    body = camera @ mounting.as_matrix()  # back into the body's axes
+    body = camera @ mounting.as_matrix()  # to body axes
     return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
 
 
 def misidentified(truth: FrameTruth, solution: Solution) -> int:
-    """Number of matched stars with no true star of that number within `SAME_STAR_PX` of the centroid.
+    """Number of matched stars without a true star of the same catalogue number within `SAME_STAR_PX` of the centroid.
 
-    A merged double carries the number of its brighter star, whose true position is within the camera's resolution.
+    A merged double has the number of its brighter star, whose true position is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
     star, source = np.nonzero((stars.catalog_id[:, None] == sources.id) & sources.is_star)
@@ -83,15 +83,15 @@ def misidentified(truth: FrameTruth, solution: Solution) -> int:
 
 
 def in_field(camera: Camera, sources: TrueSources, limit: float) -> tuple[int, int]:
-    """Numbers of stars down to a magnitude, and of bodies, that are on the image."""
+    """Numbers of stars down to a magnitude, and of bodies, in the image."""
     inside = camera.contains(sources.xy)
     star = inside & sources.is_star
     return int((star & (sources.v_mag <= limit)).sum()), int(inside.sum() - star.sum())
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
-    """Error against what the tracker believes of it: eᵀ P⁻¹ e of the rotation vector (3,), χ² of 3 degrees of freedom
-    where the covariance is right (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
+    """Error squared normalised by the stated covariance, eᵀ P⁻¹ e of the rotation vector (3,): χ² of 3 degrees of
+    freedom for a correct covariance (Bar-Shalom, Li & Kirubarajan 2001, section 5.4). NaN without a covariance."""
     if covariance_rad2 is None or not np.isfinite(error_deg).all():
         return math.nan
     error = np.radians(error_deg)
@@ -105,7 +105,7 @@ def galactic_latitude_deg(attitude: Attitude) -> float:
 
 
 class TrialRunner:
-    """Renders and solves trials of one scenario; what they share is built once."""
+    """Renders and solves trials of one scenario; common data is built once."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario

@@ -1,4 +1,4 @@
-"""Kernels compiled before workers start: once, on two cores, instead of by every worker for itself."""
+"""Compilation of kernels before workers start: once, on two cores, instead of in every worker."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _ORION_RA_DEG, _ORION_DEC_DEG = 83.0, 0.0
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile what the trials of a scenario need, unless that was done earlier.
+    """Compile the kernels needed by the trials of a scenario, unless compiled earlier.
 
-    Runs a trial, and beside it, in another process, solves a list of stars: that needs the kernels which the trial
-    comes to last.
+    Runs a trial and, concurrently in another process, solves a list of stars, which needs the kernels that the trial
+    uses last.
     """
     if is_compiled(_TASK):
         return
@@ -30,7 +30,7 @@ def warm_up(scenario: Scenario) -> None:
     with no_interrupt_for_children():
         beside.start()
     try:
-        with contextlib.suppress(BoresightError):  # the trials themselves say what is wrong
+        with contextlib.suppress(BoresightError):  # errors are reported by the trials themselves
             runner.run(0)
     finally:
         beside.terminate()
@@ -38,7 +38,7 @@ def warm_up(scenario: Scenario) -> None:
 
 
 def _solve_field(scenario: Scenario, camera: Camera) -> None:
-    """Solve the stars of the catalogue about the middle of Orion."""
+    """Solve the stars of the catalogue around the centre of Orion."""
     tracker = build_tracker(scenario, camera)
     matrix = Attitude.from_radec_roll(_ORION_RA_DEG, _ORION_DEC_DEG).as_matrix()
     index, _, xy = tracker.guide.in_field(matrix)

@@ -1,8 +1,8 @@
-"""Greyling 1995 computed again, figure by figure.
+"""Greyling 1995 recomputed, figure by figure.
 
 B. C. Greyling, *A Charge Coupled Device Star Sensor System for a Low Earth Orbit Microsatellite*, M.Eng. thesis,
-University of Stellenbosch, 1995. Each module is a part of the thesis with a function `section() -> Section`;
-`SECTIONS` lists them in the order of the thesis.
+University of Stellenbosch, 1995. Each module is a part of the thesis with a function `section() -> Section`; `SECTIONS`
+lists them in order.
 """
 
 from __future__ import annotations
@@ -52,5 +52,5 @@ SECTIONS: dict[str, Callable[[], Section]] = {
 
 
 def run(only: str | None = None, progress: Callable[[str], None] | None = None) -> PrintedStudy:
-    """All sections, or the one that is named; see `simulator.theses.printed.run_sections`."""
+    """All sections, or the one given by name; see `simulator.theses.printed.run_sections`."""
     return run_sections("greyling1995", TITLE, SECTIONS, only, progress)

@@ -1,4 +1,4 @@
-"""The star's image (Greyling 1995, section 4.1): Airy pattern, the Gaussian that stands for it, and its pixels."""
+"""The star image (Greyling 1995, section 4.1): Airy pattern, the Gaussian that represents it, and its pixels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ FIRST_DARK_RING, SECOND_DARK_RING = airy.FIRST_RING * np.pi, 7.015586669815619
 """First zeros of J₁: 3.8317 and 7.0156."""
 
 X_FIT: FloatArray = np.arange(1.0, 51.0) / 10.0
-"""Where the thesis compares the two functions: 0.1 to 5 in steps of 0.1, the argument of the Bessel function."""
+"""Points at which the thesis compares the two functions: 0.1 to 5 in steps of 0.1, the argument of the Bessel
+function."""
 
 OFFSETS: FloatArray = np.arange(11.0) * 0.05
 """Offsets of Table 4.1, detector lengths."""
@@ -27,18 +28,18 @@ OFFSETS: FloatArray = np.arange(11.0) * 0.05
 THESIS_SIGMA, THESIS_FIT_SIGMA = 1.23, 1.3497
 
 _ROWS, _COLUMNS = np.mgrid[-2:3, -2:3].astype(float)
-"""Of each pixel of a window of 5 × 5, from its middle."""
+"""Offsets of the pixels of a 5 × 5 window from its centre."""
 
 CRITERIA: dict[str, Callable[[FloatArray], float]] = {
     "range of the error (max − min)": lambda e: float(np.ptp(e)),
     "largest absolute error": lambda e: float(np.abs(e).max()),
     "rms error": lambda e: float(np.sqrt(np.mean(e**2))),
 }
-"""What "the least error between the Airy and Gaussian representations" may mean."""
+"""Possible meanings of "the least error between the Airy and Gaussian representations"."""
 
 
 def airy_pattern(x: ArrayLike) -> FloatArray:
-    """Airy pattern [2J₁(x)/x]², 1 in the middle, at x = ka sin θ (eq. 4.1)."""
+    """Airy pattern [2J₁(x)/x]², 1 at the centre, at x = ka sin θ (eq. 4.1)."""
     return np.asarray(airy.intensity(np.asarray(x, dtype=float) / np.pi) * 4.0 / np.pi)
 
 
@@ -48,18 +49,19 @@ def gaussian(x: ArrayLike, sigma: float) -> FloatArray:
 
 
 def best_sigma(criterion: Callable[[FloatArray], float], x: FloatArray = X_FIT) -> float:
-    """σ of the Gaussian nearest to the Airy pattern at the positions `x`, by a criterion of their difference."""
+    """σ of the Gaussian closest to the Airy pattern at the positions `x`, by a criterion of their difference."""
     truth = airy_pattern(x)
     return _least(lambda sigma: criterion(gaussian(x, sigma) - truth), 1.0, 2.0)
 
 
 def _least(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function between two bounds is least."""
+    """Minimum of a function between two bounds."""
     return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
 
 
 def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) -> FloatArray:
-    """Offset less first moment over 5 × 5 point samples of an Airy pattern whose first dark ring is `ring_px` out."""
+    """Offset minus first moment over 5 × 5 point samples of an Airy pattern with a first dark ring of radius
+    `ring_px`."""
     out = []
     for offset in np.atleast_1d(np.asarray(offset_px, dtype=float)):
         samples = airy_pattern(np.hypot(_COLUMNS - offset, _ROWS) * FIRST_DARK_RING / ring_px)
@@ -68,8 +70,8 @@ def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) 
 
 
 def sigma_of_bias() -> float:
-    """σ of the point-sampled Gaussian whose centroid bias is nearest, in least squares over `OFFSETS`, to the Airy
-    pattern's."""
+    """σ of the point-sampled Gaussian whose centroid bias is closest to that of the Airy pattern, by least squares over
+    `OFFSETS`."""
     truth = airy_bias(OFFSETS)
     return _least(
         lambda sigma: float(((moment_bias(OFFSETS, sigma, 5, integrated=False) - truth) ** 2).sum()), 0.7, 1.6
@@ -77,7 +79,7 @@ def sigma_of_bias() -> float:
 
 
 def spread(sigma_px: float) -> FloatArray:
-    """Intensity (5, 5) at the pixels' centres of a star in the middle of one, relative to the middle."""
+    """Intensity (5, 5) at pixel centres, relative to the maximum, of a star at the centre of a pixel."""
     return gaussian(np.hypot(_COLUMNS, _ROWS), sigma_px)
 
 
@@ -86,8 +88,8 @@ def section(
 ) -> Section:
     """Section 4.1: rows and Figs. 4.1 to 4.4.
 
-    `f_number` and `wavelength_um` are of the focused lens; for Fig. 4.2 (a) defocus puts the first dark ring `ring_px`
-    pixels of `pitch_um` out.
+    `f_number` and `wavelength_um` are those of the focused lens; for Fig. 4.2 (a) the first dark ring is at `ring_px`
+    pixels of `pitch_um` because of defocus.
     """
     focused_um = airy.first_ring() * f_number * wavelength_um
     values = _airy_values() | _lens_values(focused_um, ring_px * pitch_um) | _fit_values(ring_px) | _spread()
@@ -122,7 +124,7 @@ def _fit_values(ring_px: float) -> Values:
 
 
 def _central_share(sigma_px: float) -> float:
-    """Share of the central 3 × 3 in the 5 × 5 pixels."""
+    """Fraction of the light in the central 3 × 3 of the 5 × 5 pixels."""
     light = spread(sigma_px)
     return float(light[1:4, 1:4].sum() / light.sum())
 
@@ -169,5 +171,5 @@ def _spread() -> Values:
 
 
 def stamp_cells(stamp: FloatArray, form: str) -> list[Values]:
-    """Text and position of every pixel of a 5 × 5 image, row by row from below."""
+    """Text and position of every pixel of a 5 × 5 image, row by row from the bottom."""
     return [{"x": x - 2, "y": y - 2, "text": form.format(value)} for (y, x), value in np.ndenumerate(stamp)]

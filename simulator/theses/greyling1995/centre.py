@@ -1,7 +1,7 @@
 """`centre.m` of Greyling 1995, appendix B: noise with its expression and seed, and the choice of the central pixel.
 
-The script puts a Gaussian of I₀ = 10 on the 5 × 5 pixels about its own pixel of an 11 × 11 frame, adds noise to all of
-it, takes the brightest pixel for the centre and the first moment of the 5 × 5 about that.
+The script places a Gaussian of I₀ = 10 on the 5 × 5 pixels around its own pixel of an 11 × 11 frame, adds noise to the
+frame, takes the brightest pixel as the centre and computes the first moment of the 5 × 5 pixels around it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from startracker.centroid.bias import moment_bias
 LISTING_SIGMA, LISTING_SEED, LISTING_PEAK = 1.325, 5, 10.0
 LISTING_OFFSETS: FloatArray = np.arange(51.0) * 0.01
 NOISE_MIDDLE = 0.05
-"""n = A (rand − 0.05): the noise runs from −0.05 A to 0.95 A, its mean is 0.45 A and not 0."""
+"""n = A (rand − 0.05): the noise ranges from −0.05 A to 0.95 A, with a mean of 0.45 A instead of 0."""
 
 _SIDE, _MIDDLE, _HALF = 11, 5, 2
 _MODULUS, _MULTIPLIER = 2**31 - 1, 16807
 
 
 def matlab_rand(seeds: ArrayLike, count: int) -> FloatArray:
-    """Uniform deviates (S, count) of Matlab 4's ``rand`` after ``rand('seed', s)``, s whole numbers from 1 on.
+    """Uniform deviates (S, count) of Matlab 4's ``rand`` after ``rand('seed', s)``, with integers s ≥ 1.
 
     s ← 7⁵ s mod (2³¹ − 1), the deviate is s / (2³¹ − 1): S. K. Park and K. W. Miller 1988, Comm. ACM 31, 1192.
     """
@@ -37,13 +37,14 @@ def matlab_rand(seeds: ArrayLike, count: int) -> FloatArray:
 
 
 def central_pixels(frames: FloatArray) -> tuple[IntArray, IntArray]:
-    """Row and column, each (N,), of the brightest pixel; of equal ones the first by columns, as Matlab's ``max``."""
+    """Row and column, each (N,), of the brightest pixel; of equal ones the first in column order, as with Matlab's
+    ``max``."""
     columns = frames.max(axis=1).argmax(axis=1)
     return frames[np.arange(len(frames)), :, columns].argmax(axis=1), columns
 
 
 def first_moments(frames: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
-    """First moments (N,) along x of the 5 × 5 about given pixels, from the middle of the frame, pixels."""
+    """First moments (N,) along x of the 5 × 5 pixels around given ones, relative to the centre of the frame, pixels."""
     steps = np.arange(-_HALF, _HALF + 1)
     y, x = rows[:, None, None] + steps[:, None], columns[:, None, None] + steps
     window = frames[np.arange(len(frames))[:, None, None], y, x]
@@ -56,10 +57,10 @@ def noise_errors(
     sigma_px: float = LISTING_SIGMA,
     offsets: FloatArray = LISTING_OFFSETS,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Errors (S, N) along x, pixels, less those without noise; and where the wrong pixel is taken for the centre.
+    """Errors (S, N) along x, pixels, minus those without noise; and a mask of stars with the wrong central pixel.
 
-    The SNR is I₀ over the range A of the noise; the script's factor of 0.1 is 40 dB. `seeds` (S,) are of ``rand``; the
-    noise of the stars at the `offsets` (N,) follows in their order. Table 4.1 has a width of 1.23.
+    The SNR is I₀ divided by the range A of the noise; the script's factor of 0.1 is 40 dB. `seeds` (S,) are those of
+    ``rand``; the noise of the stars at the `offsets` (N,) is generated in their order. Table 4.1 has a width of 1.23.
     """
     margin = _MIDDLE - _HALF
     stars = LISTING_PEAK * np.pad(star_stamps(offsets, sigma_px), ((0, 0), (margin, margin), (margin, margin)))
@@ -75,7 +76,8 @@ def noise_errors(
 
 
 def smeared_frames(path: Path, offsets: FloatArray, sigma_px: float) -> FloatArray:
-    """Frames (N, 11, 11) of stars smeared along a way, all of their light in the frame (eq. 4.11), peak 1 at rest."""
+    """Frames (N, 11, 11) of stars smeared along a path, with all of their light in the frame (eq. 4.11), peak 1 at
+    rest."""
     way, weights = path
     pixels = np.arange(_SIDE) - float(_MIDDLE)
     x = np.exp(-0.5 * ((pixels - (offsets[:, None] + way[:, 0])[..., None]) / sigma_px) ** 2)
@@ -84,11 +86,11 @@ def smeared_frames(path: Path, offsets: FloatArray, sigma_px: float) -> FloatArr
 
 
 def smear_errors(path: Path, *, other_of_equal: bool = False) -> FloatArray:
-    """Errors (11,) along x of smeared stars by the brightest pixel, Table 4.1's bias for the true offset taken off.
+    """Errors (11,) along x of smeared stars by the brightest pixel, minus the bias of Table 4.1 for the true offset.
 
-    A star at half a pixel has two pixels of equal height, whatever the direction of the smear, as they lie
-    symmetrically about its centre. The left one is right: Table 4.1 counts its offsets from there. The right one
-    (`other_of_equal`) makes the "spikes" of Fig. 4.12.
+    A star at half a pixel has two equal pixels for any direction of the smear, as they are symmetric about its centre.
+    The left one is correct, as the offsets of Table 4.1 are measured from it. The right one (`other_of_equal`) causes
+    the "spikes" of Fig. 4.12.
     """
     frames = smeared_frames(path, OFFSETS, THESIS_SIGMA)
     rows = np.full(len(frames), _MIDDLE)
@@ -100,7 +102,7 @@ def smear_errors(path: Path, *, other_of_equal: bool = False) -> FloatArray:
 
 
 def lower_equal_peaks(frame_dn: FloatArray, levels: int = 1) -> FloatArray:
-    """A digitised frame (H, W) in which one pixel has the highest value: the first of equal ones, in reading order.
+    """A digitised frame (H, W) with a unique highest pixel: the first of equal ones in reading order.
 
     `levels`, 1 to 3 in section 4.3.1, are subtracted from each of the others.
     """

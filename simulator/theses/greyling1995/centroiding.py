@@ -1,4 +1,4 @@
-"""Errors of the centroid (Greyling 1995, section 4.3): bias, noise, smear and distortion; what they are in degrees."""
+"""Errors of the centroid (Greyling 1995, section 4.3): bias, noise, smear and distortion; conversion to degrees."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ TABLE_4_2 = {
 
 FIELD_DEG = 10.0
 CENTROID_ACCURACY = 0.1
-"""Detector lengths: what section 4.3.3 concludes."""
+"""Detector lengths: conclusion of section 4.3.3."""
 
 MEDIAN_OF_LARGEST = 0.5 ** (1.0 / len(OFFSETS))
-"""Quantile of single errors that is the median of the largest of eleven."""
+"""Quantile of single errors equal to the median of the maximum of eleven."""
 
 RATES_PX_S = (4.0, 8.0, 10.0, 20.0)
 
 
 def section(seeds: int = 200) -> Section:
-    """Section 4.3: rows and Figs. 4.8 to 4.13, Tables 4.1 and 4.2; Figs. 4.10 and 4.11 from the noise of many seeds."""
+    """Section 4.3: rows and Figs. 4.8 to 4.13, Tables 4.1 and 4.2; Figs. 4.10 and 4.11 with the noise of many seeds."""
     values = _bias_values() | _noise_values(seeds) | _smear_and_distortion_values() | _angle_values()
     values |= {
         "noise_panels": partial(_noise_curves, min(seeds, 40)),
@@ -60,7 +60,7 @@ def section(seeds: int = 200) -> Section:
 def _bias_values() -> Values:
     bias = moment_bias(OFFSETS, THESIS_SIGMA, 5, integrated=False)
     fine = np.linspace(0.0, 0.5, 51)
-    sampled = "Gaussian of σ = 1.23 sampled at the pixels' centres, first moment over 5 × 5"
+    sampled = "Gaussian of σ = 1.23 sampled at pixel centres, first moment over 5 × 5"
     return {
         "bias": [
             {"offset": offset, "listed": listed, "own": own, "how": "" if offset else sampled}
@@ -85,7 +85,7 @@ def _bias_values() -> Values:
 
 
 def _equal_peak_shifts() -> list[float]:
-    """How far a star between two pixels of equal height moves when one is lowered by 1 or by 3 of 255 levels."""
+    """Shift of a star between two equal pixels if one is decreased by 1 or by 3 of 255 levels."""
     still = centre.smeared_frames((np.zeros((1, 2)), np.ones(1)), np.array([0.5]), THESIS_SIGMA)
     frame = np.rint(255.0 * still / still.max())
     lowered = [centre.lower_equal_peaks(frame[0], levels)[None] for levels in (1, 3)]
@@ -113,7 +113,7 @@ def _noise_values(seeds: int) -> Values:
 
 
 def _largest_quantiles(snr_db: float, seeds: int) -> FloatArray:
-    """2.5, 50 and 97.5 % over the first seeds of the largest error with the right central pixel."""
+    """2.5, 50 and 97.5 % quantiles over the first seeds of the largest error with the correct central pixel."""
     errors, wrong = noise_errors(snr_db, np.arange(1, seeds + 1))
     return np.asarray(np.quantile(np.where(wrong, 0.0, np.abs(errors)).max(axis=1), [0.025, 0.5, 0.975]))
 
@@ -148,7 +148,7 @@ def _angle_values() -> Values:
     detectors = []
     for name, (size, seconds, degrees) in TABLE_4_2.items():
         accuracy_deg = CENTROID_ACCURACY * FIELD_DEG / min(size)
-        why = "misprint: ten times its own figure in seconds" if name == "TH 7882" else ""
+        why = "misprint: ten times its value in arcseconds" if name == "TH 7882" else ""
         printed = {"name": name, "size": size, "seconds": seconds, "degrees": degrees, "misprint": why}
         detectors.append(printed | {"accuracy_arcsec": 3600.0 * accuracy_deg, "accuracy_deg": accuracy_deg})
     specified_deg = 0.025
@@ -161,7 +161,7 @@ def _angle_values() -> Values:
 
 
 def _offsets() -> list[Values]:
-    """Images of stars from the middle of a pixel to its edge, with the labels of the outer panels."""
+    """Images of stars from the centre of a pixel to its edge, with the labels of the outer panels."""
     offsets = np.arange(6) * 0.1
     labels = [{"x_label": "x [L]" if k > 2 else "", "y_label": "" if k % 3 else "y [L]"} for k in range(6)]
     return [
@@ -171,7 +171,7 @@ def _offsets() -> list[Values]:
 
 
 def _noise_curves(seeds: int) -> list[Values]:
-    """Noise errors by centre.m, bias taken off."""
+    """Noise errors by centre.m, with bias correction."""
     panels = []
     for snr_db, letter in ((40.0, "a"), (20.0, "b")):
         errors, wrong = noise_errors(snr_db, np.arange(1, seeds + 1))
@@ -198,7 +198,7 @@ _LIMIT = {"accuracy": CENTROID_ACCURACY, "dots": (0, (1, 2))}
 
 
 def _smear_curves() -> Values:
-    """Largest error along x against the direction of the smear: right pixel, brightest pixel, our tracker."""
+    """Largest error along x by direction of the smear: correct pixel, brightest pixel, our tracker."""
     angles, fine = np.arange(0.0, 181.0, 7.5), np.arange(0.0, 181.0, 2.5)
     rates = []
     for rate in RATES_PX_S:
@@ -217,8 +217,8 @@ def _smear_curves() -> Values:
 def _errors_by_maximum(rate_px_s: float, angle_deg: float) -> float:
     """Largest error over Table 4.1's offsets with the brightest pixel as the central one.
 
-    At half a pixel two pixels are equal whatever the direction. Their sums over the smear are made in another order, so
-    that floating point makes one or the other greater: the spikes of Fig. 4.12.
+    At half a pixel two pixels are equal for any direction. Their sums over the smear are computed in a different order,
+    so that rounding makes one or the other larger: the spikes of Fig. 4.12.
     """
     path = smear_path(rate_px_s, angle_deg)
     frame = centre.smeared_frames(path, OFFSETS[-1:], THESIS_SIGMA)

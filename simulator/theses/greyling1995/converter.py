@@ -1,4 +1,4 @@
-"""Centroids after converters of few and many bits: a star on the TC211, through the product's own pipeline."""
+"""Centroids with converters of few and many bits: a star on the TC211, with the product's pipeline."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ from startracker.front_end import Clock, find_stars
 from startracker.settings import CentroidSettings, DetectionSettings
 
 BITS = (2, 4, 6, 8, 10, 12)
-"""Converters tried."""
+"""Converters, bits."""
 SIGMA_PX = 1.23
 """Star image of Table 4.1."""
 _SIDE_PX = 64
 _STARS = 100
 _LEVELS = 0.02, 0.5
-"""Lowest and highest of the three levels of equal ratio, over the full well."""
+"""Lowest and highest of the three levels of equal ratio, relative to the full well."""
 _NEAR_PX = 2.0
 
 
 class ConverterTrial(NamedTuple):
-    """Centroids of one star at many positions in a pixel: root mean square error of an axis, NaN where the star is
-    found in fewer than half of the frames, and in how many it is found."""
+    """Centroids of one star at many positions in a pixel: root mean square error on one axis, NaN if the star is
+    detected in fewer than half of the frames, and number of frames in which it is detected."""
 
     error_px: float
     found: int
     frames: int
 
     def words(self) -> str:
-        """For a table."""
+        """Text for a table."""
         if math.isnan(self.error_px):
-            return f"not seen ({self.found} of {self.frames})" if self.found else "not seen"
+            return f"not detected ({self.found} of {self.frames})" if self.found else "not detected"
         return f"{self.error_px:.3f} pixels"
 
 
 @cache
 def converter_trial(bits: int, peak: float, *, geometric: bool = False) -> ConverterTrial:
-    """Error of the centroid after a converter of even steps from the offset to the full well, at random positions.
+    """Centroid error with a converter of uniform steps from the offset to the full well, at random positions.
 
-    `peak` is the signal of the brightest pixel of a centred star over the full well. `geometric`: three comparators
-    with levels of equal ratio in place of even steps.
+    `peak` is the signal of the brightest pixel of a centred star relative to the full well. `geometric`: three
+    comparators with levels of equal ratio instead of uniform steps.
     """
     scenario = camera()
     detector = replace(
@@ -92,7 +92,7 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False) -> Conve
 
 @cache
 def converter_trials() -> dict[tuple[str, float], ConverterTrial]:
-    """Centroids after each converter, for a bright star (peak at 0.8 of the full well) and a faint one (0.04)."""
+    """Centroids with each converter, for a bright star (peak at 0.8 of the full well) and a faint one (0.04)."""
     peaks = (0.8, 0.04)
     trials = {(f"{bits} bits", peak): converter_trial(bits, peak) for bits in BITS for peak in peaks}
     return trials | {("2 bits, geometric levels", peak): converter_trial(2, peak, geometric=True) for peak in peaks}

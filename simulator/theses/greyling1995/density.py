@@ -1,8 +1,7 @@
-"""Section 3.3 and Figs. 3.4 to 3.8: how many stars stand along the path of the boresight.
+"""Section 3.3 and Figs. 3.4 to 3.8: number of stars along the path of the boresight.
 
-The thesis counts in windows that are rectangles in right ascension and declination, ± half their width each, without
-cos δ; the tables below do as it did, and the last row shows the camera's true square field with the product's own
-counting.
+The thesis counts stars in rectangles in right ascension and declination, ± half their width each, without cos δ; the
+tables below do the same, and the last row shows the true square field of the camera, counted by the product.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ CELL_DEG = 5.0
 """Side of a cell of Fig. 3.4."""
 
 MAP_DEC_DEG = (-25.0, 40.0)
-"""Declinations that Fig. 3.4 shows here: the vicinity of the path."""
+"""Declinations of Fig. 3.4 in our version: the vicinity of the path."""
 
 SPARSE_RA_DEG = ((320.0, 75.0), (150.0, 210.0))
-"""Right ascensions that section 3.3.2 calls the most sparsely populated."""
+"""Right ascensions named in section 3.3.2 as the most sparsely populated."""
 
 WERTZ_COUNTS = {3.0: 187, 4.0: 556, 5.0: 1660, 6.0: 5146, 7.0: 15095, 8.0: 44700}
 """Table 3.3, stars of the whole sky by limiting magnitude, as printed."""
@@ -53,7 +52,7 @@ def window_counts(
     step_deg: float = 1.0,
     declination_deg: float = DECLINATION_DEG,
 ) -> tuple[FloatArray, IntArray]:
-    """Stars in a window that is moved along a parallel of declination, as the thesis counts them.
+    """Stars in a window moved along a parallel of declination, as counted in the thesis.
 
     The window is `window_deg` wide in right ascension (no cos δ) and in declination. Returns its centres in right
     ascension (N,), degrees from 0 in steps, and the stars at each (N,).
@@ -88,7 +87,7 @@ def section() -> Section:
 
 
 def _catalogue_values() -> Values:
-    """Table 3.3 against the two catalogues that ship."""
+    """Table 3.3 and the two included catalogues."""
     bright, hipparcos = _bright_stars()[2], np.asarray(load_catalog("hipparcos").v_mag)
     ends = "; the Bright Star Catalogue ends at V ≈ 6.5"
     return {
@@ -106,7 +105,7 @@ def _catalogue_values() -> Values:
 
 
 def _sparse_values() -> Values:
-    """Whether the sections that section 3.3.2 calls sparse are: stars a window of 10°, down to V = 6."""
+    """Check of the ranges named as sparse in section 3.3.2: stars per window of 10°, down to V = 6."""
     ra, counts = window_counts(6.0)
     sparse = np.zeros(len(ra), dtype=bool)
     for low, high in SPARSE_RA_DEG:
@@ -155,7 +154,7 @@ def _camera_values() -> Values:
 
 
 def _cells() -> Values:
-    """The stars about the path, and the square of the density in cells of 5° × 5°."""
+    """The stars around the path, and the square of the density in cells of 5° × 5°."""
     ra, dec, v = _bright_stars()
     ra_edges, dec_edges, counts = cell_counts()
     grid = np.meshgrid((ra_edges[1:] + ra_edges[:-1]) / 2, (dec_edges[1:] + dec_edges[:-1]) / 2)
@@ -165,7 +164,7 @@ def _cells() -> Values:
 
 
 def density_figure(magnitude_limit: float, step_deg: float, window_deg: float = WINDOW_DEG) -> Figure:
-    """Figs. 3.5 to 3.7: stars a square degree in the window along the path, V down to `magnitude_limit`."""
+    """Figs. 3.5 to 3.7: stars per square degree in the window along the path, V down to `magnitude_limit`."""
     shown = _along_the_path(magnitude_limit, step_deg, window_deg)
     return draw("greyling1995/density/fig_3_5a_V5_1deg", {"along": {"V5_1deg": shown}})
 
@@ -190,7 +189,7 @@ def _along_the_path(magnitude_limit: float, step_deg: float, window_deg: float =
 
 
 def _minima() -> Values:
-    """The least density along the path against the magnitude limit, both windows and both steps."""
+    """Minimum density along the path by magnitude limit, for both windows and both steps."""
     limits = np.arange(5.0, 7.51, 0.25)
     least = {
         (window, step): [window_counts(limit, window, step)[1].min() / window**2 for limit in limits]

@@ -19,13 +19,13 @@ FIELD_DEG, SIDE_PX = 10.0, 512
 SENSORS_DEG = 5.0
 """Accuracy of the other sensors, the program's default."""
 BAND_DEG = 0.5 * FIELD_DEG + SENSORS_DEG
-"""Half width in declination of the band about the path, as `guide.m` has it."""
+"""Half width in declination of the band around the path, as in `guide.m`."""
 
 CLOSEST_DEG = 0.039
 """R_MinA."""
 LONGEST_DEG = math.sqrt(2.0) * FIELD_DEG
 PARTNERS = 30
-"""Stars, the next in right ascension, with which `guide.m` pairs each one."""
+"""Number of next stars in right ascension with which `guide.m` pairs each star."""
 
 MAP_HALF_WIDTH_DEG, MAP_LONGEST_DEG, MAP_CLOSEST_DEG = 1.5 * FIELD_DEG, 14.147, 0.08
 """The matching program's map: WCat = 3 WFOV, RCatLimit, CloseR."""
@@ -35,15 +35,15 @@ TABLE_5_1 = {5.0: ("243", "8316"), 6.0: ("767", "16493"), 6.5: ("1248", "32290")
 
 ZONES, ZONE_DAYS = 12, 30
 ZONE_WIDTH_DEG, ZONE_HEIGHT_DEG = 14.0 + ZONE_DAYS * 1.0 + 2.0 * 1.0, 14.0 + 2.0 * 1.0
-"""Eq. 5.5: field + days × daily motion + twice the other sensors' accuracy; without the days in declination."""
+"""Eq. 5.5: field + days × daily motion + twice the other sensors' accuracy; in declination without the daily motion."""
 DENSEST_ZONE = 3
 
 
 def guide_stars(magnitude_limit: float, band_deg: float = BAND_DEG, closest_deg: float = CLOSEST_DEG) -> StarCatalog:
-    """Guide stars by the thesis' rule, sorted by right ascension: those nearer than `band_deg` to the path.
+    """Guide stars by the rule of the thesis, sorted by right ascension: those closer than `band_deg` to the path.
 
-    Of two stars closer than `closest_deg` the dimmer is left out (Fig. 5.3; `guide.m` leaves out the other); 0: none.
-    The tracker's own database joins them (`startracker.catalog.merge_doubles`).
+    Of two stars closer than `closest_deg` the fainter one is excluded (Fig. 5.3; `guide.m` excludes the other); 0:
+    none. The tracker's database merges them (`startracker.catalog.merge_doubles`).
     """
     catalog = load_catalog("bsc5").brighter_than(magnitude_limit)
     catalog = catalog.select(np.flatnonzero(np.abs(np.degrees(catalog.dec_rad) - BORESIGHT_DEC_DEG) < band_deg))
@@ -59,12 +59,12 @@ def guide_stars(magnitude_limit: float, band_deg: float = BAND_DEG, closest_deg:
 
 
 def lines(catalog: StarCatalog, partners: int | None = PARTNERS, start_ra_deg: float = 0.0) -> IntArray:
-    """Lines (L, 2) between the stars of a catalogue that is sorted by right ascension, as `guide.m` makes them.
+    """Lines (L, 2) between the stars of a catalogue that is sorted by right ascension, as in `guide.m`.
 
     Each star with the next `partners` ones in right ascension, in the plane of right ascension and declination without
-    cos δ, up to √2 times the field; none across the end of the list, and the last star only with those near the end.
-    Without `partners` each is paired with every star after it. Right ascensions are counted from `start_ra_deg`, so
-    that a zone across 0 h is one piece.
+    cos δ, up to √2 times the field; not across the end of the list, and the last star only with those near the end.
+    Without `partners` each star is paired with all stars after it. Right ascensions are measured from `start_ra_deg`,
+    so that a zone across 0 h is contiguous.
     """
     ra = (np.degrees(catalog.ra_rad) - start_ra_deg) % 360.0
     dec = np.degrees(catalog.dec_rad)
@@ -77,10 +77,10 @@ def lines(catalog: StarCatalog, partners: int | None = PARTNERS, start_ra_deg: f
 
 
 def map_lines(hour: float, magnitude_limit: float) -> int:
-    """Lines of the matching program's map about a right ascension: ± 15° by ± 10°, plane, each pair once.
+    """Number of lines in the matching program's map around a right ascension: ± 15° by ± 10°, plane, each pair once.
 
-    Of two stars closer than 0.08° the dimmer is left out. The program itself fills arrays of 1000 lines and meets each
-    pair twice; that limit is not applied.
+    Of two stars closer than 0.08° the fainter one is excluded. The program uses arrays of 1000 lines and counts each
+    pair twice; this limit is not applied.
     """
     catalog = load_catalog("bsc5")
     ra = (np.degrees(catalog.ra_rad) - 15.0 * hour + 180.0) % 360.0 - 180.0
@@ -147,7 +147,7 @@ def _table_values() -> Values:
     rows = []
     for limit, (stars, pairs) in TABLE_5_1.items():
         catalog, before, most = guide_stars(limit), guide_stars(limit, closest_deg=0.0), int(stars) * PARTNERS
-        above = f"; {stars} stars make {most} lines at most: {pairs} is not from this listing"
+        above = f"; {stars} stars have at most {most} lines: {pairs} is not from this listing"
         printed = {"limit": limit, "stars": stars, "lines": pairs, "above": above if most < int(pairs) else ""}
         found = {"found": len(catalog), "before": len(before), "printed": (int(stars), int(pairs))}
         rows.append(printed | found | {"found_lines": len(lines(catalog)), "lines_before": len(lines(before))})
@@ -183,7 +183,7 @@ def _zone_values() -> Values:
 
 
 def _zone_map() -> Values:
-    """The zones, drawn a little apart, and the stars to V = 6.5."""
+    """The zones, slightly separated, and the stars to V = 6.5."""
     catalog = guide_stars(6.5, 20.0)
     zones = []
     for k in range(ZONES):

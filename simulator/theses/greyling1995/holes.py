@@ -1,4 +1,4 @@
-"""The box with holes in its bottom before the prototype (Greyling 1995, section 6.3), as its memory shows it."""
+"""Images of the box with holes in its bottom in front of the prototype (Greyling 1995, section 6.3), in its memory."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from simulator.theses.greyling1995.sequencer import COLUMNS, COUNTS_PER_LINE, LI
 from simulator.theses.tables import FloatArray
 
 SLOW_CLOCK_HZ = 1.0e5
-"""The thesis does not say how slow the clock of Fig. 6.10 was."""
+"""Assumed, as the thesis does not state the slow clock of Fig. 6.10."""
 HOLES = ((40, 30), (95, 22), (150, 45), (62, 70), (120, 84), (30, 110), (88, 125), (160, 118), (135, 146))
-"""Columns and lines of the holes: a field of our own."""
+"""Columns and lines of the holes: an assumed arrangement."""
 HOLE_PX = 2.2
 PEAK_AT_2_MHZ = 0.7
-"""Brightest pixel over the full well, after one frame at 2 MHz."""
+"""Brightest pixel relative to the full well, after one frame at 2 MHz."""
 _CLOCKS_PER_LINE = COUNTS_PER_LINE + 2
 """With the states T3 and T5."""
 
 
 @cache
 def camera() -> Scenario:
-    """The prototype as it ships: scenarios/tc211.yaml."""
+    """The included prototype: scenarios/tc211.yaml."""
     return Scenario.load("tc211")
 
 
 def scene(defocus_um: float = 0.0) -> FloatArray:
-    """Photo-electrons a second of the holes, (165, 192), even discs of 2.2 pixels radius spread by defocus."""
+    """Photo-electrons per second of the holes, (165, 192): uniform discs with a radius of 2.2 pixels, blurred by
+    defocus."""
     scenario = camera()
     pitch_x, pitch_y = scenario.detector.pitch_um
     rate = np.zeros((LINES, COLUMNS))
@@ -54,9 +55,9 @@ def scene(defocus_um: float = 0.0) -> FloatArray:
 
 
 def memory_image(clock_hz: float, defocus_um: float = 0.0) -> NDArray[np.uint16]:
-    """What the prototype's memory holds after an integration of one frame: 2 bits a pixel, (165, 192).
+    """Content of the prototype's memory after an integration of one frame: 2 bits per pixel, (165, 192).
 
-    Light and smear through the detector of scenarios/tc211.yaml, and through three comparators at even levels.
+    Light and smear through the detector of scenarios/tc211.yaml, and through three comparators at uniform levels.
     """
     scenario = camera()
     frame_s, line_s = _frame_s(clock_hz), _CLOCKS_PER_LINE / clock_hz
@@ -70,9 +71,10 @@ def memory_image(clock_hz: float, defocus_um: float = 0.0) -> NDArray[np.uint16]
 
 
 def smear_share(clock_hz: float, *, frames: int = 0, integration_s: float = 0.0) -> float:
-    """Mean smear of the brightest column, off the hole, over the hole's peak, both limited by the full well.
+    """Mean smear in the brightest column outside the hole, relative to the hole's peak, both limited by the full well.
 
-    The integration is in frame times of this serial clock, or in seconds, with holes of the same signal at every clock.
+    The integration is in frame times of this serial clock, or in seconds, with the same signal of the holes at every
+    clock.
     """
     full_e = camera().detector.full_well_e
     rate = scene()
@@ -87,5 +89,5 @@ def smear_share(clock_hz: float, *, frames: int = 0, integration_s: float = 0.0)
 
 
 def _frame_s(clock_hz: float) -> float:
-    """Time of a frame: 165 lines, and the states T6 and T2 between frames."""
+    """Frame time: 165 lines, and the states T6 and T2 between frames."""
     return (LINES * _CLOCKS_PER_LINE + 2) / clock_hz

@@ -1,7 +1,7 @@
-"""Van Bezooijen's algorithm tried by region of the sky (Greyling 1995, section 5.2.4 and Table 5.2).
+"""Van Bezooijen's algorithm tested by region of the sky (Greyling 1995, section 5.2.4 and Table 5.2).
 
-The identifier is the tracker's own `match_groups`, with the settings of the thesis' program (those of
-``scenarios/sunsat.yaml``) or with tolerances that follow from the centroids' errors.
+The identifier is the tracker's `match_groups`, with the settings of the thesis' program (those of
+``scenarios/sunsat.yaml``) or with tolerances derived from the centroid errors.
 """
 
 from __future__ import annotations
@@ -41,27 +41,27 @@ TABLE_5_2 = {
 """Region (hours of right ascension): printed time to generate match groups and to execute, ms, and number of lines."""
 
 LIMITS = (6.0, 6.1, 6.2)
-"""Limiting magnitudes that the table's values are averages of."""
+"""Limiting magnitudes over which the values of the table are averaged."""
 
 CHANGES = (0, 1, 2, -1, -2)
-"""Stars added to the field (positive) or taken out of it (negative)."""
+"""Stars added to the field (positive) or removed from it (negative)."""
 
 MORE_CHANGES = (-6, -4, 4, 8, 12, 16, 20, 24)
-"""Beyond the thesis' two, to where the algorithm gives up."""
+"""More than the two of the thesis, up to the failure of the algorithm."""
 
 CENTROID_ERROR_PX = 0.1
-"""What section 4.3.3 concludes; uniform between ± this on either axis."""
+"""Conclusion of section 4.3.3; uniform between ± this value on each axis."""
 
 POINTING_ERROR_DEG = 1.0
-"""Of the other sensors, about each axis."""
+"""Error of the other sensors about each axis."""
 
 MAGNITUDE_ERROR = 0.2
 """Assumed standard deviation of a measured magnitude."""
 
 
 class Outcome(NamedTuple):
-    """What came of some fields of one region: those identified without a false pair, accepted with one, and with fewer
-    than three true stars, where nothing can be identified; mean number of stars seen and time on this machine."""
+    """Results of fields of one region: numbers identified without a false pair, accepted with one, and with fewer than
+    three true stars, which cannot be identified; mean number of stars observed, and time on this machine."""
 
     trials: int
     solved: int
@@ -77,13 +77,13 @@ class Outcome(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """Success among the fields where it is possible; NaN where there are none."""
+        """Success rate of the possible fields; NaN if there are none."""
         return self.solved / self.possible if self.possible else math.nan
 
 
 @lru_cache(maxsize=1)
 def thesis_identification() -> MatchGroupSettings:
-    """Settings of the thesis' program: 0.2°, 2 magnitudes, 3 to 8 stars, groups from 5 down."""
+    """Settings of the thesis' program: 0.2°, 2 magnitudes, 3 to 8 stars, group threshold from 5 down."""
     return MatchGroupSettings.of(load_scenario("sunsat").tracker.identification)
 
 
@@ -104,9 +104,9 @@ def region(
 ) -> Outcome:
     """Identification in fields of 10° × 10° on the boresight's path at a right ascension, hours.
 
-    At each limiting magnitude there are so many trials: the nominal field turned by up to ±1° about each axis. Stars
-    are added at random positions, as bright as one of the eight brightest each (`change` positive), or taken out of the
-    eight brightest (negative). The settings are those of the thesis' program where left out.
+    For each limiting magnitude the given number of trials: the nominal field rotated by up to ±1° about each axis.
+    Stars are added at random positions, each as bright as one of the eight brightest (`change` positive), or removed
+    from the eight brightest (negative). By default the settings are those of the thesis' program.
     """
     settings = settings or thesis_identification()
     results, times, stars, few = [], [], [], 0
@@ -136,7 +136,7 @@ def region(
 def draw_field(
     guide: GuideDatabase, hour: float, change: int, rng: np.random.Generator
 ) -> tuple[Prior, Observed, IntArray]:
-    """What the sensors tell, what the camera measures, and the guide star of each observed star (−1: none)."""
+    """Prior of the sensors, observation of the camera, and guide star of each observed star (−1: none)."""
     camera = guide.camera
     nominal = Attitude.from_radec_roll(15.0 * hour, BORESIGHT_DEC_DEG, rng.uniform(0.0, 360.0))
     turn = np.radians(rng.uniform(-POINTING_ERROR_DEG, POINTING_ERROR_DEG, 3))
@@ -161,14 +161,14 @@ def draw_field(
 
 
 def judge(answer: Identification, truth: IntArray) -> bool | None:
-    """Whether every pair of a solved field is right; None where it is not solved."""
+    """Whether every pair of a solved field is correct; None if it is not solved."""
     if answer.status is not Status.SOLVED:
         return None
     return bool(np.all(truth[answer.pairs[:, 0]] == answer.pairs[:, 1]))
 
 
 def region_lines(hour: float) -> float:
-    """Mean number of lines in the program's map about an hour, over the limiting magnitudes."""
+    """Mean number of lines in the program's map around an hour, over the limiting magnitudes."""
     return float(np.mean([map_lines(hour, limit) for limit in LIMITS]))
 
 
@@ -177,11 +177,11 @@ Outcomes = dict[int, dict[int, Outcome]]
 
 
 def section(trials: int = 6) -> Section:
-    """Section 5.2.4: Table 5.2, and the success with stars added and taken out.
+    """Section 5.2.4: Table 5.2, and the success rate with stars added and removed.
 
-    `trials` fields in each region, at each limiting magnitude and each change; a third of them beyond the thesis'.
+    `trials` fields per region, limiting magnitude and change; a third of them beyond those of the thesis.
     """
-    region(12, 0, 1, LIMITS[:1])  # compiles the kernels: not to be timed
+    region(12, 0, 1, LIMITS[:1])  # compiles the kernels, without timing
     settings = thesis_identification(), replace(thesis_identification(), separation_tolerance_deg=None)
     thesis, own = ({change: _regions(change, trials, one) for change in CHANGES} for one in settings)
     beyond = [
@@ -226,7 +226,7 @@ def _region_values(thesis: dict[int, Outcome], own: dict[int, Outcome]) -> Value
                 "lines": region_lines(hour),
                 "stars": own[hour].stars,
                 "percents": (100 * thesis[hour].rate, 100 * own[hour].rate),
-                "left_out": f", {few} fields with fewer than three stars left out" if few else "",
+                "left_out": f", {few} fields with fewer than three stars excluded" if few else "",
             }
         )
     return {"regions": rows}

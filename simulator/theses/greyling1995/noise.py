@@ -1,7 +1,7 @@
 """Sections 3.4.2, 3.4.3 and 3.5.1: noise budget, signal-to-noise ratio, dynamic range, bits, memory.
 
-The thesis adds its noise terms as they stand. Here each term comes from its equation and from frames of the product's
-detector on which it alone is switched on, and the total from a frame with all of them.
+The thesis adds its noise terms linearly. Here each term is computed from its equation and measured on frames of the
+product's detector with only this term switched on, and the total on a frame with all of them.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ PRINTED_NOISE_E, PRINTED_NOISE_MV = 1310.0, 1.5
 FAINTEST_V, BRIGHTEST_V, LEAST_DN = 6.5, -1.47, 5
 
 BRIGHTNESS_RATIO = 100.0 ** ((FAINTEST_V - BRIGHTEST_V) / 5.0)
-"""Light of the brightest star over that of the faintest, (⁵√100)^(m₂ − m₁)."""
+"""Ratio of the light of the brightest star to that of the faintest, (⁵√100)^(m₂ − m₁)."""
 
 _SIDE, _SEED = 256, 1995
 _DSNU_FRAMES = 16
 
 
 def section() -> Section:
-    """Noise budget and what the converter has to span."""
+    """Noise budget and required range of the converter."""
     values = _noise_values() | _converter_values() | _budget()
     return section_of("greyling1995/noise", "Chapter 3.4 and 3.5: noise, dynamic range and converter", values)
 
 
 def equation_terms_e() -> dict[str, float]:
-    """The four terms of (3.13) by their equations, electrons."""
+    """The four terms of (3.13) from their equations, electrons."""
     return {
         "photon noise": math.sqrt(SIGNAL_E),
         "dark signal": DARK_E,
@@ -52,10 +52,10 @@ def equation_terms_e() -> dict[str, float]:
 
 @functools.cache
 def measured_terms_e(signal_e: float = SIGNAL_E) -> dict[str, float]:
-    """The same measured on frames of the product's detector, each alone, and ``together``, electrons.
+    """The same terms measured on frames of the product's detector, each separately, and ``together``, electrons.
 
     Photon and reset noise are the standard deviation of the difference of two frames over √2; the dark signal is a
-    mean; the DSNU is the spread of the mean of 16 dark frames, less the shot noise left in it. Together: the standard
+    mean; the DSNU is the spread of the mean of 16 dark frames, minus the remaining shot noise. Together: the standard
     deviation over the pixels of one frame with `signal_e` electrons of light in every pixel.
     """
     dark, uneven = {"dark_current_e_s": DARK_E}, {"dark_current_e_s": DARK_E, "dsnu": DSNU_E / DARK_E}
@@ -71,7 +71,7 @@ def measured_terms_e(signal_e: float = SIGNAL_E) -> dict[str, float]:
 
 
 def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
-    """Frames (count, H, W) of an even light, electrons, unquantised unless told otherwise."""
+    """Frames (count, H, W) of uniform light, electrons, by default without quantisation."""
     keys = {"full_well_e": 1e7, "gain_e_per_dn": 1.0, "adc_bits": None} | keys
     section = DetectorParameters(width=_SIDE, height=_SIDE, pitch_um=(16.0, 16.0), temperature_c=ROOM_C, **keys)
     pattern = build_fixed_pattern(section, _SEED)
@@ -84,7 +84,7 @@ def _frames_e(mean_e: float, count: int, **keys: Any) -> FloatArray:
 
 
 def faint_star_dn(bits: int) -> int:
-    """What the product's converter makes of the V = 6.5 star when the V = −1.47 star just fills it."""
+    """Value of the product's converter for a star of V = 6.5 if a star of V = −1.47 just reaches its maximum."""
     full_well = 150_000.0
     converter = {"full_well_e": full_well, "gain_e_per_dn": "auto", "adc_bits": bits, "shot_noise": False}
     return int(_frames_e(full_well / BRIGHTNESS_RATIO, 1, **converter)[0, 0, 0])
@@ -108,7 +108,7 @@ def _noise_values() -> Values:
 
 
 def _converter_values() -> Values:
-    """What the converter reads of the faintest star when the brightest just fills it, by its bits."""
+    """Converter value of the faintest star if the brightest just reaches the maximum, by number of bits."""
     ratio, bits = BRIGHTNESS_RATIO, np.arange(6, 17)
     counts = np.array([faint_star_dn(int(b)) for b in bits])
     least = next(b for b in range(1, 33) if faint_star_dn(b) >= LEAST_DN)
@@ -132,14 +132,14 @@ def _converter_values() -> Values:
 
 
 def _budget() -> Values:
-    """The terms of the noise budget: printed sum, equations, simulated frames; and their total in squares."""
+    """The terms of the noise budget: printed sum, equations, simulated frames; and their quadratic sum."""
     equation, measured = equation_terms_e(), measured_terms_e()
     names = list(equation)
     at = np.arange(len(names) + 1)
     quadrature = math.sqrt(sum(equation[name] ** 2 for name in ("photon noise", "DSNU", "reset noise")) + DARK_E)
     series = (
         ("printed", [1000, 100, 100, 110, PRINTED_NOISE_E]),
-        ("by the equations, in squares", [*equation.values(), quadrature]),
+        ("equations, quadratic sum", [*equation.values(), quadrature]),
         ("simulated frames", [*(measured[name] for name in names), measured["together"]]),
     )
     bars = [{"at": at + 0.27 * (k - 1), "name": name, "electrons": e} for k, (name, e) in enumerate(series)]

@@ -25,13 +25,13 @@ from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 
 EQUINOX = datetime(1995, 3, 21, 2, 14, tzinfo=UTC)
-"""Vernal equinox of 1995, at which Table 3.2 gives the node."""
+"""Vernal equinox of 1995, for which Table 3.2 gives the node."""
 
 ALTITUDE_KM, INCLINATION_DEG, NODE_DEG = 800.0, 98.6, 155.0
 """Table 3.2."""
 
 DECLINATION_DEG = INCLINATION_DEG - 90.0
-"""Of the boresight, from the orbit's normal."""
+"""Angle of the boresight from the orbit normal."""
 
 SUN_ANGLE_DEG = 30.0
 """β in `bs_path.m`."""
@@ -40,12 +40,12 @@ _LEVEL_FROM_FOV = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]
 """(A.9): field of view (x right, y up, z against the boresight) to local level."""
 
 _FOV_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
-"""From this product's camera axes (x right, y down, z along the boresight) to the thesis' of the field of view."""
+"""From the product's camera axes (x right, y down, z along the boresight) to the field-of-view axes of the thesis."""
 
 
 @functools.cache
 def thesis_orbit() -> Orbit:
-    """The orbit of Table 3.2 with J2's secular drift of the node."""
+    """The orbit of Table 3.2 with the secular drift of the node by J2."""
     section = OrbitParameters(altitude_km=ALTITUDE_KM, inclination_deg=INCLINATION_DEG, raan_deg=NODE_DEG)
     return build_orbit(section, EQUINOX)
 
@@ -57,7 +57,7 @@ def year_path() -> BoresightPath:
 
 
 def sanson_flamsteed(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """The thesis' map: x = (α − 180°) cos δ, y = δ, degrees; equal in area.
+    """Map projection of the thesis: x = (α − 180°) cos δ, y = δ, degrees; equal-area.
 
     Snyder 1987, *Map Projections* (USGS Professional Paper 1395), section 30, "Sinusoidal".
     """
@@ -77,11 +77,11 @@ def galactic_crossings_deg(dec_deg: float) -> tuple[float, float]:
 
 
 def bs_path(omega_deg: float, spin_deg: float = 0.0, *, exchanged: bool = False) -> tuple[float, float]:
-    """Right ascension and declination of the boresight, degrees, by the turns of `bs_path.m` in its own order.
+    """Right ascension and declination of the boresight, degrees, by the rotations of `bs_path.m` in its order.
 
-    `omega_deg` is the Earth's turn about the Sun since the equinox, `spin_deg` the satellite's about +Y of the local
-    level. `exchanged`: the last two turns are by the inclination about x and by β + 90° − Ω about z, as the text of
-    Appendix A has them; the listing has them about z and x.
+    `omega_deg` is the rotation of the Earth about the Sun since the equinox, `spin_deg` that of the satellite about +Y
+    of the local level. `exchanged`: the last two rotations are by the inclination about x and by β + 90° − Ω about z,
+    as in the text of Appendix A; in the listing they are about z and x.
     """
     tilt, turn = 90.0 - INCLINATION_DEG, SUN_ANGLE_DEG + 90.0 - omega_deg
     vector = np.array([0.0, 0.0, -1.0])
@@ -98,7 +98,7 @@ def bs_path(omega_deg: float, spin_deg: float = 0.0, *, exchanged: bool = False)
 
 
 def _turn(axes: str, angles_rad: ArrayLike) -> FloatArray:
-    """(A.1) to (A.3): turns of the axes, one after the other."""
+    """(A.1) to (A.3): successive rotations of the axes."""
     return np.asarray(Rotation.from_euler(axes, -np.asarray(angles_rad)).as_matrix())
 
 
@@ -140,7 +140,7 @@ def _path_values() -> Values:
 
 
 def _attitude_difference() -> float:
-    """Of the product's orbit, local level and mounting from the turns that Appendix A names, around one orbit.
+    """Difference between the product's orbit, local level and mounting and the rotations of Appendix A, over one orbit.
 
     Local level to Earth: by u + π/2 about y, by π/2 − i about x, by −Ω about z. The printed factors (A.12) and (A.13)
     have the first about z and the second about y.
@@ -159,10 +159,10 @@ def _attitude_difference() -> float:
 
 
 def printed_matrix(u_rad: float, inclination_rad: float, gamma_rad: float, *, corrected: bool) -> FloatArray:
-    """M_Total of (3.3) and (A.19), field of view to Earth axes, letter by letter or with element (3,1) corrected.
+    """M_Total of (3.3) and (A.19), field of view to Earth axes, as printed or with element (3,1) corrected.
 
-    u is the angle from the ascending node, γ = β + π/2 − Ω. Printed in (3,1) is −cos(u + π/2) cos(π/2 − i) sin γ; no
-    row or column through it is a unit vector unless it is −cos(u + π/2) sin(π/2 − i).
+    u is the angle from the ascending node, γ = β + π/2 − Ω. Printed in (3,1) is −cos(u + π/2) cos(π/2 − i) sin γ; its
+    row and column are unit vectors only with −cos(u + π/2) sin(π/2 − i).
     """
     su, cu = math.sin(u_rad + math.pi / 2), math.cos(u_rad + math.pi / 2)
     si, ci = math.sin(math.pi / 2 - inclination_rad), math.cos(math.pi / 2 - inclination_rad)
@@ -177,7 +177,7 @@ def printed_matrix(u_rad: float, inclination_rad: float, gamma_rad: float, *, co
 
 
 def departure_from_rotation(matrix: FloatArray) -> float:
-    """Greatest element of |M Mᵀ − I|; 0 for a rotation."""
+    """Largest element of |M Mᵀ − I|; 0 for a rotation."""
     return float(np.abs(matrix @ matrix.T - np.eye(3)).max())
 
 
@@ -203,7 +203,7 @@ def _map_values() -> Values:
 
 
 def _great_circle(to_frame: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Equator of a frame (rows of `to_frame`: its axes in ICRS) in the map, from the RA where it begins on."""
+    """Equator of a frame (rows of `to_frame`: its axes in ICRS) in the map, starting at its first right ascension."""
     t = np.linspace(0.0, 2.0 * np.pi, 721)
     ra, dec = np.degrees(direction_to_radec(np.cos(t)[:, None] * to_frame[0] + np.sin(t)[:, None] * to_frame[1]))
     order = np.argsort(ra % 360.0)

@@ -41,11 +41,11 @@ STARS = (
 """Table 3.4: name and type, HR number, printed V."""
 
 LUMEN_PER_WATT = {False: 683.002, True: 1700.06}
-"""K_m by day and by night (CIE 18.2-1983)."""
+"""Photopic and scotopic K_m (CIE 18.2-1983)."""
 
 
 def section() -> Section:
-    """Irradiances, output voltages, and the lens they were computed for."""
+    """Irradiances, output voltages, and the corresponding lens."""
     values = _light_values() | _voltage_values() | _lens_values() | _voltage_by_magnitude()
     values |= {"faint": partial(_voltages, FAINTEST_V), "brightest": partial(_voltages, BRIGHTEST_V)}
     title = "Chapter 3.4: starlight, output voltage and the lens"
@@ -54,7 +54,7 @@ def section() -> Section:
 
 
 def illuminance_lux(*, night: bool = False) -> float:
-    """Illuminance of an A0V star of V = 0: K_m ∫ E_λ V_λ dλ, from this product's spectrum, by day or by night."""
+    """Illuminance of an A0V star of V = 0: K_m ∫ E_λ V_λ dλ, from the product's spectrum, photopic or scotopic."""
     wavelength_nm = np.arange(360.0, 831.0)
     watt_m2_nm = irradiance_w_cm2_um(wavelength_nm, 0.0, 0.0, 0.0) * 1e4 * 1e-3
     efficiency = spectral.eye_response(wavelength_nm, night=night)
@@ -124,10 +124,10 @@ def _signed(value: float) -> str:
 
 
 def _voltages(v_mag: float) -> Values:
-    """Output voltage against the diameter of the lens and the integration time, up to saturation."""
+    """Output voltage by lens diameter and integration time, up to saturation."""
     aperture_m, exposure_s = np.meshgrid(np.linspace(0.0, 0.12, 25), np.linspace(0.0, 0.5, 26))
     panels: list[Values] = []
-    for title, extra in (("as the script codes it (one λ too many)", True), ("with correct physics", False)):
+    for title, extra in (("as in the script (one factor λ too many)", True), ("with correct physics", False)):
         shown = np.minimum(thesis_mv(v_mag, aperture_m, exposure_s, extra_lambda=extra), SATURATION_MV)
         most = float(shown.max())
         reached = "saturated" if most == SATURATION_MV else f"{most:.3g} mV"
@@ -137,7 +137,7 @@ def _voltages(v_mag: float) -> Values:
 
 
 def _voltage_by_magnitude(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Values:
-    """Output voltage against magnitude, as coded, with correct physics, and of two stars by this product."""
+    """Output voltage by magnitude: as in the script, with correct physics, and for two stars by the product."""
     v_mag, gain = np.linspace(-1.5, 8.0, 96), PROTOTYPE_VOLT_PER_E
     star = (v_mag, aperture_m, exposure_s)
     cool_b_v, cool_class = (float(column[2]) for column in _colours())

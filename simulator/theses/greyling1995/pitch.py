@@ -14,7 +14,7 @@ from simulator.theses.tables import FloatArray, Values
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
 
 ACCURACY_DEG = 0.002
-"""Of a centroid, along either axis: 0.1 of a pixel of 10°/512."""
+"""Centroid accuracy on each axis: 0.1 pixels of 10°/512."""
 
 PIXEL_DEG, FIELD_DEG = 0.02, 10.0
 SPECIFIED_DEG = 0.286
@@ -23,9 +23,10 @@ SPECIFIED_DEG = 0.286
 def least_separation_deg(
     pitch_deg: float = SPECIFIED_DEG, accuracy_deg: float = ACCURACY_DEG, direction_deg: float = 0.0
 ) -> float:
-    """Separation, degrees, from which on eq. 5.13 stays below a pitch error, for pairs along a direction in the field.
+    """Minimum separation, degrees, for a pitch error by eq. 5.13, for pairs along a direction in the field.
 
-    `accuracy_deg` is a centroid's along either axis, `direction_deg` that of the pair from the x axis, 0 to 90.
+    `accuracy_deg` is the centroid accuracy on each axis, `direction_deg` the direction of the pair from the x axis, 0
+    to 90.
     """
     angle = np.radians(direction_deg)
 
@@ -37,10 +38,10 @@ def least_separation_deg(
 
 
 def measured_pitch_errors_deg(separation_deg: float, pairs: int = 200) -> FloatArray:
-    """Errors (pairs,) about the boresight, degrees, of the attitude from one pair of stars by our `star_pair`.
+    """Errors (pairs,) about the boresight, degrees, of the attitude from one pair of stars by `star_pair`.
 
-    Pairs lie about the middle of the field in random directions; each star is measured wrongly by up to
-    ±`ACCURACY_DEG` along either axis, evenly.
+    Pairs are centred in the field, with random directions; each star has uniform errors up to ±`ACCURACY_DEG` on each
+    axis.
     """
     rng = stream(1, "greyling1995 pitch", round(1e6 * separation_deg))
     errors = []
@@ -60,8 +61,8 @@ def _unit(plane: FloatArray) -> FloatArray:
 
 
 def section(pairs: int = 200) -> Section:
-    """Section 5.3: eq. 5.13 and the rule that follows, and Figs. 5.10 and 5.11; `pairs` random ones are tried at each
-    separation by the tracker's own estimator."""
+    """Section 5.3: eq. 5.13 and the resulting rule, and Figs. 5.10 and 5.11; `pairs` random pairs per separation are
+    solved by the tracker's estimator."""
     values = _values(pairs) | _pair() | {"curves": partial(_curves, pairs)}
     return section_of("greyling1995/pitch", "Chapter 5.3: pitch from a pair of stars", values)
 
@@ -85,7 +86,7 @@ def _values(pairs: int) -> Values:
 
 
 def _pair(accuracy: float = 0.12) -> Values:
-    """Two stars and the squares that their centroids lie in, with the steepest and the flattest line; not to scale."""
+    """Two stars and the squares that contain their centroids, with the steepest and the flattest line; not to scale."""
     stars = np.array([[0.0, 0.0], [1.2, 0.8]])
     shift = accuracy * np.array([1.0, -1.0])
     return {

@@ -1,4 +1,4 @@
-"""The prototype camera (Greyling 1995, chapter 6): sequencer, smear of clocking out, focus, converter."""
+"""The prototype camera (Greyling 1995, chapter 6): sequencer, readout smear, focus, converter."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 
 DARK_ELEMENTS = 12
-"""Elements for the dark reference at the end of each line (section 6.1)."""
+"""Dark-reference elements at the end of each line (section 6.1)."""
 IAG_HZ = 15.7e3
-"""Largest rate of the image area gate, by the data book (section 6.2.2)."""
+"""Maximum rate of the image area gate according to the data book (section 6.2.2)."""
 DEFOCUS_UM = 40.0
 POSITION_PX = 0.1
-"""Accuracy that section 7.2 asks of the positions: L/10."""
+"""Accuracy of the positions required in section 7.2: L/10."""
 _CLOCKS_HZ = np.geomspace(5e4, 3.26e6, 25)
 _FIG_DEFOCUS_UM = 120.0
 
 
 def section() -> Section:
-    """Chapter 6 against the models of the product."""
+    """Chapter 6 compared with the models of the product."""
     circuit = signals.values()
     values = _device_values() | _state_values() | _clock_values() | _smear_values() | _converter_values()
     values |= {
@@ -96,7 +96,7 @@ def _state_values() -> Values:
 
 
 def _led_to(*, as_printed: bool) -> str:
-    """State that follows the end of the last frame."""
+    """State after the end of the last frame."""
     sequencer = Sequencer(0, lines=1, columns=1, counts_per_line=COUNTS_PER_LINE, as_printed=as_printed)
     while True:
         last = sequencer.state == 5 and sequencer.b == 1
@@ -107,7 +107,7 @@ def _led_to(*, as_printed: bool) -> str:
 
 @cache
 def _full_run() -> Sequencer:
-    """One sequence with an integration of one frame, run to its end."""
+    """A complete sequence with an integration of one frame."""
     sequencer = Sequencer(1)
     for _ in run(sequencer):
         pass
@@ -152,9 +152,9 @@ def _smear_values() -> Values:
 # ---------------------------------------------------------------------- focus
 @cache
 def defocus_radii_um() -> tuple[float, float]:
-    """Root mean square radius of a star's image out of focus, µm: by diffraction, and of the geometric disc.
+    """Root mean square radius of a defocused star image, µm: by diffraction, and of the geometric disc.
 
-    The disc has the diameter δ/N; with the pixel's own spread, rms² = (δ/2N)²/2 + (p_x² + p_y²)/12.
+    The disc has the diameter δ/N; including the pixel, rms² = (δ/2N)²/2 + (p_x² + p_y²)/12.
     """
     optics, pitch = camera().optics, camera().detector.pitch_um
     f_number = optics.focal_length_mm / optics.aperture_mm
@@ -170,9 +170,9 @@ def defocus_radii_um() -> tuple[float, float]:
 
 # ---------------------------------------------------------------------- converter
 def limits_of_brightness() -> tuple[float, float]:
-    """Faintest V that the prototype sees: with its 2 bits in one frame time; with 12 bits in 0.5 s.
+    """Faintest V detected by the prototype: with 2 bits in one frame time, and with 12 bits in 0.5 s.
 
-    A star must bring its brightest pixel over the lowest of the even levels, or over five times the noise.
+    The brightest pixel of a star must exceed the lowest of the uniform levels, or five times the noise.
     """
     scenario = camera()
     detector, sigma_px = scenario.detector, scenario.optics.psf.sigma_px
@@ -194,7 +194,7 @@ def _converter_values() -> Values:
         return {"bright": trials[name, 0.8].words(), "faint": trials[name, 0.04].words()}
 
     trials = converter_trials()
-    notes = {2: "2 bits are for experimental purposes, the thesis says"}
+    notes = {2: "2 bits are for experimental purposes according to the thesis"}
     return {
         "counts": len(np.unique(compare_levels(np.linspace(0.0, 1.0, 1000), even_levels(2, 1.0)))),
         "faintest_v": limits_of_brightness(),
@@ -226,7 +226,7 @@ def _modes() -> Values:
 
 
 def _images(*clocks_and_defocus: tuple[float, float]) -> Values:
-    """What the memory holds, by clock and defocus."""
+    """Content of the memory, by clock and defocus."""
     pitch_x, pitch_y = camera().detector.pitch_um
     panels = [
         {"codes": memory_image(clock_hz, defocus_um), "mhz": clock_hz / 1e6, "defocus_um": defocus_um}
@@ -236,7 +236,7 @@ def _images(*clocks_and_defocus: tuple[float, float]) -> Values:
 
 
 def _smear() -> Values:
-    """Smear beside a hole over its peak, against the clock."""
+    """Smear beside a hole relative to its peak, by clock rate."""
     return {
         "mhz": _CLOCKS_HZ / 1e6,
         "frames": [100 * smear_share(clock, frames=1) for clock in _CLOCKS_HZ],
@@ -246,7 +246,7 @@ def _smear() -> Values:
 
 
 def _converters() -> Values:
-    """Error of the centroid against the bits of the converter; nothing where the star is not seen."""
+    """Centroid error by number of bits of the converter; empty if the star is not detected."""
     trials = converter_trials()
     peaks = []
     for peak in (0.8, 0.04):

@@ -1,4 +1,5 @@
-"""What the thesis recommends (sections 4.2.2, 4.3.2 and 7.2), built: planet or star, raw pixels first, equal pixels."""
+"""Recommendations of the thesis (sections 4.2.2, 4.3.2 and 7.2), implemented: planet or star, raw pixels first, uniform
+pixels."""
 
 from __future__ import annotations
 
@@ -28,25 +29,25 @@ from startracker.centroid import Centroids
 from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.identification import match_groups
-from startracker.identification.given import as_prior
-from startracker.identification.observed import Identification, Observed
+from startracker.identification.observed import Identification, Observed, as_prior
 from startracker.settings import CentroidSettings
 from startracker.solution import Status
 
 PIXEL_ARCSEC = 10.0 / 512 * 3600.0
 FALSE_PLANETS = 0.01
-"""Share of the stars that the test may call planets."""
+"""Fraction of the stars that the test may classify as planets."""
 PRNU = 0.03
 """"Several percent of the peak response", section 4.3.2."""
 _RAW_SIGMA_PX = 1.0 / math.sqrt(6.0)
-"""Of a brightest pixel on one axis: within half a pixel, and the peak of a noisy star one pixel off now and then."""
+"""Position error of a brightest pixel on one axis: within half a pixel, and occasionally off by one pixel because of
+noise."""
 _STEP_PX = 1e-4
 
 
 # ---------------------------------------------------------------------- a planet or a star
 def disk_stamp(diameter_px: float, offset_px: float = 0.0, sigma_px: float = THESIS_SIGMA) -> FloatArray:
-    """Image (5, 5) of an even disk (0: a star) through the defocused lens, integrated over the pixels; sum of a star's
-    stamp alike. `offset_px` is along x from the middle of the central pixel."""
+    """Image (5, 5) of a uniform disk (0: a star) through the defocused lens, integrated over the pixels, with the same
+    sum as a star's. `offset_px` is along x from the centre of the central pixel."""
     if diameter_px == 0.0:
         return np.asarray(star_stamps([offset_px], sigma_px, integrated=True)[0])
     rings, turns = 6, 24
@@ -58,9 +59,9 @@ def disk_stamp(diameter_px: float, offset_px: float = 0.0, sigma_px: float = THE
 
 
 def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> FloatArray:
-    """What distinguishes a disk from a star, (5, 5): their difference, less all that a star's unknowns can make of it.
+    """Difference between a disk and a star, (5, 5), orthogonal to changes of the star's unknowns.
 
-    Unknown are the brightness, the position, the background and, where it is not known, the lens' σ.
+    The unknowns are brightness, position, background and, if it is not calibrated, σ of the lens.
     """
     star = disk_stamp(0.0, 0.0, sigma_px)
     shift = (disk_stamp(0.0, _STEP_PX, sigma_px) - disk_stamp(0.0, -_STEP_PX, sigma_px)) / (2 * _STEP_PX)
@@ -73,21 +74,21 @@ def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> Flo
 
 
 def is_planet_score(stamp: FloatArray, noise: float) -> float:
-    """Correlation of a 5 × 5 image with what makes a disk, in standard deviations of the noise: 0 ± 1 for a star.
+    """Correlation of a 5 × 5 image with the signature of a disk, in standard deviations of the noise: 0 ± 1 for a star.
 
-    The thesis' two-dimensional correlation, of what a star's brightness, position and background cannot explain.
-
-    The image is centred within a small part of a pixel; `noise` is the standard deviation of a pixel in its unit.
+    The two-dimensional correlation of the thesis, after removal of a star's brightness, position and background. The
+    image is centred to a small fraction of a pixel; `noise` is the standard deviation of a pixel in its unit.
     """
     direction = _direction(0.5, THESIS_SIGMA, sigma_known=True)
     return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
 
 
 def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool = True) -> float:
-    """Share of the planets found where 1 % of the stars are called planets: Φ(d' − z₀.₉₉), d' = |difference| / noise.
+    """Fraction of planets detected if 1 % of the stars are classified as planets: Φ(d' − z₀.₉₉), d' = |difference| /
+    noise.
 
-    The SNR is a star's brightest pixel over the standard deviation of a pixel, 20 log₁₀. `sigma_known`: the lens' σ is
-    calibrated; else it is another unknown of the image.
+    The SNR is 20 log₁₀ of a star's brightest pixel over the standard deviation of a pixel. `sigma_known`: σ of the lens
+    is calibrated; otherwise it is another unknown of the image.
     """
     direction = _direction(diameter_px, THESIS_SIGMA, sigma_known=sigma_known)
     separation = float(np.linalg.norm(direction)) / 10.0 ** (-snr_db / 20.0)
@@ -95,15 +96,15 @@ def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool
 
 
 def least_snr_db(diameter_px: float, share: float = 0.99, *, sigma_known: bool = True) -> float:
-    """SNR, dB, from which on that share of the planets is found."""
+    """Minimum SNR, dB, at which this fraction of planets is detected."""
     length = float(np.linalg.norm(_direction(diameter_px, THESIS_SIGMA, sigma_known=sigma_known)))
     return 20.0 * math.log10((norm.ppf(share) + norm.isf(FALSE_PLANETS)) / length)
 
 
 # ---------------------------------------------------------------------- raw pixels first
 class Order(NamedTuple):
-    """What one order of the stages makes of the frames: those identified, and those whose boresight is more than a
-    minute of arc off; centroids computed a frame; errors (S,) of the boresight of solved frames."""
+    """Results of one order of the stages: number of identified frames, and of those with a boresight error above one
+    arcminute; centroids computed per frame; errors (S,) of the boresight of solved frames."""
 
     frames: int
     solved: int
@@ -113,13 +114,13 @@ class Order(NamedTuple):
 
 
 Matched = tuple[IntArray, IntArray]
-"""Candidates and guide stars of the pairs."""
+"""Candidate and guide star of each pair."""
 
 
 def _centroids_first(
     spots: Spots, measure: Callable[[Spots], Centroids], identify: Callable[..., Matched]
 ) -> tuple[FloatArray, IntArray, int]:
-    """Every candidate measured, then identified: positions, guide stars, number of centroids computed."""
+    """Centroids of all candidates, then identification: positions, guide stars, number of centroids computed."""
     found = measure(spots)
     seen, stars = identify(found.xy, found.flux, np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0))
     return found.xy[seen], stars, len(spots)
@@ -128,7 +129,7 @@ def _centroids_first(
 def _raw_pixels_first(
     spots: Spots, measure: Callable[[Spots], Centroids], identify: Callable[..., Matched]
 ) -> tuple[FloatArray, IntArray, int]:
-    """Brightest pixels identified, then the matched candidates measured."""
+    """Identification by brightest pixels, then centroids of the matched candidates."""
     peaks = np.stack([spots.x_peak, spots.y_peak], axis=1).astype(float)
     seen, stars = identify(peaks, spots.flux, np.full(len(spots), _RAW_SIGMA_PX))
     if not len(seen):
@@ -141,9 +142,10 @@ _ORDERS = {"centroids first": _centroids_first, "raw pixels first": _raw_pixels_
 
 @cache
 def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
-    """The scenario of the thesis' rules solved in both orders: centroids first, or brightest pixels first.
+    """The scenario with the rules of the thesis solved in both orders: centroids first, or brightest pixels first.
 
-    With raw pixels the stars are identified by their brightest pixels, and centroids computed of the matched ones only.
+    With raw pixels the stars are identified by their brightest pixels, and centroids are only computed for matched
+    ones.
     """
     scenario = Scenario.load("greyling1995")
     renderer, settings = Renderer(scenario), scenario.tracker
@@ -177,7 +179,7 @@ def _moments(image: NDArray[np.float32], background: Background, settings: Centr
 def _matched(
     camera: Camera, identify: Callable[[Observed], Identification], xy: FloatArray, flux: FloatArray, sigma: FloatArray
 ) -> Matched:
-    """Pairs of an identification of positions, errors in pixels; none where it is not solved."""
+    """Pairs of an identification from positions, errors in pixels; empty if not solved."""
     answer = identify(Observed(camera.unproject(xy), flux, sigma * camera.pixel_rad))
     seen, stars = answer.pairs.T if answer.status is Status.SOLVED else np.empty((2, 0), np.int64)
     return seen, stars
@@ -195,7 +197,8 @@ def _order(results: list[tuple[float, int]]) -> Order:
 
 # ---------------------------------------------------------------------- equal pixels
 def prnu_error_px(prnu: float = PRNU, sigma_px: float = THESIS_SIGMA, offset_px: float = 0.0) -> float:
-    """Standard deviation of a first moment over 5 × 5, pixels, by unequal pixels: p √(Σ (i − m)² f²) / Σ f."""
+    """Standard deviation of a first moment over 5 × 5, pixels, caused by non-uniform pixels: p √(Σ (i − m)² f²) / Σ
+    f."""
     stamp = star_stamps([offset_px], sigma_px, integrated=True)[0]
     steps = np.arange(-2.0, 3.0)
     mean = (stamp * steps).sum() / stamp.sum()
@@ -204,7 +207,7 @@ def prnu_error_px(prnu: float = PRNU, sigma_px: float = THESIS_SIGMA, offset_px:
 
 # ---------------------------------------------------------------------- the section
 def section(frames: int = 12) -> Section:
-    """Rows of the three recommendations, and the planet test's figure."""
+    """Rows of the three recommendations, and the figure of the planet test."""
     mars = mars_diameters_arcsec()[1] / PIXEL_ARCSEC
     planets = {"Mars, 25″": mars, "Jupiter, 50″": 50.0 / PIXEL_ARCSEC, "Venus, 64″": 64.0 / PIXEL_ARCSEC}
     first, raw = raw_pixels_first(frames).values()

@@ -1,8 +1,9 @@
-"""Section 5.1.2, the review of recognition algorithms, run: every identifier of the tracker on the same fields.
+"""Section 5.1.2, the review of recognition algorithms, as a test: every identifier of the tracker on the same fields.
 
 The thesis names three techniques and chooses angular separations, of which it ranks three by the information that they
-need: lines (Van Bezooijen), angles (Anderson) and triangles (Cox); Yee's triads are a fourth. Here each identifier that
-the product has is given the same simulated fields, with the other sensors' attitude and without, and with false stars.
+require: lines (Van Bezooijen), angles (Anderson) and triangles (Cox); Yee's triads are a fourth. Here each identifier
+of the product is tested on the same simulated fields, with and without the attitude of the other sensors, and with
+false stars.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ CASES: dict[str, tuple[int, bool]] = {
     "lost in space": (0, False),
     "lost, 12 false": (12, False),
 }
-"""Name to the false stars in the field, and whether the other sensors' attitude is given."""
+"""Number of false stars in the field, and whether the attitude of the other sensors is given, by name of the case."""
 
 TECHNIQUES = {
     "adaptive": "lines, bounded triangles and a Bayes factor, chosen by the field",
@@ -52,8 +53,8 @@ TECHNIQUES = {
 
 
 class Result(NamedTuple):
-    """What an identifier makes of the fields of one case: those identified without a false pair, accepted with one,
-    and all; median time."""
+    """Results of an identifier for the fields of one case: numbers identified without a false pair, accepted with one,
+    and in total; median time."""
 
     right: int
     wrong: int
@@ -61,7 +62,7 @@ class Result(NamedTuple):
     time_ms: float
 
     def words(self) -> str:
-        """For a table."""
+        """Text for a table."""
         return f"{100 * self.right / self.fields:.0f} %, {self.wrong} wrong, {self.time_ms:.2g} ms"
 
 
@@ -79,7 +80,7 @@ def review(fields: int = 2, names: Sequence[str] = tuple(METHODS)) -> dict[tuple
         for name in names:
             settings = thesis_identification() if name == "match_groups" else IdentificationSettings()
             times, verdicts = [], []
-            for k, (prior, observed, truth) in enumerate([drawn[0], *drawn]):  # the first twice: it compiles
+            for k, (prior, observed, truth) in enumerate([drawn[0], *drawn]):  # the first one twice, for compilation
                 start = time.perf_counter()
                 answer = METHODS[name](observed, guide, settings, prior if has_prior else None)
                 if k:
@@ -100,7 +101,7 @@ def section(fields: int = 2) -> Section:
         }
         for name in METHODS
     ]
-    # mean distance of the nearest star of a random field: 1 / (2 √n), n stars a square degree
+    # mean distance of the nearest star of a random field: 1 / (2 √n), for n stars per square degree
     nearest_deg = 0.5 / math.sqrt(len(guide_database(LIMIT)) / 41_252.96)
     values = {"identifiers": identifiers, "nearest_deg": nearest_deg} | _curves(found)
     return section_of("greyling1995/review", "Chapter 5.1.2: recognition algorithms", values)

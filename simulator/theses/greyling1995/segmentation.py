@@ -1,4 +1,4 @@
-"""Region growing (Greyling 1995, section 4.2): its search pattern, and its success against noise and alien objects."""
+"""Region growing (Greyling 1995, section 4.2): search pattern, and success rate with noise and alien objects."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Rule: TypeAlias = Literal["first", "brightest", "tracker"]
 SIDE_PX = 512
 STARS_SOUGHT = 8
 FULL_SCALE_DN = 255.0
-"""Of an 8-bit converter."""
+"""Full scale of an 8-bit converter."""
 
 MIN_PIXELS, MAX_PIXELS = 7, 36
 THRESHOLD_DN = FULL_SCALE_DN * math.exp(-MAX_PIXELS / (2.0 * math.pi * THESIS_SIGMA**2))
-"""The thesis says that its threshold is crucial, but not what it is; `grow.m` takes every pixel above 0. At this one,
-5.8 DN, a star that just reaches full scale has 36 pixels above it, 2πσ² ln(I₀/T), and is still taken."""
+"""The thesis states that the threshold is crucial, but not its value; `grow.m` uses every pixel above 0. At this
+threshold, 5.8 DN, a star that just reaches full scale has 36 pixels above it, 2πσ² ln(I₀/T), and is still accepted."""
 
 _STARS, _CLEARANCE_PX = 12, 24.0
 _FAINTEST, _BRIGHTEST = 0.15, 0.8
@@ -45,8 +45,8 @@ SNR_DB = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0, 28.0, 29.0, 30.0, 31.0, 32.0
 
 
 class Success(NamedTuple):
-    """What came of some frames: the shares of the stars found, of the frames whose eight objects are all stars, and the
-    objects a frame, of the eight kept, that are no stars. The SNR is full scale over the noise's amplitude."""
+    """Results of a set of frames: fraction of stars found, fraction of frames in which all eight objects are stars, and
+    number per frame of the eight objects that are not stars. The SNR is full scale over the amplitude of the noise."""
 
     snr_db: float
     frames: int
@@ -93,10 +93,10 @@ def success_rate(
 ) -> Success:
     """Success of region growing on random frames of 10° × 10°.
 
-    `snr_db` is 20 log₁₀ of full scale over the amplitude A of the noise, uniform between ±A. Kept are the first eight
-    objects in reading order, as in the thesis; the eight brightest; or those by the tracker's own settings: background
-    and noise measured on the frame, threshold at five times the noise. Aliens are what is smaller than 7 pixels and
-    what is larger than 36: ten hot pixels, ten short tracks, and the Moon.
+    `snr_db` is 20 log₁₀ of full scale over the amplitude A of the noise, uniform between ±A. The objects kept are the
+    first eight in reading order, as in the thesis; the eight brightest; or those with the tracker's settings:
+    background and noise measured on the frame, threshold at five times the noise. Alien objects are smaller than 7 or
+    larger than 36 pixels: ten hot pixels, ten short tracks, and the Moon.
     """
     amplitude = FULL_SCALE_DN * 10.0 ** (-snr_db / 20.0)
     found, clean, false = 0, 0, 0
@@ -118,7 +118,7 @@ def success_rate(
 
 
 def _objects(image: FloatArray, rule: Rule, threshold_dn: float) -> Spots:
-    """Objects of a digitised frame, by the thesis' threshold or by the tracker's settings."""
+    """Objects of a digitised frame, with the threshold of the thesis or the tracker's settings."""
     frame = image.astype(np.float32)
     if rule == "tracker":
         return grow_regions(frame, estimate(frame), DetectionSettings(), FULL_SCALE_DN)
@@ -127,7 +127,8 @@ def _objects(image: FloatArray, rule: Rule, threshold_dn: float) -> Spots:
 
 
 def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Put hot pixels, tracks of 2 to 6 pixels and a Moon of 0.5° into an image; the positions of stars left free."""
+    """Add hot pixels, tracks of 2 to 6 pixels and a Moon of 0.5° to an image; returns the positions of unaffected
+    stars."""
     radius = 0.25 / 10.0 * SIDE_PX
     rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX]
     centre = rng.uniform(40.0, SIDE_PX - 41.0, 2)
@@ -142,7 +143,7 @@ def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> 
 
 
 def mars_diameters_arcsec() -> tuple[float, float]:
-    """Least and greatest apparent diameter of Mars from the Earth, over the 17 years from 1990 on, by DE421."""
+    """Minimum and maximum apparent diameter of Mars from the Earth over 17 years from 1990, from DE421."""
     clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
     t_s = np.arange(0.0, 365.25 * 17, 5.0) * 86_400.0
     away_au = barycentric_position_au("Mars", clock, t_s) - barycentric_position_au("Earth", clock, t_s)
@@ -151,14 +152,13 @@ def mars_diameters_arcsec() -> tuple[float, float]:
 
 
 def section(frames: int = 10) -> Section:
-    """Section 4.2: rows, and the success against the SNR as a figure, with so many random frames for each SNR."""
+    """Section 4.2: rows, and a figure of the success rate by SNR, with the given number of random frames per SNR."""
     values = _pattern_values() | _success_values(frames) | _alien_values()
-    return section_of("greyling1995/segmentation", "Chapter 4.2: stars found by region growing", values)
+    return section_of("greyling1995/segmentation", "Chapter 4.2: star detection by region growing", values)
 
 
 def _pattern_values() -> Values:
-    """Pixels that the detector looks at: all of an empty image of 512 × 512; of a small one, where it finds a bright
-    pixel."""
+    """Pixels examined by the detector: all in an empty image of 512 × 512, and in a small one with a bright pixel."""
     formula = ((SIDE_PX - 2) / 3) ** 2
     empty = np.zeros((SIDE_PX, SIDE_PX), np.float32)
     side = 21
@@ -196,7 +196,7 @@ def _success_values(frames: int) -> Values:
 
 
 def _half(rates: list[Success]) -> float:
-    """SNR at which half of the frames are without fault, interpolated."""
+    """SNR at which half of the frames are without error, interpolated."""
     return float(np.interp(0.5, [rate.clean for rate in rates], [rate.snr_db for rate in rates]))
 
 

@@ -1,15 +1,15 @@
-"""The TC211 sequencer of Greyling 1995, chapter 6, clock by clock: states, counters, gates, and the charge they move.
+"""The TC211 sequencer of Greyling 1995, chapter 6, clock by clock: states, counters, gates, and charge transfer.
 
-Seven states T0 to T6 in three D flip-flops Q3 Q2 Q1, two latches A (the image area gate runs) and B (last frame), and
-the counters C1 (pixels of a line, up to 208), C2 (lines of a frame, down from 165), C3 (frames of integration, down)
-and Cm (memory address):
+Seven states T0 to T6 in three D flip-flops Q3 Q2 Q1, two latches A (image area gate active) and B (last frame), and the
+counters C1 (pixels of a line, up to 208), C2 (lines of a frame, down from 165), C3 (frames of integration, down) and Cm
+(memory address):
 
     T0 wait for GO ─► T1 load C3, clear Cm ─► T2 load C2 ─► T3 clear C1 ─► T4 count C1, 208 times ─► T5 count C2
     T5: lines left ─► T3; frame done, B low ─► T6; frame done, B high ─► T0
     T6: C3 not 0 ─► T2, integrate one frame more; C3 = 0 ─► set A and B ─► T2, clock out
 
-so that GO gives a frame with A (clear), C3 frames without (integration), and one with A and B (clock-out). The signals
-C1Z and C3Z are active low, C2Z is active high: only so do the rows of Table 6.2 describe what the text does.
+so that GO starts a frame with A (clear), C3 frames without (integration), and one with A and B (clock-out). The signals
+C1Z and C3Z are active low, C2Z is active high: only then do the rows of Table 6.2 agree with the text.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from simulator.theses.tables import FloatArray
 from startracker.errors import InputError
 
 LINES = 165
-"""Lines of the TC211 (section 6.1), and what C2 is loaded with."""
+"""Lines of the TC211 (section 6.1), the initial value of C2."""
 COLUMNS = 192
 """Elements of a line."""
 COUNTS_PER_LINE = 208
-"""Times that state T4 is repeated (section 6.2.2)."""
+"""Number of repetitions of state T4 (section 6.2.2)."""
 DUMMY_CELLS = 6
-"""Cells of the serial register before the image's: the first counts of a line, not written to memory."""
+"""Cells of the serial register before those of the image: the first counts of a line, not written to memory."""
 SERIAL_CLOCK_HZ = 2.0e6
-"""The 4 MHz of the bus, halved: clock of the state machine and of the serial register gate."""
+"""Half of the 4 MHz of the bus: clock of the state machine and of the serial register gate."""
 
 
 class TableRow(NamedTuple):
-    """A row of Table 6.2; None is its X, either value."""
+    """A row of Table 6.2; None is X, either value."""
 
     state: int
     go: int | None
@@ -69,7 +69,7 @@ STATE_TABLE: tuple[TableRow, ...] = (
 def next_state(
     state: int, go: int, c1z: int, c2z: int, c3z: int, b: int, *, as_printed: bool = False
 ) -> tuple[int, int, int]:
-    """Next state, A_set and B_set by the equations of section 6.2.2; state 7 is none and leads to T0.
+    """Next state, A_set and B_set by the equations of section 6.2.2; state 7 is undefined and leads to T0.
 
     With T0 … T6 the decoded states, · and, + or, ' not:
 
@@ -78,8 +78,8 @@ def next_state(
         Q3 = T3 + T4 + T5·C2Z·B'
         A_set = T0·GO + T6·C3Z',   B_set = T6·C3Z'
 
-    The plain T5 of the printed Q2 leads from the end of the last frame to T2 where Table 6.2 says T0: the camera would
-    go on without ever coming to rest.
+    The T5 of the printed Q2 leads from the end of the last frame to T2, but Table 6.2 has T0: the camera would never
+    stop.
     """
     t = [int(state == k) for k in range(7)]
     stays = 1 if as_printed else 1 - (c2z & b)
@@ -91,7 +91,7 @@ def next_state(
 
 
 def equation_faults(*, as_printed: bool = False) -> list[tuple[TableRow, str]]:
-    """Rows of Table 6.2 that the equations contradict, with the output at fault, over all inputs a row leaves open."""
+    """Rows of Table 6.2 that contradict the equations, with the affected output, over all undefined inputs of a row."""
     faults = []
     for row in STATE_TABLE:
         given = (row.go, row.c1z, row.c2z, row.c3z, row.b)
@@ -104,7 +104,7 @@ def equation_faults(*, as_printed: bool = False) -> list[tuple[TableRow, str]]:
 
 
 class Pulse(NamedTuple):
-    """What the gates do at a clock since GO.
+    """Actions of the gates at a clock after GO.
 
     ``line``: the image area gate shifts all lines by one, into the emptied serial register. ``pixel``: a value is
     written to memory, at the address that the counter Cm has; −1 for a line.
@@ -116,11 +116,11 @@ class Pulse(NamedTuple):
 
 
 class Sequencer:
-    """The state machine with its latches and counters, for an integration of so many frame times (0 or more).
+    """The state machine with its latches and counters, for an integration of a number of frame times (0 or more).
 
-    The text has no pulse widths (they are in Fig. 6.5): here the image area gate shifts at a line's first count, and
-    the counts 6 to 197 are written to memory. C2 counts when T5 is reached and C3 when T6 is left, so that 165 lines
-    and the integration asked for come out. Fewer lines and columns than the TC211's are for tests.
+    The text does not state pulse widths (they are in Fig. 6.5): here the image area gate shifts at the first count of a
+    line, and counts 6 to 197 are written to memory. C2 counts on entry to T5 and C3 on exit from T6, which gives 165
+    lines and the requested integration. Fewer lines and columns than those of the TC211 are for tests.
 
     Raises
     ------
@@ -141,8 +141,8 @@ class Sequencer:
             raise InputError(f"the integration time is {integration_frames} frames; it must be 0 or more")
         if counts_per_line < columns + DUMMY_CELLS:
             raise InputError(
-                f"{counts_per_line} counts do not move {columns} elements past {DUMMY_CELLS} dummy cells; "
-                f"give {columns + DUMMY_CELLS} or more"
+                f"{counts_per_line} counts cannot transfer {columns} elements past {DUMMY_CELLS} dummy cells; "
+                f"use at least {columns + DUMMY_CELLS}"
             )
         self.integration_frames = integration_frames
         self.lines, self.counts_per_line, self.columns = lines, counts_per_line, columns
@@ -154,11 +154,11 @@ class Sequencer:
 
     @property
     def mode(self) -> str:
-        """What the frame under way does: ``clear``, ``integration`` or ``clockout``."""
+        """Mode of the current frame: ``clear``, ``integration`` or ``clockout``."""
         return "clockout" if self.a and self.b else "clear" if self.a else "integration"
 
     def step(self) -> Pulse | None:
-        """One period of the clock; what the gates do in it."""
+        """One clock period; returns the action of the gates."""
         pulse = None
         state = self.state
         if state == 0:
@@ -205,7 +205,7 @@ def run(sequencer: Sequencer, most_clocks: int = 50_000_000) -> Iterator[Pulse]:
     Raises
     ------
     InputError
-        When it does not come to rest within `most_clocks`.
+        If it does not stop within `most_clocks`.
     """
     while True:
         pulse = sequencer.step()
@@ -214,15 +214,15 @@ def run(sequencer: Sequencer, most_clocks: int = 50_000_000) -> Iterator[Pulse]:
         if sequencer.state == 0:
             return
         if sequencer.clock >= most_clocks:
-            raise InputError(f"the sequencer is not at rest after {most_clocks} clocks")
+            raise InputError(f"the sequencer does not stop within {most_clocks} clocks")
 
 
 class ClockedFrame(NamedTuple):
-    """What the memory holds after a sequence.
+    """Content of the memory after a sequence.
 
-    Electrons of each element (lines, columns), row 0 the line next to the serial register; the time for which charge
-    stands still, from the last shift of the clearing to the first of the clock-out; the time from shift to shift; and
-    how many values were written.
+    Electrons of each element (lines, columns), row 0 the line next to the serial register; the time during which charge
+    is not moved, from the last shift of the clearing to the first of the clock-out; the time between shifts; and the
+    number of values written.
     """
 
     charge_e: FloatArray
@@ -232,19 +232,21 @@ class ClockedFrame(NamedTuple):
 
 
 def expose(rate_e_s: FloatArray, integration_frames: int, clock_hz: float = SERIAL_CLOCK_HZ) -> ClockedFrame:
-    """Run the sequencer before a scene that stands still: every clock adds light, every shift moves all lines.
+    """Run the sequencer with a static scene: every clock adds light, every shift moves all lines.
 
-    This is the transfer under light without any formula: the smear comes from where the charge stands meanwhile. The
-    scene has photo-electrons a second of each element, (lines, columns) of any size, row 0 next to the serial register.
+    This simulates the transfer under light directly: the smear results from the positions of the charge. The scene has
+    the photo-electrons per second of each element, (lines, columns) of any size, row 0 next to the serial register.
 
     Raises
     ------
     InputError
-        For a scene that is no matrix, a clock that is not positive, or a negative integration.
+        For a scene that is not a matrix, a clock that is not positive, or a negative integration.
     """
     rate = np.asarray(rate_e_s, dtype=float)
     if rate.ndim != 2 or not clock_hz > 0.0:
-        raise InputError(f"a scene is a matrix and a clock is above 0 Hz; got the shape {rate.shape}, {clock_hz:g} Hz")
+        raise InputError(
+            f"a scene must be a matrix and a clock above 0 Hz; got the shape {rate.shape}, {clock_hz:g} Hz"
+        )
     lines, columns = rate.shape
     sequencer = Sequencer(
         integration_frames, lines=lines, columns=columns, counts_per_line=columns + COUNTS_PER_LINE - COLUMNS

@@ -19,7 +19,7 @@ from simulator.theses.greyling1995.sequencer import (
 from simulator.theses.tables import FloatArray, Values
 
 CONTROL = {0x300: "Camera", 0x302: "PC", 0x304: "Reset", 0x306: "Go"}
-"""Table 6.1: addresses of the bus and what a write to them does."""
+"""Table 6.1: bus addresses and the effect of a write to them."""
 
 DARK_V, SATURATED_V = 8.0, 4.0
 """Section 6.2.3: level of a dark pixel at the amplified output, and of a saturated one."""
@@ -36,14 +36,14 @@ TERMS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("T6", "T6", ("Q2",)),
     ("T6·C3Z'", "T6 C3Z'", ("A set", "B set")),
 )
-"""Products of the circuit: name, factors, the sums that it goes into. Q2 mended: T5·(C2Z·B)' = T5·C2Z' + T5·C2Z·B'."""
+"""Products of the circuit: name, factors, and sums that include it. Q2 corrected: T5·(C2Z·B)' = T5·C2Z' + T5·C2Z·B'."""
 
 _SUMS = ("Q1", "Q2", "Q3", "A set", "B set")
 _INPUTS = (*(f"T{k}" for k in range(7)), "GO", "C1Z", "C2Z", "C3Z", "B")
 
 
 def control_name(address: int) -> str:
-    """What a write to an address of the bus selects: lines A1 and A2 distinguish four addresses from 300H on."""
+    """Function selected by a write to a bus address: lines A1 and A2 distinguish four addresses from 300H on."""
     names = list(CONTROL.values())
     return names[(address >> 1) & 3] if address & ~0b111 == 0x300 else ""
 
@@ -61,7 +61,7 @@ def terms_next(state: int, go: int, c1z: int, c2z: int, c3z: int, b: int) -> tup
 
 
 def line_signals() -> dict[str, FloatArray]:
-    """Signals over two lines from the first of a clock-out on: states, count C1, IAG, SRG and the writing to memory."""
+    """Signals over the first two lines of a clock-out: states, count C1, IAG, SRG and writes to memory."""
     sequencer = Sequencer(0)
     found: list[tuple[int, int, str]] = []
     while len(found) < 2 * (COUNTS_PER_LINE + 2) + 4:
@@ -77,8 +77,8 @@ def line_signals() -> dict[str, FloatArray]:
 def output_signals(light: FloatArray, samples: int = 40) -> dict[str, FloatArray]:
     """Signals over pixels of 0.5 µs with a charge `light`, 0 to 1 of the full well (Fig. 6.8), `samples` to a pixel.
 
-    The output is at the dark level and dips by the charge in the second half of each pixel; S/H is high in the
-    pixel's last quarter, the latch follows then and holds; /MW is low for a tenth of a pixel halfway between.
+    The output is at the dark level and decreases with the charge in the second half of each pixel; S/H is high in the
+    last quarter of a pixel, when the latch follows the signal; /MW is low for a tenth of a pixel halfway between.
     """
     phase = np.tile((np.arange(samples) + 0.5) / samples, len(light))
     charge = np.repeat(np.clip(light, 0.0, 1.0), samples)
@@ -93,7 +93,7 @@ def output_signals(light: FloatArray, samples: int = 40) -> dict[str, FloatArray
 
 
 def values() -> Values:
-    """Table 6.1 and the figures' numbers."""
+    """Values of Table 6.1 and the figures."""
     names, found = list(CONTROL.values()), [control_name(address) for address in CONTROL]
     signals = line_signals()
     start, end = np.flatnonzero(signals["IAG"])[:2]
@@ -122,7 +122,7 @@ def values() -> Values:
 
 
 def _raised(signals: dict[str, FloatArray]) -> Values:
-    """Logic signals above one another, the first on top, with the ticks that name them."""
+    """Logic signals stacked with the first on top, with labelled ticks."""
     below = list(reversed(signals))
     steps = [{"signal": 1.4 * k + signals[name]} for k, name in enumerate(below)]
     ticks = [1.4 * k + 0.5 for k in range(len(below))]
@@ -149,7 +149,7 @@ _DOES = ("wait for GO", "Cm = 0, load C3", "C2 = 165", "C1 = 0", "C1 + 1", "C2 �
 
 
 def _states() -> Values:
-    """The states and what leads from one to the next, by Table 6.2."""
+    """The states and their transitions, by Table 6.2."""
     stays: list[Values] = []
     arrows: list[Values] = []
     labels: list[Values] = []
@@ -164,14 +164,14 @@ def _states() -> Values:
         bend = 0.0 if row.c3z is None else 0.28 if row.c3z == 0 else -0.28
         arrows.append({"start": start, "end": end, "bend": bend})
         if label:
-            x, y = 0.5 * (start + end) + bend * np.array([-0.45, 0.8])  # to where the curve bends to
+            x, y = 0.5 * (start + end) + bend * np.array([-0.45, 0.8])  # the direction of the curvature
             labels.append({"x": x, "y": y, "label": label})
     states = [{"x": x, "y": y, "text": f"T{state}\n{_DOES[state]}"} for state, (x, y) in _AT.items()]
     return {"states": states, "stays": stays, "arrows": arrows, "labels": labels}
 
 
 def _circuit() -> Values:
-    """The circuit as an array of products: which inputs each product takes, and which sums it goes into."""
+    """The circuit as an array of products: inputs of each product, and sums that include it."""
     columns = {name: k for k, name in enumerate((*_INPUTS, *(f"{s} " for s in _SUMS)))}
     inputs = [
         {"x": columns[factor.rstrip("'")], "y": k, "inverted": factor.endswith("'")}

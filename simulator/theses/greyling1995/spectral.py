@@ -14,7 +14,8 @@ CHARGE_C = 1.602176634e-19
 
 
 def eye_response(wavelength_nm: FloatArray = WAVELENGTH_NM, *, night: bool = False) -> FloatArray:
-    """Luminous efficiency (W,) of the eye, 1 at the peak, by CIE 1924 or at night CIE 1951; 0 where the table ends."""
+    """Luminous efficiency (W,) of the eye, 1 at the peak, photopic (CIE 1924) or at night scotopic (CIE 1951); 0
+    outside the table."""
     from colour.colorimetry import SDS_LEFS_PHOTOPIC, SDS_LEFS_SCOTOPIC
 
     day_table = SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
@@ -23,12 +24,12 @@ def eye_response(wavelength_nm: FloatArray = WAVELENGTH_NM, *, night: bool = Fal
 
 
 def ccd_efficiency(wavelength_nm: FloatArray = WAVELENGTH_NM, name: str = "tc211") -> FloatArray:
-    """Quantum efficiency (W,) of a detector of the product's library, electrons a photon."""
+    """Quantum efficiency (W,) of a detector of the product's library, electrons per photon."""
     return np.asarray(load_curve(name, "quantum_efficiency")(wavelength_nm), dtype=float)
 
 
 def ccd_response_a_w(wavelength_nm: FloatArray = WAVELENGTH_NM, name: str = "tc211") -> FloatArray:
-    """Response (W,), amperes a watt: R = η q λ / (h c)."""
+    """Response (W,), amperes per watt: R = η q λ / (h c)."""
     return np.asarray(ccd_efficiency(wavelength_nm, name) * CHARGE_C * wavelength_nm / HC_J_NM)
 
 

@@ -1,6 +1,6 @@
-"""Stars on a 5 × 5 window and the errors of their first moments (Greyling 1995, section 4.3).
+"""Star images in a 5 × 5 window and the errors of their first moments (Greyling 1995, section 4.3).
 
-Drawn twice: sampled at the pixels' centres, as the thesis does, and integrated over the pixels, as a detector does.
+Computed in two ways: sampled at pixel centres, as in the thesis, and integrated over pixels, as by a detector.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ELECTRONS = 1e6
 _LATTICE, _PITCH_PX = 9, 32
 
 Path = tuple[FloatArray, FloatArray]
-"""Way (K, 2) of a star over the exposure, pixels, and the share (K,) of the exposure at each position."""
+"""Path (K, 2) of a star over the exposure, pixels, and fraction (K,) of the exposure at each position."""
 
 _STILL: Path = (np.zeros((1, 2)), np.ones(1))
 
@@ -40,9 +40,9 @@ def star_stamps(
     *,
     integrated: bool = False,
 ) -> FloatArray:
-    """Images (N, 5, 5) of stars `offset_px` right of the middle, relative to the centre of a star at rest.
+    """Images (N, 5, 5) of stars `offset_px` to the right of the centre, relative to the peak of a star at rest.
 
-    Gaussian, of another width along y where that is given; integrated over the pixels (`simulator.optics.splat`) or
+    Gaussian, optionally with a different width along y; integrated over the pixels (`simulator.optics.splat`) or
     sampled at their centres.
     """
     offsets = np.atleast_1d(np.asarray(offset_px, dtype=float))
@@ -63,7 +63,7 @@ def star_stamps(
 
 
 def moments(stamps: FloatArray) -> FloatArray:
-    """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's own kernel."""
+    """First moments (N,) along x, pixels from the central pixel (eq. 4.6), by the tracker's kernel."""
     side = 2 * _HALF + 1
     level, noise = as_plane(np.zeros((side, side), np.float32)), as_plane(np.ones((side, side), np.float32))
     frames = (Pixels(stamp.astype(np.float32), level, noise, 0.0, 0.0) for stamp in stamps)
@@ -71,12 +71,12 @@ def moments(stamps: FloatArray) -> FloatArray:
 
 
 def _errors(stamps: FloatArray, sigma_px: float, *, integrated: bool) -> FloatArray:
-    """Errors (11,) left when the known bias at each offset of a star at rest (Table 4.1) is taken off."""
+    """Errors (11,) after subtraction of the known bias of a star at rest at each offset (Table 4.1)."""
     return OFFSETS - moments(stamps) - moment_bias(OFFSETS, sigma_px, 2 * _HALF + 1, integrated=integrated)
 
 
 def smear_path(rate_px_s: float, angle_deg: float) -> Path:
-    """Way of a star at constant rate over 0.5 s, centred on its middle (eq. 4.11)."""
+    """Path of a star at constant rate over 0.5 s, about its midpoint (eq. 4.11)."""
     length = rate_px_s * 0.5
     nodes, weights = exposure_nodes(length, THESIS_SIGMA)
     angle = np.radians(angle_deg)
@@ -84,7 +84,7 @@ def smear_path(rate_px_s: float, angle_deg: float) -> Path:
 
 
 def smear_errors(rate_px_s: float, angle_deg: float, sigma_px: float = THESIS_SIGMA) -> FloatArray:
-    """Errors (11,) along x of stars smeared for 0.5 s, the bias of a star at rest taken off."""
+    """Errors (11,) along x of stars smeared for 0.5 s, minus the bias of a star at rest."""
     stamps = star_stamps(OFFSETS, sigma_px, path=smear_path(rate_px_s, angle_deg))
     return _errors(stamps, sigma_px, integrated=False)
 
@@ -103,11 +103,11 @@ def tracker_errors(
     *,
     centroider: str = "moment",
 ) -> FloatArray:
-    """Errors (N, 2) in x and y, pixels, of this project's tracker on 81 stars at as many sub-pixel phases.
+    """Errors (N, 2) in x and y, pixels, of the product's tracker for 81 stars at different sub-pixel phases.
 
     Found and measured by `startracker.front_end.find_stars` with its default detector and one of its centroiders, which
-    take widths and bias from the frame; noise uniform between ±10^(−SNR/20) of a star's centre. Stars that
-    are not found are left out.
+    estimate widths and bias from the frame; noise uniform between ±10^(−SNR/20) of a star's peak. Stars that are not
+    detected are excluded.
     """
     sigma_y = sigma_px if sigma_y_px is None else sigma_y_px
     way, weights = path

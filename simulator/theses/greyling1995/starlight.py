@@ -1,7 +1,7 @@
-"""The signal of a star in the thesis' camera: its five-band sum as coded and as it should be, and this product's.
+"""The signal of a star in the camera of the thesis: its five-band sum as coded and corrected, and the product's result.
 
-Volts a pixel: U = K n t A ∫ E_λ λ/(hc) η dλ / P, with the volts K an electron makes, the pixels P that share the image,
-and the irradiance E_λ ∝ 10^(−0.4 V). The first script of the thesis' `ccdmag.m` multiplies by λ, in µm, once more; a
+Volts per pixel: U = K n t A ∫ E_λ λ/(hc) η dλ / P, with K volts per electron, P the number of pixels of the image, and
+the irradiance E_λ ∝ 10^(−0.4 V). The first script of `ccdmag.m` in the thesis has an additional factor λ, in µm; a
 second one in the same listing does not.
 """
 
@@ -21,31 +21,31 @@ from simulator.theses.tables import FloatArray
 
 BANDS_UM = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
 IRRADIANCE_W_CM2_UM = np.array([6.6, 3.6, 2.25, 1.22, 0.292]) * 1e-12
-"""Of an A0V star of V = 0 in these bands; the thesis' Appendix B."""
+"""Irradiance of an A0V star of V = 0 in these bands; Appendix B of the thesis."""
 
 EFFICIENCY = np.array([0.2, 0.4, 0.5, 0.38, 0.05])
-"""Quantum efficiency of the TC211 there; the thesis' Appendix B."""
+"""Quantum efficiency of the TC211 in these bands; Appendix B of the thesis."""
 
 WIDTHS_UM = np.array([0.10, 0.11, 0.09, 0.15, 0.46])
-"""Δλ of the bands in `ccdmag.m`: each reaches down to the band before it, the first is 0.1 µm wide."""
+"""Δλ of the bands in `ccdmag.m`: each extends down to the previous band, and the first is 0.1 µm wide."""
 
 CHARGE_C, GAIN, CAPACITANCE_F = 1.6e-19, 0.7, 0.1e-12
 VOLT_PER_E = CHARGE_C * GAIN / CAPACITANCE_F
-"""(3.7) with the typical values printed below it, as `ccdmag.m` has them: 1.12 µV an electron."""
+"""(3.7) with the typical values printed below it, as in `ccdmag.m`: 1.12 µV per electron."""
 
 PROTOTYPE_VOLT_PER_E = 1.4e-6
-"""Section 3.4.1 of the TC211, Fig. 3.15, and the second script of `ccdmag.m`."""
+"""Areas of the TC211: section 3.4.1, Fig. 3.15, and the second script of `ccdmag.m`."""
 
 IMAGE_PIXELS = 25
 SATURATION_MV = 450.0
-"""Of the TC211 with antiblooming, section 3.4.3."""
+"""Value of the TC211 with antiblooming, section 3.4.3."""
 
 PLANCK_J_S, LIGHT_M_S = 6.626e-34, 3e8
-"""As `ccdmag.m` has them; 0.07 % from today's."""
+"""As in `ccdmag.m`; 0.07 % from current values."""
 
 SECOND_EFFICIENCY = np.array([0.1, 0.28, 0.4, 0.38, 0.05])
 SECOND_PIXELS = 10
-"""Of the second script in the listing of `ccdmag.m`."""
+"""Values of the second script in the listing of `ccdmag.m`."""
 
 
 def _band_electrons_cm2_s(efficiency: FloatArray, *, extra_lambda: bool) -> float:
@@ -65,15 +65,16 @@ def thesis_mv(
 ) -> FloatArray:
     """Output voltage of each of 25 pixels for an A0V star, mV, by the first script of `ccdmag.m`; not clipped.
 
-    Arrays are broadcast; `aperture_m` is the diameter of the lens. `extra_lambda`: as the script has it, with λ in µm
-    once too often, or without.
+    Arrays are broadcast; `aperture_m` is the diameter of the lens. `extra_lambda`: as in the script, with an additional
+    factor λ in µm, or without.
     """
     electrons = _band_electrons_cm2_s(EFFICIENCY, extra_lambda=extra_lambda)
     return _millivolts(electrons, v_mag, aperture_m, exposure_s, volt_per_e)
 
 
 def second_script_mv(v_mag: ArrayLike, aperture_m: ArrayLike = 0.12, exposure_s: ArrayLike = 0.5) -> FloatArray:
-    """Output voltage of each of 10 pixels, mV, by the second script: other efficiencies, 1.4 µV, no surplus λ."""
+    """Output voltage of each of 10 pixels, mV, by the second script: other efficiencies, 1.4 µV, no additional factor
+    λ."""
     electrons = _band_electrons_cm2_s(SECOND_EFFICIENCY, extra_lambda=False)
     return _millivolts(electrons, v_mag, aperture_m, exposure_s, PROTOTYPE_VOLT_PER_E, SECOND_PIXELS)
 
@@ -87,7 +88,8 @@ def camera_mv(
     giant: float = 0.0,
     volt_per_e: float = VOLT_PER_E,
 ) -> FloatArray:
-    """The same with this product's spectra, of a colour and class as `Photometer`'s and the TC211's curve, lossless."""
+    """The same with the product's spectra, for a colour and class as in `Photometer` and the curve of the TC211,
+    without losses."""
     electrons = float(_photometer().electrons_per_s(0.0, b_v, giant))
     return _millivolts(electrons, v_mag, aperture_m, exposure_s, volt_per_e)
 

@@ -1,4 +1,4 @@
-"""Yee 1999, every table computed again.
+"""Yee 1999 recomputed, with all tables.
 
 Tammy K. Yee, *Attitude Determination Using Stellar Images*, M.Sc. thesis, University of Saskatchewan, 1999.
 """
@@ -49,9 +49,9 @@ SECTIONS: dict[str, Callable[[], Section]] = {
 def run(
     only: str | None = None, progress: Callable[[str], None] | None = None, analysis: Analysis | None = None
 ) -> PrintedStudy:
-    """All sections, or the one that is named; see `simulator.theses.printed.run_sections`.
+    """All sections, or the one given by name; see `simulator.theses.printed.run_sections`.
 
-    The Vega image as it was identified may be given; it is identified anew otherwise.
+    The identified Vega image may be given; otherwise it is identified again.
     """
     sections = SECTIONS | {"vega": lambda: vega_tables(analysis), "subsets": lambda: three_star_subsets(analysis)}
     return run_sections("yee1999", TITLE, sections, only, progress)

@@ -1,4 +1,4 @@
-"""The thesis' catalogue, its sub-catalogues, and the tables that it prints."""
+"""The catalogue of the thesis, its sub-catalogues, and its printed tables."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
 from startracker.identification.triad_tables import TriadTables
 
 EDITIONS = (4, 5)
-"""Of the Bright Star Catalogue: her 4th, and the 5th, which ships."""
+"""Editions of the Bright Star Catalogue: the 4th of the thesis, and the included 5th."""
 
 _RA_STEP_DEG = 15.0 * 0.1 / 3600.0
 _DEC_STEP_DEG = 1.0 / 3600.0
 _DEC_CHANGED = (168, 542, 7851)
-"""HR numbers whose declination the 4th edition gives 1″ differently: larger for the first two by Table 2.1; no table of
-the extract says which way the third goes, and it is taken alike."""
+"""HR numbers whose declination differs by 1″ in the 4th edition: larger for the first two by Table 2.1; no table of the
+extract has the sign for the third, which is assumed to be the same."""
 
 
 @dataclass(frozen=True, eq=False)
 class SubCatalog:
     """Stars of a section of the sky (Yee 1999, section 2.3.3.1), in the order of their numbers: positions of equinox
-    and epoch 2000, without proper motion, as she took them; each (G,)."""
+    and epoch 2000, without proper motion, as in the thesis; each (G,)."""
 
     hr: IntArray
     ra_deg: FloatArray
@@ -49,16 +49,16 @@ class SubCatalog:
         Raises
         ------
         InputError
-            A number that the sub-catalogue lacks.
+            If a number is missing in the sub-catalogue.
         """
         at = np.searchsorted(self.hr, numbers)
         missing = [n for n, index in zip(numbers, at, strict=True) if index >= len(self) or self.hr[index] != n]
         if missing:
-            raise InputError(f"the sub-catalogue has no HR {', '.join(map(str, missing))}")
+            raise InputError(f"the sub-catalogue does not contain HR {', '.join(map(str, missing))}")
         return at.astype(np.int64)
 
     def tables(self, max_separation_deg: float, arithmetic: Arithmetic | None = None) -> TriadTables:
-        """Pair database up to the largest separation, in floating point unless told otherwise."""
+        """Pair database up to the maximum separation, by default in floating point."""
         return TriadTables.build(
             arithmetic or FloatArithmetic(), self.hr, self.ra_deg, self.dec_deg, self.v_mag, max_separation_deg
         )
@@ -68,15 +68,14 @@ class SubCatalog:
 def sub_catalog(
     edition: int = 4, magnitude_limit: float = 6.0, dec_min_deg: float = 30.0, dec_max_deg: float = 90.0
 ) -> SubCatalog:
-    """Stars of the Bright Star Catalogue down to a magnitude V, between two declinations, both included.
-
-    Edition 5 is as it ships. Edition 4 has right ascensions smaller by 0.1 s, and the declinations of three stars
-    larger by 1″, which is the 4th edition for her stars; it was rounded otherwise and is not to be had itself.
+    """Stars of the Bright Star Catalogue down to a magnitude V, between two declinations (inclusive). Edition 5 is the
+    included one. Edition 4 has right ascensions smaller by 0.1 s, and declinations of three stars larger by 1″, which
+    reproduces the 4th edition for the stars of the thesis; it was rounded differently and is not available itself.
 
     Raises
     ------
     InputError
-        Another edition; fewer than three stars.
+        For another edition, or fewer than three stars.
     """
     if edition not in EDITIONS:
         raise InputError(f"--edition: must be 4 or 5, not {edition}")
@@ -90,7 +89,7 @@ def sub_catalog(
     if len(keep) < 3:
         raise InputError(
             f"the catalogue has {len(keep)} stars with V ≤ {magnitude_limit:g} at declinations {dec_min_deg:g}° to "
-            f"{dec_max_deg:g}°; three are needed"
+            f"{dec_max_deg:g}°; at least three are needed"
         )
     return SubCatalog(catalog.id[keep], ra[keep], dec[keep], catalog.v_mag[keep])
 
@@ -101,6 +100,6 @@ def file_of(table: str) -> str:
 
 
 def printed_rows(name: str) -> list[dict[str, str]]:
-    """Rows of a table as the thesis prints it, by column; the file's first line gives its source."""
+    """Rows of a printed table of the thesis, by column; the first line of the file gives its source."""
     text = (files("simulator.theses.yee1999") / "data" / f"{name}.csv").read_text(encoding="utf-8")
     return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

@@ -1,4 +1,4 @@
-"""The Deneb and Sadr images: Tables 4.6 to 4.13 as printed beside what comes out (thesis sections 4.2.2 and 4.2.3)."""
+"""The Deneb and Sadr images: Tables 4.6 to 4.13 as printed and recomputed (sections 4.2.2 and 4.2.3 of the thesis)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from startracker.identification.triad_votes import COMBINED_ID, combine_separati
 
 _CENTRE = ("307.90724", "46.43192")
 _ROTATION_DEG = 0.11
-"""Rotations are printed to 0.1°; the means of a group are of values that are not printed."""
+"""Rotations are printed to 0.1°; the means of a group are those of unprinted values."""
 
 
 def deneb_tables() -> Section:
-    """Nine stars: 96 triads in 36 groups, of which the largest names all nine."""
+    """Nine stars: 96 triads in 36 groups, of which the largest contains all nine."""
     found = analyse(deneb())
     arithmetic = found.match.tables.arithmetic
     close = np.array([combine_separation(arithmetic, found.picture.scale_deg, 8.0)])
@@ -35,7 +35,7 @@ def deneb_tables() -> Section:
 
 
 def _group_values(found: Analysis) -> Values:
-    """Table 4.7: sizes and mean rotations of the groups, whatever their order."""
+    """Table 4.7: sizes and mean rotations of the groups, independent of their order."""
     printed = printed_rows("table_4_7")
     sizes, means = (np.array(column) for column in zip(*found.groups, strict=True))
     rows = []
@@ -43,7 +43,7 @@ def _group_values(found: Analysis) -> Values:
         off = np.abs((means - float(row["mean_deg"]) + 180.0) % 360.0 - 180.0)
         at = int(np.argmin(off))
         same = sizes[at] == int(row["triads"]) and off[at] <= _ROTATION_DEG
-        why = "" if same else "one triad fewer and one more than ours among the 96, which her tables do not list"
+        why = "" if same else "one of the 96 triads differs from ours; they are not listed in the tables"
         rows.append(row | {"size": sizes[at], "nearest_deg": means[at], "same": same, "other": why})
     return {"triads": len(found.triads), "her_groups": len(printed), "our_groups": len(sizes), "groups": rows}
 
@@ -58,12 +58,12 @@ def _largest_group(found: Analysis) -> list[Values]:
         named, verdict, why = stars, "differs", ""
         if stars in ours:
             verdict = "exact" if np.abs(np.array(ours[stars]) - rotations).max() <= _ROTATION_DEG else "close"
-        else:  # a row of four stars: the triad of three of them that has its rotations
+        else:  # a row of four stars: the triad of three of them with its rotations
             named = min(
                 (hr for hr in ours if sum(a == b and a > 0 for a, b in zip(hr, stars, strict=True)) == 3),
                 key=lambda hr: float(np.abs(np.array(ours[hr]) - rotations).max()),
             )
-            why = "four stars stand in this row, and a triad has three: those with the rotations printed"
+            why = "this row has four stars, but a triad has three: those with the printed rotations"
         texts = {"hers": _triad(stars, rotations), "ours": _triad(named, ours[named])}
         rows.append({"triad": row["triad"], "verdict": verdict, "four": why} | texts)
     return rows
@@ -100,7 +100,7 @@ def sadr_tables() -> Section:
 
 
 def recommendations() -> Section:
-    """What section 5.2 recommends for the votes, tried on the three images."""
+    """Recommendations of section 5.2 for the votes, tested on the three images."""
     tables = {"Vega": "table_4_4", "Deneb": "table_4_9"}
     images = []
     for name, picture in (("Vega", vega()), ("Deneb", deneb()), ("Sadr", sadr())):
@@ -119,12 +119,12 @@ def recommendations() -> Section:
                 "matches": "the same" if summed.matches == merged.matches else "others",
                 "needed": limits.votes_needed(len(picture.xy_px)),
                 "stars": len(picture.xy_px),
-                "lost": f"HR {', '.join(lost)} is matched no longer" if lost else "the same stars are matched",
+                "lost": f"HR {', '.join(lost)} is no longer matched" if lost else "the same stars are matched",
             }
         )
     return Section("Votes as recommended", table_rows("yee1999/recommendations", {"images": images}))
 
 
 def _multiples(votes: Sequence[tuple[int, int]]) -> str:
-    """Votes of the multiple stars among some."""
+    """Votes of the multiple stars."""
     return ", ".join(f"{hr}: {frequency}" for hr, frequency in votes if hr > COMBINED_ID)

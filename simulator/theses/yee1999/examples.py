@@ -24,7 +24,7 @@ def cassiopeia() -> Section:
 
 
 def _tables() -> TriadTables:
-    """The pair database of the coordinates as Table 2.1 prints them."""
+    """Pair database of the coordinates printed in Table 2.1."""
     rows = printed_rows("table_2_1")
     ra_deg = [15.0 * float(row["ra_h"]) for row in rows]
     dec_deg, v_mag = ([float(row[name]) for row in rows] for name in ("dec_deg", "v_mag"))
@@ -50,7 +50,7 @@ def _separations() -> list[Values]:
     rows = []
     for at, row in enumerate(printed_rows("table_2_2")):
         pair = (int(row["first"]), int(row["second"]))
-        order = "" if list(found)[at] == pair else "; it stands elsewhere in the sorted list"
+        order = "" if list(found)[at] == pair else "; at another position in the sorted list"
         rows.append({"pair": pair, "texts": [row["separation_deg"]], "found": [found[pair]], "order": order})
     return rows
 
@@ -69,7 +69,7 @@ def _enclosed() -> list[Values]:
         why = ""
         if any(off):
             angle = angles[next(k for k in range(3) if off[k])]
-            why = f"; {angle:.6f}° × 64 = {64 * angle:.3f}: hers came out just below the whole number"
+            why = f"; {angle:.6f}° × 64 = {64 * angle:.3f}: the printed value is just below the integer"
         verdicts: list[Verdict] = ["close" if step == 1 else "differs" if step else "exact" for step in off]
         rows.append(
             {
@@ -97,7 +97,8 @@ _TRIADS = (
 
 
 def rotation_example() -> Section:
-    """Directions of the vectors 1-2 and 1-3 in the image and in two catalogue triads, and the rotations between."""
+    """Directions of the vectors 1-2 and 1-3 in the image and in two catalogue triads, and the rotations between
+    them."""
     image = _directions_deg(vega().xy_px[:3])
     directions = [
         {"star": star, "hers": text, "angle": angle}

@@ -1,8 +1,10 @@
-"""The fixed-point columns of Tables 4.14 and 4.15, from pixels whose exact centroids are the floating-point columns.
+"""The fixed-point columns of Tables 4.14 and 4.15, from pixels with exact centroids equal to the floating-point
+columns.
 
-Her pixels are not printed. A star image is made for each star instead: a Gaussian in whole DN above her threshold,
-about as wide as her τ, whose centroid is brought to the five printed decimals by moving single DN. The running
-mean of 10.22 then meets these pixels in the order in which her program scans the image.
+The pixels are not printed. Instead a star image is generated for each star: a Gaussian in integer DN above the
+threshold, with a width of about τ, whose centroid is adjusted to the five printed decimals by moving single DN. The
+running mean of 10.22 is then computed over these pixels in the order in which the program of the thesis scans the
+image.
 """
 
 from __future__ import annotations
@@ -23,9 +25,9 @@ IntArray = NDArray[np.int64]
 
 _THRESHOLD_DN, _PEAK_DN, _SIGMA_PX, _RADIUS_PX = 51, 150, 3.2, 8
 _MORE_DN = 5000
-"""Among which the sum of DN is sought: of 2 coordinates and 5 decimals some tens fit."""
+"""Range in which the sum of DN is searched: some tens of values fit 2 coordinates with 5 decimals."""
 _WITHIN_PX = 7e-5
-"""Her greatest difference is 0.00006 px, of both columns rounded to 0.00001."""
+"""The largest printed difference is 0.00006 px, with both columns rounded to 0.00001."""
 
 
 def star_pixels(x_px: float, y_px: float) -> tuple[IntArray, IntArray, IntArray]:
@@ -38,7 +40,7 @@ def star_pixels(x_px: float, y_px: float) -> tuple[IntArray, IntArray, IntArray]
     dn = np.rint(_PEAK_DN * light).astype(np.int64)
     keep = dn > _THRESHOLD_DN
     x, y, dn = x[keep], y[keep], dn[keep]
-    # a sum of DN for which the first moments are nearly whole numbers
+    # a sum of DN for which the first moments are nearly integers
     sums = np.arange(dn.sum(), dn.sum() + _MORE_DN)
     moments = sums[:, None] * position
     total = int(sums[np.argmin((np.abs(moments - np.rint(moments)) / sums[:, None]).max(axis=1))])
@@ -46,7 +48,7 @@ def star_pixels(x_px: float, y_px: float) -> tuple[IntArray, IntArray, IntArray]
     dn += np.bincount(added, minlength=len(dn))
     for axis, points in enumerate((x, y)):
         missing = int(np.rint(total * position[axis])) - int((points * dn).sum())
-        # a DN from one pixel to its neighbour changes the moment by one
+        # moving one DN to the adjacent pixel changes the moment by one
         there = {(int(u), int(v)): k for k, (u, v) in enumerate(zip(x, y, strict=True))}
         step = np.eye(2, dtype=np.int64)[axis] * (1 if missing > 0 else -1)
         moves = [(k, there.get((u + step[0], v + step[1]))) for (u, v), k in there.items()]
@@ -59,7 +61,7 @@ def star_pixels(x_px: float, y_px: float) -> tuple[IntArray, IntArray, IntArray]
 
 
 def fixed_centroids() -> list[Row]:
-    """A row for each coordinate of the three images."""
+    """One row per coordinate of the three images."""
     images = (("4.14", "Vega"), ("4.15", "Deneb"), ("4.16", "Sadr"))
     return table_rows("yee1999/fixed_centroids", {"columns": [c for table in images for c in _columns(*table)]})
 

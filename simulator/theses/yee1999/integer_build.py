@@ -1,4 +1,5 @@
-"""The integer tracker beside hers: attitude, memory, time and instructions (section 3.5, Table 4.20)."""
+"""The integer tracker compared with that of the thesis: attitude, memory, time and instructions (section 3.5, Table
+4.20)."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -44,16 +46,17 @@ from startracker.identification.triad_votes import match_triads
 
 _FIELDS = 80
 _SLENDER = 2e-3
-"""Of second moments, det / trace²: stars nearer to a line have four constants in integers, six in floating point."""
+"""Limit of det / trace² of the second moments: stars closer to a line have four constants in integers, six in floating
+point."""
 _LIMITS = TriadLimits(three_stars=True)
 MAX_SEPARATION_DEG = 12.0
 _THRESHOLD_DN, _LEAST_PIXELS = 51, 10
-"""Of a star in the Vega image."""
+"""Centroid error of a star in the Vega image."""
 _CLOSE_DEG = 0.01
 
 
 def integer_tracker(picture: Picture) -> IntegerTracker:
-    """Her catalogue's stars in integers, for the camera of a picture."""
+    """The stars of the thesis' catalogue in integers, for the camera of a picture."""
     stars = sub_catalog(4)
     camera = IntegerCamera(picture.size_px, picture.fov_deg)
     return IntegerTracker.build(camera, stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag, MAX_SEPARATION_DEG)
@@ -65,9 +68,10 @@ def _tracker() -> IntegerTracker:
 
 
 def _plate(xy_px: FloatArray) -> tuple[Integers, IntegerAttitude] | None:
-    """Her answer, the largest group that names three stars, unverified: image and catalogue stars (M, 2), attitude."""
+    """Result of the thesis' method, the largest group with three stars, unverified: image and catalogue stars (M, 2),
+    attitude."""
     tables = _tracker().tables
-    image = tables.arithmetic.image(xy_px, vega().scale_deg)
+    image: Any = tables.arithmetic.image(xy_px, vega().scale_deg)
     best = match_triads(tables, image.xy, image.scale_deg, _LIMITS).best()
     if best is None:
         return None
@@ -81,7 +85,7 @@ def _plate(xy_px: FloatArray) -> tuple[Integers, IntegerAttitude] | None:
 def attitude_differences() -> FloatArray:
     """Integer minus floating-point plate constants of simulated Vega-sized fields (F, 2), arcseconds.
 
-    The distance of the two centres and the difference of the two rolls, of the same matched stars, not in a line.
+    The distance of the two centres and the difference of the two rolls, for the same matched stars, not collinear.
     """
     stars = sub_catalog(4)
     directions = radec_to_direction(*np.radians(stars.sky_deg).T)
@@ -101,7 +105,7 @@ def attitude_differences() -> FloatArray:
         ra_deg, dec_deg = attitude.ra / 2**22, attitude.dec / 2**22
         east = ((ra_deg - plate.center_deg[0] + 180.0) % 360.0 - 180.0) * np.cos(np.radians(dec_deg))
         m = plate.matrix
-        # of the rotation nearest to the map, as seen in the sky: x to the west
+        # of the rotation closest to the map, as seen on the sky: x to the west
         roll = np.degrees(np.arctan2(m[1, 0] + m[0, 1], m[1, 1] - m[0, 0]))
         turn = (attitude.roll / 2**22 - roll + 180.0) % 360.0 - 180.0
         out.append([3600.0 * np.hypot(east, dec_deg - plate.center_deg[1]), 3600.0 * turn])
@@ -125,7 +129,7 @@ def integer_build() -> Section:
 
 
 def _centroid_differences() -> Values:
-    """Her integer centroids beside the sums, of the stars of a rendered picture."""
+    """Integer centroids of the thesis' method and exact sums, for the stars of a rendered picture."""
     image = Renderer(Scenario.load("xybion")).frame(0)[0].image.astype(np.int64)
     height, width = image.shape
     label, count = ndimage.label(image > _THRESHOLD_DN)
@@ -141,7 +145,7 @@ def _centroid_differences() -> Values:
 
 
 def _centre() -> list[Values]:
-    """Centre of the Vega image in integers; empty where it is not solved."""
+    """Centre of the Vega image in integers; empty if it is not solved."""
     plate = _plate(vega().xy_px)
     if plate is None:
         return []
@@ -153,14 +157,15 @@ def _centre() -> list[Values]:
 def match_floating(
     picture: Picture, tables: TriadTables, limits: TriadLimits = TriadLimits(), *, centre: bool = True
 ) -> None:
-    """Her program in floating point (or integers, by the tables), with the centre or without: to be timed."""
+    """The program of the thesis in floating point (or in integers, by tables), with or without the centre, for
+    timing."""
     best = match_triads(tables, picture.xy_px, picture.scale_deg, limits).best()
     if centre and best is not None:
         solve_plate(picture.xy_px[best.pairs[:, 0]], sub_catalog(4).sky_deg[best.pairs[:, 1]])
 
 
 def measured(export: CExport, target: Target | None, measure: Callable[[Build], float]) -> list[Values]:
-    """An export compiled for a target, and what is measured of it; nothing where its compiler is not installed."""
+    """An export compiled for a target, and its measured value; None if its compiler is not installed."""
     if target is None or target.missing() is not None:
         return []
     with tempfile.TemporaryDirectory() as folder:
@@ -190,7 +195,7 @@ def _run_time() -> Values:
 
 
 def _memory(export: CExport) -> Values:
-    """The database of enclosed angles that she foresees, and the tables that stand in for it."""
+    """The database of enclosed angles planned in the thesis, and the tables used instead."""
     tables = sub_catalog(4).tables(MAX_SEPARATION_DEG)
     database = enclosed_table(tables.sky.vectors, tables.first, tables.second)
     computed = np.stack(FixedArithmetic().catalog_enclosed(_tracker().tables.sky, *database.stars.T), axis=1)
@@ -210,7 +215,7 @@ def _memory(export: CExport) -> Values:
 
 
 def best_ms(function: Callable[[], object], times: int = 5) -> float:
-    """Least time of a call among several, milliseconds."""
+    """Minimum time of several calls, milliseconds."""
     spent = []
     for _ in range(times):
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""What integer arithmetic costs: Fig. 3.1 and its crossover, Tables 4.14 and 4.17, the Vega image in integers."""
+"""Errors of integer arithmetic: Fig. 3.1 and its crossover, Tables 4.14 and 4.17, the Vega image in integers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from startracker.fixed_point.square_root import by_pythagoras, by_tables
 from startracker.identification.triad_search import image_pairs
 
 _STEP_DEG, _LAST_DEG = 0.25, 22.5
-"""Of χ = ψ in Fig. 3.1."""
+"""Values of χ = ψ in Fig. 3.1."""
 
 
 class Crossover(NamedTuple):
-    """Errors of the two ways to a separation in integers, χ = ψ: floating point minus integers, NaN where a separation
+    """Errors of the two methods for a separation in integers, χ = ψ: floating point minus integers, NaN if a separation
     does not fit 6.10; the separations (N,) by eq. 2.4."""
 
     separation_deg: FloatArray
@@ -30,13 +30,13 @@ class Crossover(NamedTuple):
 
     @property
     def at_deg(self) -> float:
-        """The largest separation at which Pythagoras' theorem errs no more than the tables."""
+        """The largest separation at which the error by Pythagoras' theorem does not exceed that of the tables."""
         better = np.abs(self.pythagoras_deg) <= np.abs(self.tables_deg)
         return float(self.separation_deg[better].max())
 
     @property
     def largest_error_deg(self) -> float:
-        """Greatest error of the two together, Pythagoras up to `at_deg` and the tables beyond."""
+        """Largest error of the combination, Pythagoras up to `at_deg` and the tables beyond."""
         used = np.where(self.separation_deg <= self.at_deg, self.pythagoras_deg, self.tables_deg)
         return float(np.nanmax(np.abs(used)))
 
@@ -78,14 +78,14 @@ def integer_separations(picture: Picture, where: str) -> list[Values]:
     rows = []
     for row, value in zip(printed_rows(file_of(where)), coded, strict=True):
         off = abs(round(float(row["fixed_deg"]) * SEPARATION.one) - int(value))
-        why = f"{off} in the last of 10 bits; her format of the scale is not printed" if off else ""
+        why = f"{off} in the last of 10 bits; the format of the scale is not printed" if off else ""
         names = {"table": where, "star": row["star"], "other": row["other"], "texts": [row["fixed_deg"]]}
         rows.append(names | {"degrees": [float(arithmetic.separation_degrees(value))], "off": why})
     return rows
 
 
 def _matches() -> Values:
-    """The matches in integers against those that section 4.2.1 prints; 4.2.4.3 says that they are the same."""
+    """The matches in integers and those printed in section 4.2.1; 4.2.4.3 states that they are the same."""
     ours = analyse(vega(), Options(arithmetic=FixedArithmetic()))
     real = analyse(vega())
     return {

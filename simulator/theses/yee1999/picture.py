@@ -1,4 +1,4 @@
-"""One picture through the thesis' method: identification by triads, plate constants, every table on the way."""
+"""One picture solved by the thesis' method: identification by triads, plate constants, all intermediate tables."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from startracker.identification.triad_votes import GroupMatch, TriadMatch, match
 VEGA_SIZE_PX = (427, 319)
 VEGA_FOV_DEG = (9.0130, 6.9049)
 PRINTED_MATCHES = (7001, 17139, 17056, 17051, 6872)
-"""HR numbers of the Vega image's stars, section 4.2.1; 10,000 more where several catalogue stars are one."""
+"""HR numbers of the Vega image's stars, section 4.2.1; 10,000 more if several catalogue stars are combined."""
 
 MOST_STARS = 12
-"""Brightest stars that are matched (thesis section 2.3.4)."""
+"""Number of stars matched, the brightest (section 2.3.4 of the thesis)."""
 
 
 class Picture(NamedTuple):
     """Star images of one picture: centroids (N, 2), x right and y up from the image's centre, brightest first; columns
-    and rows; the field across and down, which divided by the size gives the scale (section 2.3.4)."""
+    and rows; the field across and down, from which the scale is computed by division by the size (section 2.3.4)."""
 
     xy_px: FloatArray
     size_px: tuple[int, int]
@@ -37,26 +37,26 @@ class Picture(NamedTuple):
 
     @property
     def scale_deg(self) -> tuple[float, float]:
-        """Degrees a pixel, across and down."""
+        """Degrees per pixel, across and down."""
         return self.fov_deg[0] / self.size_px[0], self.fov_deg[1] / self.size_px[1]
 
     @property
     def diagonal_deg(self) -> float:
-        """Diagonal of the field, as a plane has it."""
+        """Diagonal of the field, in plane geometry."""
         return float(np.hypot(*self.fov_deg))
 
 
 def centred(xy: ArrayLike, size_px: tuple[int, int], origin: str = "auto") -> FloatArray:
-    """Centroids (N, 2) from the image's centre with y up, whatever their origin.
+    """Centroids (N, 2) from the image's centre with y up, from any origin.
 
-    ``centre``: they are already so (Table 4.14). ``corner``: columns and rows, (0, 0) the centre of the first pixel and
-    y down, as everywhere else in this package. ``auto``: the first where a coordinate lies left of or above the corner
-    pixel.
+    ``centre``: already in this form (Table 4.14). ``corner``: columns and rows, (0, 0) the centre of the first pixel
+    and y down, as everywhere else in this package. ``auto``: ``centre`` if a coordinate is to the left of or above the
+    corner pixel.
 
     Raises
     ------
     InputError
-        Another origin; centroids outside the image.
+        For another origin, or centroids outside the image.
     """
     points = np.array(xy, dtype=float).reshape(-1, 2)
     if origin not in ("auto", "centre", "corner"):
@@ -98,10 +98,10 @@ def _printed_picture(table: str, size_px: tuple[int, int]) -> Picture:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """Every step of the identification of one picture, and its attitude.
+    """All steps of the identification of one picture, and its attitude.
 
-    The catalogue of an edition; separations, triads and groups; the group that matched three stars, and centre and
-    plate constants, None where there are none, for the reason.
+    The catalogue of an edition; separations, triads and groups; the group that matched three stars, centre and plate
+    constants (None if there are none), and the reason.
     """
 
     picture: Picture
@@ -125,7 +125,7 @@ class Analysis:
 
     @cached_property
     def triads(self) -> list[dict[str, Any]]:
-        """Each triad's HR number per image star (0 where there is none), two rotations, group from 1 (Table 4.2)."""
+        """HR number per image star (0 for none), two rotations, and group from 1 of each triad (Table 4.2)."""
         triads, number = self.match.triads, self.match.tables.id
         rotations = self.match.tables.arithmetic.angle_degrees(triads.rotations)
         rows = []
@@ -137,7 +137,7 @@ class Analysis:
 
     @cached_property
     def votes(self) -> list[list[dict[str, Any]]]:
-        """Per image star the HR numbers that it may be, how often named, and V (Tables 4.3 and 4.4)."""
+        """Candidate HR numbers per image star, their frequency, and V (Tables 4.3 and 4.4)."""
         tables, order = self.match.tables, self.match.groups()
         if self.found is None and not len(order):
             return [[] for _ in range(self.match.stars)]
@@ -152,7 +152,7 @@ class Analysis:
 
     @cached_property
     def matches(self) -> list[int | None]:
-        """HR number of each image star, None where it was not matched."""
+        """HR number of each image star, None if not matched."""
         if self.found is None:
             return [None] * self.match.stars
         return [None if vote is None else vote.number(self.match.tables) for vote in self.found.matches]
@@ -163,14 +163,14 @@ class Analysis:
         Raises
         ------
         InputError
-            Where no centre was found.
+            If no centre was found.
         """
         if self.plate is None:
             raise InputError(f"the image has no plate constants: {self.reason}")
         return self.plate.sky_deg(xy_px)
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain values, for JSON."""
+        """All results as plain values, for JSON."""
         plate = self.plate
         return {
             "status": "solved" if plate is not None else "no_match",
@@ -198,10 +198,10 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Options:
-    """What the method is run with; the defaults are those of the Vega image (section 4.2).
+    """Options of the method; the defaults are those of the Vega image (section 4.2).
 
-    The sub-catalogue; the largest separation of the pair database, or None for the field's diagonal rounded up to a
-    whole degree (hers: 12); thresholds; arithmetic, None for floating point.
+    The sub-catalogue; the maximum separation of the pair database, or None for the field's diagonal rounded up to a
+    full degree (12 in the thesis); thresholds; arithmetic, None for floating point.
     """
 
     edition: int = 4
@@ -213,12 +213,12 @@ class Options:
 
 
 def analyse(picture: Picture, options: Options | None = None) -> Analysis:
-    """Identify the stars of a picture and find its centre, as chapter 2 does.
+    """Identify the stars of a picture and find its centre, as in chapter 2.
 
     Raises
     ------
     InputError
-        An edition or a sub-catalogue that cannot be.
+        For an invalid edition or sub-catalogue.
     """
     options = options or Options()
     catalog = sub_catalog(options.edition, options.magnitude_limit, *options.dec_range_deg)
@@ -228,7 +228,7 @@ def analyse(picture: Picture, options: Options | None = None) -> Analysis:
     match = match_triads(tables, shown.xy_px, shown.scale_deg, options.limits)
     found = match.best()
     if found is None:
-        reason = f"no group of triads names three stars: {_tally(match)}"
+        reason = f"no group of triads contains three stars: {_tally(match)}"
         return Analysis(shown, catalog, options.edition, match, None, None, reason)
     try:
         plate = solve_plate(shown.xy_px[found.pairs[:, 0]], catalog.sky_deg[found.pairs[:, 1]])
@@ -243,12 +243,12 @@ def _tally(match: TriadMatch) -> str:
 
 
 def merged_name(number: int | None) -> str:
-    """An HR number as printed; "–" where there is none."""
+    """An HR number as printed; "–" for none."""
     return "–" if number is None else str(number)
 
 
 def step_tables(analysis: Analysis) -> Sequence[tuple[str, Sequence[str], list[Sequence[str]]]]:
-    """The thesis' tables of one picture: title, headings, rows (its Tables 4.1 to 4.5)."""
+    """Tables of one picture: title, headings, rows (Tables 4.1 to 4.5 of the thesis)."""
     stars, means = analysis.match.stars, [mean for _size, mean in analysis.groups]
     first, second = image_pairs(stars)
     pairs: list[Sequence[str]] = [

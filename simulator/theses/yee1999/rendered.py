@@ -1,7 +1,8 @@
-"""Frames that stand in for the thesis' pictures: rendered, found with its detector, put into its method and ours.
+"""Frames that replace the pictures of the thesis: rendered, detected by its detector, and solved by its method and
+ours.
 
-The pictures themselves are not to be had. `Shown` is what both methods see of a rendered frame: the clusters of bright
-pixels, in the thesis' order (the most pixels first) and its coordinates.
+The pictures themselves are not available. `Shown` is the input of both methods from a rendered frame: the clusters of
+bright pixels, in the order of the thesis (most pixels first) and its coordinates.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from startracker.tracker import StarTracker
 
 class Shown(NamedTuple):
     """A rendered frame and the star images found in it, most pixels first: centroids for the thesis' method, the same
-    (N, 2) as columns and rows, and the pixels (N,) of each."""
+    (N, 2) as columns and rows, and number of pixels (N,) of each."""
 
     frame: Frame
     truth: FrameTruth
@@ -35,7 +36,8 @@ class Shown(NamedTuple):
 def show(
     frame: Frame, truth: FrameTruth, detection: DetectionSettings, fov_deg: tuple[float, float], most: int = 12
 ) -> Shown:
-    """Find the star images of a frame by clustering, at most so many; `fov_deg` gives the thesis' method its scale."""
+    """Find up to a number of star images of a frame by clustering; `fov_deg` defines the scale of the thesis'
+    method."""
     image = frame.image.astype(np.float32)
     background = estimate(image, detection.background_tile_px)
     spots = find_clusters(image, background, detection, frame.saturation_dn)
@@ -54,7 +56,7 @@ def off_deg(truth: Attitude, center_deg: FloatArray) -> float:
 
 
 class SolvedFrame(NamedTuple):
-    """A rendered frame, by its number from 1, solved by the thesis' method and by the star tracker alone."""
+    """A rendered frame, by its number from 1, solved by the thesis' method and by the star tracker."""
 
     image: int
     shown: Shown
@@ -63,13 +65,13 @@ class SolvedFrame(NamedTuple):
 
     @property
     def hers_off_deg(self) -> float:
-        """Distance of her method's centre from the true boresight; NaN where it finds none."""
+        """Distance of the centre of the thesis' method from the true boresight; NaN without a centre."""
         plate = self.analysis.plate
         return math.nan if plate is None else off_deg(self.shown.truth.attitude, plate.center_deg)
 
     @property
     def ours_off_deg(self) -> float:
-        """The same of the tracker."""
+        """The same for the tracker."""
         return tracker_off_deg(self.shown.truth.attitude, self.solution)
 
     @property
@@ -88,5 +90,5 @@ def solve_shown(image: int, shown: Shown, options: Options, tracker: StarTracker
 
 
 def tracker_off_deg(truth: Attitude, solution: Solution) -> float:
-    """Angle between the true boresight and a solution's, degrees; NaN where it is not solved."""
+    """Angle between the true boresight and a solution's, degrees; NaN if it is not solved."""
     return off_deg(truth, np.array([solution.ra_deg, solution.dec_deg])) if solution.solved else math.nan

@@ -1,4 +1,4 @@
-"""The flight of OEDIPUS-C made anew: the turn of the spinning payload in ``oedipus.yaml``, rendered and followed."""
+"""The flight of OEDIPUS-C reproduced: one rotation of the spinning payload in ``oedipus.yaml``, rendered and solved."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from simulator.theses.yee1999.rendered_vega import limits_of
 from simulator.theses.yee1999.video_field import cropped_field_deg, field_deg
 
 WRONG = (22,)
-"""Images in which her program matched wrong stars (appendix D.3)."""
+"""Images in which the program of the thesis matched wrong stars (appendix D.3)."""
 FAILED = (*WRONG, 24)
-"""The same, and the image whose stars it matched correctly but whose centre then diverged from an initial estimate
-several degrees off."""
+"""The same, and the image with correctly matched stars whose centre diverged from an initial estimate off by several
+degrees."""
 PRINTED_ERROR_DEG = 0.1
 _FULL_FIELD_MM = (13.2440, 10.4396)
 _DEC_RANGE_DEG, _MAX_SEPARATION_DEG, _MOST_STARS = (50.0, 90.0), 40.0, 7
 _RIGHT_DEG = 0.5
-"""A boresight that is off by more is that of other stars: five times the error she gives."""
+"""Limit of the boresight error for correct stars: five times the error stated in the thesis."""
 
 
 def flight_frames(images: Sequence[int] | None = None) -> list[SolvedFrame]:
-    """Images of the turn in ``oedipus.yaml``, by their numbers from 1, each solved without what the others told."""
+    """Images of the rotation in ``oedipus.yaml``, by their numbers from 1, each solved independently."""
     scenario = Scenario.load("oedipus")
     runner = SequenceRunner(scenario)
     options = Options(
@@ -55,7 +55,7 @@ def flight_frames(images: Sequence[int] | None = None) -> list[SolvedFrame]:
 
 
 def section(images: Sequence[int] | None = None) -> Section:
-    """The track of the boresight over one turn (section 4.3, appendix D.3, Fig. 4.11)."""
+    """The track of the boresight over one rotation (section 4.3, appendix D.3, Fig. 4.11)."""
     frames = flight_frames(images)
     values = _values(frames) | _track(frames) | {f"image_{f.image}": partial(_image, f) for f in frames}
     drawn = figures("yee1999/rendered_flight", values)
@@ -63,7 +63,7 @@ def section(images: Sequence[int] | None = None) -> Section:
         if f"image_{image}" not in values:
             del drawn[name]
     rows = table_rows("yee1999/rendered_flight", values)
-    return Section("OEDIPUS-C made anew: a turn of the spinning payload", rows, drawn)
+    return Section("OEDIPUS-C reproduced: one rotation of the spinning payload", rows, drawn)
 
 
 def _values(frames: Sequence[SolvedFrame]) -> Values:
@@ -79,8 +79,8 @@ def _values(frames: Sequence[SolvedFrame]) -> Values:
     coordinate = math.sqrt(float(np.mean(np.square(apart))) / 2.0) if apart else math.nan
     methods = (
         (
-            hers, "images whose stars are named right, and wrong, by her method",
-            "hers are the real pictures, the tether painted over; here it stays, and the noise is assumed",
+            hers, "images with correctly and wrongly identified stars, by the thesis' method",
+            "printed: real pictures, with the tether painted over; computed: with the tether, and assumed noise",
         ),
         (
             ours, "the same by the tracker (`identifier: triads`)",
@@ -107,8 +107,8 @@ def _values(frames: Sequence[SolvedFrame]) -> Values:
 
 
 def _failed(f: SolvedFrame) -> Values:
-    """An image in which her program failed."""
-    hers = "wrong matches" if f.image in WRONG else "right matches, the centre diverged"
+    """An image in which the program of the thesis failed."""
+    hers = "wrong matches" if f.image in WRONG else "correct matches, but the centre diverged"
     if not f.solution.solved:
         return {"image": f.image, "hers": hers, "ours": "not solved", "note": f.solution.reason}
     ours = f"{len(f.solution.stars)} stars, off by {f.ours_off_deg:.3f}°"
@@ -116,12 +116,12 @@ def _failed(f: SolvedFrame) -> Values:
         "image": f.image,
         "hers": hers,
         "ours": ours,
-        "note": "another video; her program failed here; ours does not",
+        "note": "another video; the program of the thesis failed here, ours does not",
     }
 
 
 def _track(frames: Sequence[SolvedFrame]) -> Values:
-    """Declination against right ascension: printed, by her method and by the tracker."""
+    """Declination by right ascension: printed, by the thesis' method and by the tracker."""
     truth = np.array([(f.shown.truth.attitude.ra_deg, f.shown.truth.attitude.dec_deg) for f in frames])
     printed = np.array([(float(r["ra_deg"]), float(r["dec_deg"])) for r in printed_rows("table_d_2") if r["ra_deg"]])
     hers = [f.analysis.plate.center_deg for f in frames if f.analysis.plate is not None and f.hers_off_deg < _RIGHT_DEG]
@@ -142,7 +142,7 @@ def _track(frames: Sequence[SolvedFrame]) -> Values:
 
 
 def _image(flight: SolvedFrame) -> Values:
-    """A rendered image, the tracker's stars named."""
+    """A rendered image with the names of the tracker's stars."""
     named, width = flight.solution.stars, flight.shown.picture.size_px[0]
     stars = []
     for (x, y), number in zip(named.xy, named.catalog_id, strict=True):

@@ -1,4 +1,4 @@
-"""The Vega image made anew: the intensified camera of ``xybion.yaml`` rendered, from its pixels to its centre."""
+"""The Vega image reproduced: the intensified camera of ``xybion.yaml`` rendered, from its pixels to its centre."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from simulator.theses.yee1999.rendered import SolvedFrame, show, solve_shown
 from startracker.identification.triad_search import TriadLimits
 
 PRINTED_ERROR_DEG = 0.02
-"""± of the centre, as she reckons it from the residuals."""
+"""Uncertainty of the centre, as estimated in the thesis from the residuals."""
 _FRAMES = 12
 
 
 def vega_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[SolvedFrame]:
-    """Frames of ``xybion.yaml``, each with noise of its own, found, identified and measured.
+    """Frames of ``xybion.yaml`` with independent noise, detected, identified and solved.
 
-    The thresholds of another scenario are taken for both methods.
+    The thresholds of another scenario are used for both methods.
     """
     scenario = scenario or Scenario.load("xybion")
     renderer, settings = Renderer(scenario), scenario.tracker
@@ -35,7 +35,7 @@ def vega_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list
 
 
 def limits_of(scenario: Scenario) -> TriadLimits:
-    """Thresholds of the thesis' method as a scenario's tracker has them; τ is the clustering's."""
+    """Thresholds of the thesis' method from a scenario's tracker; τ is that of the clustering."""
     chosen, tau = scenario.tracker.identification, scenario.tracker.detection.cluster_radius_px
     plain = TriadLimits()
     return TriadLimits(
@@ -53,7 +53,7 @@ def section(frames: int = _FRAMES) -> Section:
     seen = vega_frames(frames)
     first = seen[0]
     identified = [number for number in first.analysis.matches if number is not None]
-    methods = ("her method", "the tracker (`identifier: triads`)")
+    methods = ("method of the thesis", "the tracker (`identifier: triads`)")
     off = np.array([frame.off_deg for frame in seen]).T
     values = {
         "found": len(first.shown.pixels),
@@ -63,7 +63,7 @@ def section(frames: int = _FRAMES) -> Section:
         "printed": len(PRINTED_MATCHES),
         "errors": [{"method": method} | _errors(off_deg) for method, off_deg in zip(methods, off, strict=True)],
     }
-    title = "The Vega image made anew: from the pixels of the rendered camera to the centre"
+    title = "The Vega image reproduced: from the pixels of the rendered camera to the centre"
     return section_of("yee1999/rendered_vega", title, values | _clusters(first) | _centres(seen))
 
 
@@ -74,7 +74,7 @@ def _errors(off_deg: FloatArray) -> Values:
 
 
 def _clusters(vega: SolvedFrame) -> Values:
-    """The frame with its clusters numbered by their pixels, and the HR number of those that were matched."""
+    """The frame with its clusters numbered by size, and the HR numbers of matched ones."""
     clusters = []
     for number, ((x, y), match) in enumerate(zip(vega.shown.xy, vega.analysis.matches, strict=True), start=1):
         shift, align = (-11, "right") if x > 0.75 * vega.shown.picture.size_px[0] else (11, "left")
@@ -85,7 +85,7 @@ def _clusters(vega: SolvedFrame) -> Values:
 
 
 def _centres(frames: Sequence[SolvedFrame]) -> Values:
-    """Where the centres lie about the true one, arcseconds, by her method and by the tracker."""
+    """Errors of the centres, arcseconds, by the thesis' method and by the tracker."""
     truth = frames[0].shown.truth.attitude
     methods = []
     for centres in (

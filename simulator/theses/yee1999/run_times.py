@@ -1,9 +1,9 @@
-"""Run times: Tables 4.21 and C.1 to C.6, and her version B on an emulated 68k.
+"""Run times: Tables 4.21 and C.1 to C.6, and version B on an emulated 68k.
 
-Version B is the fixed-point program without the test of enclosed angles and with room for as many stars as the image
-has. Hers finds the stars in the image as well and has no attitude; ours begins with the centroids and ends with the
-attitude of the largest group, verified. Both images have the same size, so that the difference of their times leaves
-the search for stars in the image out.
+Version B is the fixed-point program without the test of enclosed angles and with memory for the stars of the image
+only. That of the thesis also detects the stars in the image and has no attitude; ours starts with the centroids and
+ends with the verified attitude of the largest group. Both images have the same size, so that the difference of their
+times excludes the search for stars in the image.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from startracker.identification.triad_search import TriadLimits
 
 _B = TriadLimits(enclosed_tolerance_deg=None)
 _CLOCKS = 25e6
-"""A second, of her MC68EN360RC25C."""
+"""Clock rate of the MC68EN360RC25C of the thesis."""
 _REPETITIONS = 100
 _NAMES = {
     "floating, centre": "floating point, with the centre",
@@ -51,7 +51,7 @@ _WHERE = {
 
 
 def version_b(picture: Picture) -> CExport:
-    """Her version B of one image in C: room for its stars alone, the largest group alone."""
+    """Version B of one image in C: only with memory for its stars, only the largest group."""
     return export_c(integer_tracker(picture), _B, len(picture.xy_px), MAX_TRIADS, 1)
 
 
@@ -62,7 +62,7 @@ def run_times() -> Section:
 
 
 def _trials() -> list[Values]:
-    """Her averages and run times out of her ten trials."""
+    """Averages and run times of the ten printed trials."""
     rows = []
     for row in printed_rows("tables_c"):
         mean = float(np.mean([float(row[f"trial_{n}"]) for n in range(1, 11)]))
@@ -72,7 +72,7 @@ def _trials() -> list[Values]:
 
 
 def _here() -> Values:
-    """Table 4.21 on this machine: the Pentium II and its compilers are not to be had."""
+    """Table 4.21 on this machine: the Pentium II and its compilers are not available."""
     picture, stars = deneb(), sub_catalog(4)
     real = stars.tables(MAX_SEPARATION_DEG)
     coded = stars.tables(MAX_SEPARATION_DEG, FixedArithmetic())
@@ -102,7 +102,7 @@ def _emulated() -> Values:
         for where, (name, spent) in zip(("Table C.3", "Table C.6"), seconds.items(), strict=True)
     ]
     between = _million(seconds["Deneb"] - seconds["Vega"])
-    rows.append({"where": "Tables C.3, C.6", "what": "Deneb less Vega", "clocks": between})
+    rows.append({"where": "Tables C.3, C.6", "what": "Deneb minus Vega", "clocks": between})
     missing = M68K.missing()
     if missing is not None:
         return {"not_emulated": [row | {"missing": missing} for row in rows], "emulated": [], "builds": []}
@@ -114,9 +114,10 @@ def _emulated() -> Values:
     vega_count, deneb_count = (values["measured"] for values in builds)
     counts = [vega_count, deneb_count, deneb_count - vega_count]
     how = (
-        "instructions of a CPU32, emulated, from the centroids to a verified attitude; hers from the image to the names"
+        "instructions of an emulated CPU32, from the centroids to a verified attitude; in the thesis from the image "
+        "to the names"
     )
-    less = "84 triangles in place of 10; neither counts the search for stars in the image, which is the same in both"
+    less = "84 triangles instead of 10; neither includes the search for stars in the image, which is the same in both"
     emulated = [
         row | {"millions": count / 1e6, "how": text}
         for row, count, text in zip(rows, counts, (how, how, less), strict=True)

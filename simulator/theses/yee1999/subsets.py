@@ -1,11 +1,11 @@
 """An open question of the thesis: is the mean of the attitudes of all three-star subsets better than one fit to all?
 
-Section 5.2 asks it, after Beattie et al., who averaged. It has an answer without any simulation: the least-squares fit
-of n linear equations *is* a mean of the solutions of all subsets of as many equations as there are unknowns, each
-weighted by its squared determinant (Jacobi 1841, Journal für die reine und angewandte Mathematik 22, 285). Here a
-subset's determinant is twice the area of its triangle: the plain mean trusts a needle of three stars as much as a wide
-triangle, the one fit weighs them by the square of their areas. By Gauss and Markov nothing linear and unbiased does
-better than the fit while all stars are measured equally well.
+Section 5.2 asks this question, after Beattie et al., who averaged. It can be answered without a simulation: the
+least-squares fit of n linear equations *is* a mean of the solutions of all subsets of as many equations as there are
+unknowns, each weighted by its squared determinant (Jacobi 1841, Journal für die reine und angewandte Mathematik 22,
+285). Here a subset's determinant is twice the area of its triangle: the plain mean gives a narrow triangle the same
+weight as a wide one, the single fit weights them by the square of their areas. By the Gauss–Markov theorem no linear
+unbiased estimator is better than the fit if all stars have the same error.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _SEED = 1999
 
 
 class Subsets(NamedTuple):
-    """Centres (S, 2) of all three-star subsets that could be solved, right ascension and declination, the areas (S,) of
-    their triangles in the image, and the centre (2,) of the one fit."""
+    """Centres (S, 2) of all solved three-star subsets, right ascension and declination, areas (S,) of their triangles
+    in the image, and the centre (2,) of the single fit."""
 
     stars: IntArray
     center_deg: FloatArray
@@ -45,26 +45,26 @@ class Subsets(NamedTuple):
         return np.asarray(self.fit_deg + (weight @ offset) / weight.sum())
 
     def off_arcsec(self, center_deg: ArrayLike) -> float:
-        """Angle between a centre and the one fit; small angles, arcseconds."""
+        """Angle between a centre and that of the single fit; small angles, arcseconds."""
         step = (np.asarray(center_deg) - self.fit_deg + 180.0) % 360.0 - 180.0
         return float(3600.0 * np.hypot(step[0] * np.cos(np.radians(self.fit_deg[1])), step[1]))
 
 
 def triangle_areas(xy: ArrayLike, stars: IntArray) -> FloatArray:
-    """Areas (S,) of the triangles that stars (S, 3) make of points (N, 2)."""
+    """Areas (S,) of the triangles of stars (S, 3) with positions (N, 2)."""
     a, b, c = (np.asarray(xy, dtype=float)[stars[:, k]] for k in range(3))
     u, v = b - a, c - a
     return np.asarray(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
 
 
 def subset_centers(xy: ArrayLike, sky_deg: ArrayLike) -> Subsets:
-    """Plate constants of every three stars, and of all, from their centroids (N, 2) about the centre of the image and
-    right ascensions and declinations (N, 2); subsets in a line are left out.
+    """Plate constants of all subsets of three stars, and of all stars, from centroids (N, 2) relative to the centre of
+    the image and right ascensions and declinations (N, 2); collinear subsets are excluded.
 
     Raises
     ------
     InputError
-        What `solve_plate` says of all stars.
+        As `solve_plate` for all stars.
     """
     image, sky = np.asarray(xy, dtype=float), np.asarray(sky_deg, dtype=float)
     fit = solve_plate(image, sky, tolerance_deg=1e-9)
@@ -88,7 +88,7 @@ def three_star_subsets(analysis: Analysis | None = None) -> Section:
     ]
     values = {"vega": _vega_values(analysis or analyse(vega())), "fields": fields}
     curves = {"stars": list(errors), "rms": np.array(list(errors.values())).T}
-    return section_of("yee1999/subsets", "Three stars at a time, or all at once", values | curves)
+    return section_of("yee1999/subsets", "Three stars at a time, or all together", values | curves)
 
 
 def _vega_values(found: Analysis) -> list[Values]:
@@ -115,11 +115,12 @@ def mean_errors(
 ) -> dict[int, FloatArray]:
     """Root mean square errors of the centre, arcseconds, over random fields of the Vega camera.
 
-    Stars lie anywhere on the image; centroids have normal errors. Near its zero the projection is linear, and one step
-    of plate constants about the true centre is all there is to iterate: subsets are solved as linear equations there.
+    Stars are uniform over the image; centroids have normal errors. Near the tangent point the projection is linear, so
+    that a single step of plate constants about the true centre is sufficient: subsets are solved as linear equations.
 
-    Returns a row by number of stars, (5,): of plate constants one fit, plain mean of all three-star subsets, their mean
-    weighted by squared area; of shift and rotation alone, the scale being known, one fit and plain mean.
+    Returns a row by number of stars, (5,): with plate constants the single fit, the plain mean of all three-star
+    subsets, and their mean weighted by squared area; with shift and rotation only (known scale) the single fit and the
+    plain mean.
     """
     rng = np.random.default_rng(_SEED)
     scale = 3600.0 * np.array(VEGA_FOV_DEG) / VEGA_SIZE_PX
@@ -147,7 +148,7 @@ def mean_errors(
 def _rigid_centers(xy: FloatArray, shift: FloatArray) -> FloatArray:
     """Shift of the origin (S, 2) by least squares of a small rotation and shift, for sets of stars (S, K, 2).
 
-    shift = c + ω (−y, x): with means taken off, ω = Σ (x Δy − y Δx) / Σ (x² + y²) and c = mean shift − ω (−ȳ, x̄).
+    shift = c + ω (−y, x): with means subtracted, ω = Σ (x Δy − y Δx) / Σ (x² + y²) and c = mean shift − ω (−ȳ, x̄).
     """
     middle, mean = xy.mean(axis=1), shift.mean(axis=1)
     p, d = xy - middle[:, None], shift - mean[:, None]

@@ -1,9 +1,10 @@
-"""The thresholds of triads swept on rendered frames: the parameter study that the thesis does by hand for one image.
+"""Sweep of the thresholds of triads on rendered frames: the parameter study that the thesis makes manually for one
+image.
 
-Each frame is one of ``xybion.yaml``'s camera at a random attitude within the thesis' sub-catalogue, its gain turned
-up so that the faintest stars of that (V = 6) show: other fields have no Vega. Its brightest centroids go to the thesis'
-method, which takes the largest group of triads as it is, and to the tracker with ``identifier: triads``, which believes
-a group only where chance cannot explain it.
+Each frame is one of ``xybion.yaml``'s camera at a random attitude within the thesis' sub-catalogue, with a gain that
+makes its faintest stars (V = 6) detectable, as other fields do not contain Vega. Its brightest centroids are passed to
+the thesis' method, which uses the largest group of triads, and to the tracker with ``identifier: triads``, which
+accepts a group only if it is not explained by chance.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RIGHT_DEG = 0.1
-"""A centre that is off by more is wrong: five times the thesis' ± 0.02°."""
+"""Error above which a centre is wrong: five times the ± 0.02° of the thesis."""
 _DEC_DEG = (38.0, 82.0)
-"""Declinations of the frames: those whose field is within the sub-catalogue's 30° to 90°."""
+"""Declinations of the frames, whose fields are within the 30° to 90° of the sub-catalogue."""
 _FRAMES = 20
 _MOST_STARS = 7
 _GAIN_E_PER_DN = 150.0
@@ -43,7 +44,7 @@ _METHODS = ("thesis' method", "tracker, identifier: triads")
 
 
 class _Threshold(NamedTuple):
-    """A parameter: its name in both methods, its label and the values tried; the printed one is `printed`."""
+    """A parameter: name in both methods, label and values; `printed` is that of the thesis."""
 
     name: str
     label: str
@@ -59,8 +60,8 @@ THRESHOLDS = (
 
 
 class Outcome(NamedTuple):
-    """What became of the frames at one value of one threshold, the others as in the scenario: those whose centre is
-    right, and wrong, of all; the rest gave no answer."""
+    """Results for one value of a threshold, with the others as in the scenario: frames with correct and wrong centres,
+    and total; the others are not solved."""
 
     method: str
     threshold: str
@@ -88,7 +89,7 @@ def sky_frames(frames: int = _FRAMES, scenario: Scenario | None = None) -> list[
 def sweep(
     shown: Sequence[Shown], scenario: Scenario | None = None, thresholds: Sequence[_Threshold] = THRESHOLDS
 ) -> list[Outcome]:
-    """Success and wrong answers against each threshold, the others as in the scenario, on what `sky_frames` gives."""
+    """Correct and wrong results by threshold, with the others as in the scenario, for the frames of `sky_frames`."""
     scenario = scenario or Scenario.load("xybion")
     tracker = _tracker(scenario, shown[0].frame.camera)
     out = []
@@ -119,10 +120,10 @@ def _tracker(scenario: Scenario, camera: Camera) -> StarTracker:
 def _solvers(
     scenario: Scenario, change: dict[str, Any], tracker: StarTracker
 ) -> tuple[Callable[[Shown], float], Callable[[Shown], float]]:
-    """Distance of the centre from the truth, degrees, NaN without an answer: by the thesis' method, by the tracker."""
+    """Error of the centre, degrees, NaN if not solved: by the thesis' method, by the tracker."""
     section = scenario.tracker
     options = Options(edition=5, magnitude_limit=section.magnitude_limit, limits=replace(limits_of(scenario), **change))
-    changed = copy(tracker)  # with the guide stars and their tables, which no threshold changes
+    changed = copy(tracker)  # including guide stars and tables, which do not depend on thresholds
     changed.identification = replace(tracker.identification, **change)
 
     def hers(one: Shown) -> float:
@@ -137,7 +138,7 @@ def _solvers(
 
 
 def section(frames: int = _FRAMES) -> Section:
-    """Thresholds against success and wrong matches (section 4.2.1 sets them by trial for one image)."""
+    """Correct and wrong matches by threshold (section 4.2.1 sets them by trial and error for one image)."""
     outcomes = sweep(sky_frames(frames))
     values = []
     for threshold in THRESHOLDS:
@@ -154,7 +155,7 @@ def section(frames: int = _FRAMES) -> Section:
 
 
 def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:
-    """Share of frames right (above) and wrong (below) against each threshold; bars: 95 % intervals (Wilson)."""
+    """Fraction of frames correct (top) and wrong (bottom) by threshold; bars: 95 % intervals (Wilson)."""
     above, below = ([_panel(outcomes, threshold, what) for threshold in THRESHOLDS] for what in ("right", "wrong"))
     return draw("yee1999/threshold_sweep/threshold_sweep", {"panels": above + below})
 

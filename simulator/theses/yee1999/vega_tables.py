@@ -1,4 +1,4 @@
-"""The Vega image: Tables 4.1 to 4.5 as printed beside what comes out (thesis section 4.2.1)."""
+"""The Vega image: Tables 4.1 to 4.5 as printed and recomputed (section 4.2.1 of the thesis)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _database_values(found: Analysis) -> Values:
 
 
 def _closed_triangles(first: np.ndarray, second: np.ndarray, stars: int) -> int:
-    """Triangles whose three sides are all among the pairs: trace(A³)/6 of the graph they make."""
+    """Triangles whose three sides are all among the pairs: trace(A³)/6 of their graph."""
     from scipy.sparse import coo_array
 
     link = coo_array((np.ones(len(first), dtype=np.int64), (first, second)), shape=(stars, stars)).tocsr()
@@ -60,7 +60,7 @@ def _closed_triangles(first: np.ndarray, second: np.ndarray, stars: int) -> int:
 
 
 def separation_rows(found: Analysis, where: str, centroids: str) -> list[Row]:
-    """Separations of the image stars and how many catalogue pairs have each (Tables 4.1, 4.6, 4.11)."""
+    """Separations of the image stars and number of catalogue pairs for each (Tables 4.1, 4.6, 4.11)."""
     pairs = [
         {"star": row["star"], "other": row["other"], "texts": [row["separation_deg"]], "degrees": [degrees],
          "printed": row["pairs"], "count": count}
@@ -98,8 +98,8 @@ def _triad_values(found: Analysis) -> Values:
 
 
 def vote_rows(found: Analysis, where: str) -> list[Row]:
-    """HR numbers that each image star may be, and how often they are named (Tables 4.4, 4.9)."""
-    combined = f"{COMBINED_ID:,} more than the brightest's number: stars that are one"
+    """Candidate HR numbers of each image star, and their frequency (Tables 4.4, 4.9)."""
+    combined = f"{COMBINED_ID:,} more than the number of the brightest: combined stars"
     rows = []
     for star, members in groupby(printed_rows(file_of(where)), key=lambda row: row["star"]):
         theirs = [(int(row["hr"]), int(row["frequency"]), row["v_mag"]) for row in members]
@@ -111,7 +111,7 @@ def vote_rows(found: Analysis, where: str) -> list[Row]:
 
 
 def _enclosed_values(found: Analysis) -> Values:
-    """What the enclosed-angle test is worth, which the thesis doubts."""
+    """Benefit of the enclosed-angle test, which the thesis doubts."""
     match = found.match
     without = match_triads(
         match.tables, found.picture.xy_px, match.scale_deg, replace(match.limits, enclosed_tolerance_deg=None)
@@ -149,18 +149,18 @@ def attitude_rows(found: Analysis, where: str, section: str, centre: tuple[str, 
 
 
 def picture_figures(found: Analysis, image: str, rotations: str = "") -> dict[str, Callable[[], Figure]]:
-    """An image with its matches and, where that is named, the rotations of its triads."""
+    """An image with its matches and, optionally, the rotations of its triads."""
     plan = "yee1999/vega_tables"
     drawn: dict[str, Callable[[], Figure]] = {image: lambda: draw(f"{plan}/image", _image(found))}
     return drawn | ({rotations: lambda: draw(f"{plan}/rotations", _rotations(found))} if rotations else {})
 
 
 def _image(found: Analysis) -> Values:
-    """The image stars, the catalogue around them, what was matched, from the centroids."""
+    """Image stars, surrounding catalogue stars and matches, from the centroids."""
     half_px = np.array(found.picture.size_px) / 2.0
     catalog = []
     if found.plate is not None:
-        # the plate constants map half of the sky: stars near the centre alone
+        # plate constants map half of the sky: only stars near the centre
         directions = radec_to_direction(*np.radians(found.catalog.sky_deg).T)
         near = np.flatnonzero(directions @ radec_to_direction(*np.radians(found.plate.center_deg)) > 0.8)
         xy = found.plate.image_xy(found.catalog.sky_deg[near])
@@ -174,7 +174,7 @@ def _image(found: Analysis) -> Values:
 
 
 def _rotations(found: Analysis) -> Values:
-    """Table 4.2 as a picture: the two rotations of every triad, by group, and the largest group of them."""
+    """Table 4.2 as a figure: the two rotations of every triad by group, and the largest group."""
     largest = max(range(len(found.groups)), key=lambda g: found.groups[g][0], default=-1)
     triads = [{"x": row["rotations_deg"], "y": [row["group"]] * 2, "group": row["group"] - 1} for row in found.triads]
     groups = [

@@ -18,7 +18,7 @@ _TAU_PX = 15.0
 
 
 def field_deg(width_mm: float, height_mm: float) -> tuple[float, float]:
-    """Field across and down, degrees: eq. D.1 between the middles of opposite edges."""
+    """Field across and down, degrees: eq. D.1 between the midpoints of opposite edges."""
     arithmetic = FloatArithmetic(exact=True)
     x, y = width_mm / 2.0, height_mm / 2.0
     # a millimetre at the centre is 1/f radians
@@ -28,7 +28,7 @@ def field_deg(width_mm: float, height_mm: float) -> tuple[float, float]:
 
 
 def cropped_field_deg(field: tuple[float, float]) -> tuple[float, float]:
-    """Field of what was digitized: in proportion to the pixels, as she took it."""
+    """Field of the digitised part, in proportion to the pixels as in the thesis."""
     across, down = (f * have / full for f, have, full in zip(field, DIGITIZED_PX, PIXELS, strict=True))
     return across, down
 
@@ -76,7 +76,7 @@ def _table_d_1(stars: SubCatalog) -> list[Values]:
 
 
 def _differences(stars: SubCatalog) -> Values:
-    """Difference against true separation, and what the cropped field leaves of it."""
+    """Difference by true separation, and the remainder in the cropped field."""
     true = np.array(database_separations(stars))
     seen = np.array([float(row["calculated_deg"]) for row in printed_rows("table_d_1")])
     slope = float(true @ (true - seen) / (true @ true))

@@ -1,0 +1,84 @@
+"""The public Python names, in the order of the API's pages: module, name and the group they stand in."""
+
+from __future__ import annotations
+
+GROUPS = {
+    "Simulation": [
+        "simulator.Scenario",
+        "simulator.render",
+        "simulator.Renderer",
+        "simulator.Frame",
+        "simulator.FrameTruth",
+        "simulator.run",
+        "simulator.Study",
+        "simulator.study.sequence.run.run_sequence",
+    ],
+    "Solving": [
+        "startracker.StarTracker",
+        "startracker.Solution",
+        "startracker.Status",
+        "startracker.MatchedStars",
+        "startracker.Step",
+        "startracker.solve_unknown_fov",
+        "startracker.read_image",
+        "startracker.LoadedImage",
+        "startracker.sample_photo",
+        "startracker.wcs_header",
+    ],
+    "Camera, attitude, sky": [
+        "startracker.Camera",
+        "startracker.Distortion",
+        "startracker.Attitude",
+        "startracker.Observer",
+        "startracker.StarCatalog",
+        "startracker.load_catalog",
+    ],
+    "Tracking": [
+        "startracker.TrackingSession",
+        "startracker.TrackingState",
+        "startracker.Mekf",
+        "startracker.RateNoise",
+        "startracker.GyroNoise",
+    ],
+    "Calibration": [
+        "startracker.calibrate",
+        "startracker.Calibration",
+        "startracker.StarField",
+        "startracker.detection.find_bad_pixels",
+        "startracker.detection.mask_pixels",
+        "startracker.centroid.effective_psf.build_effective_psf",
+    ],
+    "Settings": [
+        "startracker.DetectionSettings",
+        "startracker.CentroidSettings",
+        "startracker.IdentificationSettings",
+        "startracker.AdaptiveSettings",
+        "startracker.MatchGroupSettings",
+        "startracker.PatternHashSettings",
+        "startracker.PyramidSettings",
+        "startracker.TriadSettings",
+        "startracker.TrackingSettings",
+    ],
+    "Integers": [
+        "startracker.identification.integer_solution.IntegerCamera",
+        "startracker.identification.integer_solution.IntegerTracker",
+        "startracker.identification.integer_solution.solve_integers",
+    ],
+    "For plug-ins": [
+        "startracker.detection.Spots",
+        "startracker.detection.Background",
+    ],
+    "Errors": [
+        "startracker.BoresightError",
+        "startracker.InputError",
+    ],
+}
+"""Title of a group to dotted names. A public name that is missing here fails a test."""
+
+NOT_DOCUMENTED = {"startracker.__version__": "a string, the version"}
+"""Public names without a page, and why."""
+
+
+def documented() -> list[str]:
+    """Every dotted name that has a page."""
+    return [name for names in GROUPS.values() for name in names]

@@ -1,0 +1,61 @@
+"""Groups of commands that suggest what was meant, and mistakes in the use of a command as one line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+__all__ = ["SuggestingGroup", "usage_error_line"]
+
+_ORDER = ("run", "render", "sweep", "study", "solve", "calibrate", "report", "compare", "validate", "show", "schema")
+"""Of the commands in help; others follow as they were registered."""
+
+
+class SuggestingGroup(TyperGroup):
+    """A group whose help lists commands in the order of their use, and which suggests the nearest known name."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of help."""
+        names = list(self.commands)
+        return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; Ctrl-C ends it with one line and status 130."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("boresight: interrupted", file=sys.stderr)
+            raise typer.Exit(130) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of a name."""
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            close = difflib.get_close_matches(args[0], self.commands, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.list_commands(ctx))}"
+            kind = "command" if ctx.parent is None else "study"
+            ctx.fail(f"'{args[0]}' is no {kind}; {hint}")
+        return super().resolve_command(ctx, args)
+
+
+def _plain_number(match: re.Match[str]) -> str:
+    return "must be a whole number" if match[1] == "integer" else "must be a number"
+
+
+def usage_error_line(error: typer.TyperException) -> str:
+    """One line for a wrong command, option or argument, with the command whose help says more."""
+    context = getattr(error, "ctx", None)
+    command = "boresight" if context is None else context.command_path
+    option = getattr(error, "option_name", "")
+    possible = getattr(error, "possibilities", None)
+    if option and possible is not None:
+        best = difflib.get_close_matches(option, possible, n=1) or sorted(possible)[:1]
+        text = f"{option}: no such option" + (f"; did you mean '{best[0]}'?" if best else "")
+    else:
+        text = error.format_message() if hasattr(error, "format_message") else str(error)
+        text = re.sub(r"Input should be a valid (integer|number), unable to parse .*", _plain_number, text)
+    return f"{command}: {' '.join(text.split())} (see {command} --help)"

@@ -1,0 +1,72 @@
+"""What callers give as an image: an array, or an object that has one, such as a frame of the simulator."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from startracker.errors import InputError
+from startracker.observer import Observer, observer_of
+
+__all__ = ["GivenImage", "given_image"]
+
+
+class GivenImage(NamedTuple):
+    """An image and what is known of it; None where nothing is.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        Pixels as given, not yet checked.
+    observer : Observer, optional
+        Epoch, position and velocity at mid-exposure.
+    saturation_dn, gain_e_per_dn : float, optional
+        Of the detector.
+    exposure_s : float, optional
+        Exposure time.
+    """
+
+    image: Any
+    observer: Observer | None = None
+    saturation_dn: float | None = None
+    gain_e_per_dn: float | None = None
+    exposure_s: float | None = None
+
+
+def given_image(
+    image: Any,
+    observer: Observer | None = None,
+    time: Any = None,
+    saturation_dn: float | None = None,
+    gain_e_per_dn: float | None = None,
+) -> GivenImage:
+    """Image with what its own attributes say of it; arguments take precedence over these.
+
+    Parameters
+    ----------
+    image : array_like, or an object with the attribute `image`
+        Of an object, the attributes `observer`, `saturation_dn`, `gain_e_per_dn` and `exposure_s` are read if it has
+        them: those of a frame of the simulator, or of `startracker.LoadedImage`.
+    observer, time, saturation_dn, gain_e_per_dn
+        As in `StarTracker.solve`.
+
+    Raises
+    ------
+    InputError
+        For an observer of another type, or both an observer and a time.
+    """
+    if observer is not None and not isinstance(observer, Observer):
+        raise InputError(
+            f"observer must be a startracker.Observer(epoch, velocity_km_s, position_au); got {type(observer).__name__}"
+        )
+    observer = observer_of(observer, time)
+    if not hasattr(image, "image") or isinstance(image, np.ndarray):
+        return GivenImage(image, observer, saturation_dn, gain_e_per_dn)
+    return GivenImage(
+        image.image,
+        getattr(image, "observer", None) if observer is None else observer,
+        getattr(image, "saturation_dn", None) if saturation_dn is None else saturation_dn,
+        getattr(image, "gain_e_per_dn", None) if gain_e_per_dn is None else gain_e_per_dn,
+        getattr(image, "exposure_s", None),
+    )
