@@ -93,7 +93,7 @@ def _print(study: Study, folder: Path, console: Console) -> None:
         f"(95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
     )
     console.print(
-        f"{summary['trials_per_second']:.1f} trials a second on {summary['workers']} process"
+        f"{summary['trials_per_second']:.1f} trials per second on {summary['workers']} process"
         + ("es" if summary["workers"] > 1 else "")
     )
     for status, count in summary["unsolved_by_status"].items():
