@@ -77,7 +77,7 @@ class Exposure:
         return self.start_s + 0.5 * self.duration_s
 
     def electrons(self, rate_e_s: FloatArray) -> FloatArray:
-        """Electrons of light that stands still, from electrons per second; any shape, a new array."""
+        """Electrons of static light, from electrons per second; any shape, a new array."""
         return np.multiply(rate_e_s, self.duration_s)
 
     def paths(

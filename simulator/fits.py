@@ -186,7 +186,7 @@ def read_fits(path: str | Path) -> Frame:
         raise InputError(f"{path}: is not a frame of boresight render (no CAM_FX in its header)")
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.size == 0 or image.dtype.kind not in "uif":
         shape = "none" if image is None else f"an array of shape {np.shape(image)}"
-        raise InputError(f"{path}: its image is {shape}, not rows and columns of pixels; get the file anew")
+        raise InputError(f"{path}: its image is {shape}, not rows and columns of pixels; use an intact copy")
     cards = _Cards(path, header)
     velocity, position = (cards.vector(key, "XYZ") if f"{key}X" in header else None for key in ("OBS_V", "OBS_P"))
     prior = cards.vector("PRI_Q", "XYZW") if "PRI_QX" in header else None
@@ -254,12 +254,12 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
                 image = units[0].data
     except Exception as error:  # astropy may raise anything while parsing
         text = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: is damaged, truncated, or not a FITS file ({text}); get it anew") from error
+        raise InputError(f"{path}: is damaged, truncated, or not a FITS file ({text}); use an intact copy") from error
     if failed := [str(w.message) for w in caught if _CHECKSUM_FAILED.search(str(w.message))]:
         what = "image" if any("Datasum" in text for text in failed) else "header"
         raise InputError(
-            f"{path}: its {what} does not match its checksum, so it was damaged or edited; get it anew, or remove the "
-            "cards CHECKSUM and DATASUM to read it as it is"
+            f"{path}: its {what} does not match its checksum, so it was damaged or edited; use an intact copy, or "
+            "remove the cards CHECKSUM and DATASUM to read it as it is"
         )
     return header, image
 
@@ -272,7 +272,7 @@ class _Cards:
 
     def _value(self, key: str) -> Any:
         if key not in self.header:
-            raise InputError(f"{self.path}: {key} is missing from its header; get the file anew")
+            raise InputError(f"{self.path}: {key} is missing from its header; use an intact copy")
         return self.header[key]
 
     def number(self, key: str, least: float = -math.inf, most: float = math.inf) -> float:

@@ -216,7 +216,7 @@ class AnyIdentificationSettings(IdentificationSettings):
     and the centroid errors. Greyling 1995: 0.2°."""
     magnitude_tolerance: float = 2.0
     """`adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
-    zero point is taken off."""
+    zero point is subtracted."""
     max_stars: int | None = None
     """`match_groups`, `pyramid` and triads: number of stars used, the brightest; None: 8, 30 and 12, respectively."""
     group_threshold: int = 5

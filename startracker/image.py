@@ -198,7 +198,7 @@ def _read_picture(file: Path, data: bytes, upright: bool) -> LoadedImage:
         raise InputError(f"{file}: has too many pixels; crop or bin it") from error
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{file}: is damaged or truncated ({text}); get it anew") from error
+        raise InputError(f"{file}: is damaged or truncated ({text}); use an intact copy") from error
     if orientation in _TURNS:
         if upright and not turned:
             array = _TURNS[orientation](array)
@@ -289,7 +289,7 @@ def _read_fits(file: Path) -> LoadedImage:
         raise
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{file}: is not a readable FITS file ({text}); get it anew") from error
+        raise InputError(f"{file}: is not a readable FITS file ({text}); use an intact copy") from error
     array = np.squeeze(array)
     notes: tuple[str, ...] = ()
     if array.ndim == 3 and array.shape[0] in (2, 3, 4):  # planes of colour come first in FITS

@@ -74,7 +74,7 @@ def star_tint(shape: tuple[int, int], xy: FloatArray, flux: FloatArray, b_v: Flo
     Returns
     -------
     float32 array, shape (H, W, 3)
-        1 where there is no star.
+        1 without a star.
     """
     total = np.zeros((*shape, 4), np.float32)
     order = np.argsort(-flux, kind="stable")[:_MOST_STARS]

@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture
 def timed(benchmark):
-    """Times a function on arguments made anew for each round: `timed(function, make, rounds)`; the last result."""
+    """Times a function on new arguments for each round: `timed(function, make, rounds)`; the last result."""
 
     def run(function, make, rounds, warm=2):
         count = iter(range(rounds + warm + 1))

@@ -12,8 +12,8 @@ from benchmarks.speed.workload import SIZES, STARS
 
 NOTES = [
     "Times are those of the processor, one core, kernels compiled: the median of the rounds. Starting up, two cores",
-    "and trials a second are by the clock. `python -m benchmarks.speed` (or `make bench`) writes this page; what each",
-    "number is measured on stands in `benchmarks/speed/`.",
+    "and trials per second are by the clock. `python -m benchmarks.speed` (or `make bench`) writes this page; what",
+    "each number is measured on stands in `benchmarks/speed/`.",
 ]
 SIZED = ("render", "detect", "centroid", "trial")
 UNSIZED = ("scene", "identify", "estimate", "track")
@@ -82,7 +82,7 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
         small = timings["small_trial"]
         each = small.ms / small.extra["trials"]
         row(f"whole trial, 512², lost in space, row kept ({small.extra['solved']:.1%} solved)", each, 3.0, "ms")
-        row("trials a second and core", 1e3 / each, 300.0, "/s", least=True)
+        row("trials per second and core", 1e3 / each, 300.0, "/s", least=True)
     timed("identification, lost in space, 10°, V ≤ 6: median", "identification", 0.3)
     if "identification" in timings:
         row("its 99th percentile", float(np.percentile(timings["identification"].rounds, 99)), 3.0, "ms")

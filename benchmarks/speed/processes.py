@@ -40,7 +40,7 @@ print(json.dumps({"megabytes": most / 1024}))
 
 
 def measure() -> dict[str, float]:
-    """Seconds (the best of a few starts), trials a second and megabytes."""
+    """Seconds (the best of a few starts), trials per second and megabytes."""
     python = [sys.executable, "-c"]
     command = [sys.executable, "-m", "simulator.cli"]
     with tempfile.TemporaryDirectory() as folder:

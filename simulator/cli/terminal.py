@@ -21,7 +21,7 @@ def open_console(width: int = 110, *, error: bool = False) -> Console:
 
 
 def axis_title(axis: str) -> str:
-    """Name of an axis of the errors, for people."""
+    """Name of an axis of the errors, for display."""
     return "about boresight" if axis == "about_boresight" else axis.replace("_", " ")
 
 

@@ -8,7 +8,7 @@ the source and β_o to the camera, scatters towards the camera the fraction
 
 of its light, where φ is the angle between source and camera as seen along the axis. This is the integral of cos i cos e
 over the part that is both lit and visible (φ = 0: lit from behind the camera; φ = π: from ahead, dark). A lens of
-aperture a focused at infinity images a point at the depth z as a uniform disk of angular diameter a / z.
+aperture a focused at infinity images a point at the depth z as a uniform disk with the angular diameter a / z.
 """
 
 from __future__ import annotations

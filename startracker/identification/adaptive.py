@@ -1,6 +1,6 @@
 """The default identification: a few triangles, then votes on each star, under assumptions that become wider.
 
-The effort that a frame needs is not known beforehand: a good one is solved by its first triangle within the stated
+The effort that a frame needs is not known in advance: a good one is solved by its first triangle within the stated
 errors, another has false stars, errors of pixels, or a focal length that is wrong by a percent. So every assumption
 gets a few triangles of the brightest stars. If they fail, one star after the other is taken as the pole and its
 neighbours vote on it (`pole_votes`), for as many stars as are needed to find whatever could be accepted

@@ -293,8 +293,8 @@ class _Pool:
             return IntegerSolution(
                 status, code, reason, self.numbers, self.triads, self.matched, self.evidence, attitude
             )
-        nobody = np.zeros(len(self.xy), dtype=np.int64)
-        return IntegerSolution(status, code, reason, nobody, 0, self.matched, self.evidence)
+        none = np.zeros(len(self.xy), dtype=np.int64)
+        return IntegerSolution(status, code, reason, none, 0, self.matched, self.evidence)
 
     def _reached(self, code: IntegerReason) -> None:
         self.stage = max(self.stage, REASONS.index(code))

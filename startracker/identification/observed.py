@@ -75,7 +75,7 @@ def _magnitudes(flux: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """An attitude known beforehand, and the angle (rad) of the largest rotation by which it may be wrong."""
+    """An attitude known a priori, and the angle (rad) of the largest rotation by which it may be wrong."""
 
     attitude: Attitude
     radius_rad: float

@@ -53,7 +53,7 @@ class Plan(NamedTuple):
     passing, strong : float
         ln of the chance of a candidate's matches below which it is kept, and below which it is verified at once.
     prior : (3, 3)
-        Attitude known beforehand.
+        Attitude known a priori.
     prior_cosine : float
         Of the largest rotation away from it; −2: there is no prior.
     """

@@ -56,7 +56,7 @@ class Limits(NamedTuple):
     work : float
         Operations after which it ends.
     prior : (3, 3)
-        Attitude known beforehand.
+        Attitude known a priori.
     prior_cosine : float
         Of the largest angle between a guide star and its position by the prior; −2: no prior.
     """

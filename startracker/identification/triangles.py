@@ -79,7 +79,7 @@ def window(separation: NDArray[np.float32], low: float, high: float) -> tuple[in
 
 @kernel
 def fits_prior(vector: FloatArray, guide: FloatArray, limits: Limits) -> bool:
-    """Whether a guide star can be where an observed star is, by what is known beforehand."""
+    """Whether a guide star can be where an observed star is, according to the prior."""
     if limits.prior_cosine < -1.0:
         return True
     cosine = 0.0

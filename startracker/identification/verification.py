@@ -24,7 +24,7 @@ IntArray = NDArray[np.int64]
 
 GATE_SIGMAS = 4.5
 FOCAL_SIGMA = 0.01
-"""Standard deviation of ln f beforehand, where the focal length is fitted: 2 % is two of these."""
+"""A priori standard deviation of ln f, where the focal length is fitted: 2 % is two of these."""
 MOST_EXTRA = 10
 OVERHEAD = 10_000
 """Operations of a verification besides those that grow with the numbers of stars."""
@@ -267,7 +267,7 @@ def verify_attitude(
     scale : float
         Of the first gate, which is 4.5 times this times the stated errors.
     free_focal : bool
-        Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` beforehand.
+        Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` a priori.
     """
     n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
     field = _field_at(matrix, sky, 2 * n + MOST_EXTRA)

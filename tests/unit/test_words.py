@@ -7,8 +7,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCANNED = ("simulator", "startracker", "docs", "scenarios", "benchmarks", "notebooks", "README.md", "CHANGELOG.md")
-SUFFIXES = (".py", ".md", ".yaml", ".c", ".h", ".ipynb")
+SCANNED = (
+    "simulator", "startracker", "docs", "scenarios", "benchmarks", "examples", "notebooks", "README.md", "CHANGELOG.md",
+    "CONTRIBUTING.md",
+)  # fmt: skip
+SUFFIXES = (".py", ".md", ".yaml", ".c", ".h", ".j2", ".ipynb")
 
 TERMS = {
     r"places?": "position (of a star or an image), index (in a table)",
@@ -29,8 +32,24 @@ TERMS = {
     r"identified rightly": "correctly identified",
     r"more trials would": "run more trials to decide",
     r"Trials a point": "Trials per point",
-    r"(?:electrons|photons|degrees|radians|pixels|px|DN|mas|ns|µs|ms|°|″) a"
-    r" (?:second|pixel|frame|trial|star|day|year|step|line|unit)": "per second, per pixel",
+    r"(?:electrons|photons|degrees|radians|pixels|px|DN|mas|ns|µs|ms|°|″|trials|frames|stars|fields|points|centroids"
+    r"|lines|bits|rows|triads|spots|candidates|particles|MB) a"
+    r" (?:second|pixel|frame|trial|star|day|year|step|line|unit|point|run|image|turn|field)": "per second, per star",
+    r"rightly": "correctly",
+    r"anew": "again; a new copy",
+    r"(?:not|is) to be had": "not available",
+    r"tak(?:e|es|en) off": "subtracted",
+    r"for people": "for display",
+    r"beforehand": "a priori, prior",
+    r"stands? still": "static, at rest, inertially fixed",
+    r"could be [\d.]+ times": "margin 74×",
+    r"band holds": "95 % band for a consistent covariance",
+    r"fit to [\d.]+ (?:pixels|px)": "centroid residual 0.023 px rms",
+    r"is no (?:number|image|file|folder|rotation|name|spacing|star|section|list|plate|camera)": "is not a",
+    r"no image of it": "image shape does not match the camera",
+    r"words of a pixel": "random bits",
+    r"slip of the pen|nobody": "state the fact",
+    r"by luck": "by chance",
 }
 """Word that is not used here, as a regular expression, and what the field says."""
 
@@ -47,13 +66,13 @@ ALLOWED = (
 NOT_YET = (
     "benchmarks/RESULTS-frames.md",
     "benchmarks/frames.py",
-    "simulator/theses",
-    "startracker/centroid",
-    "startracker/detection",
+    "docs/reports",
 )
 """Files and folders that are still to be rewritten; the list only becomes shorter."""
 
-_TERM = re.compile("|".join(f"(?P<t{k}>(?<![\\w-])(?:{term})(?![\\w-]))" for k, term in enumerate(TERMS)))
+_TERM = re.compile(
+    r"(?<![\w-])(?=\w)(?:" + "|".join(f"(?P<t{k}>{term})" for k, term in enumerate(TERMS)) + r")(?![\w-])"
+)
 _ALLOWED = re.compile("|".join(ALLOWED))
 
 
@@ -93,7 +112,21 @@ def test_texts_use_the_terms_of_the_field():
 
 
 @pytest.mark.parametrize(
-    "line", ["# the places of the stars", "2 hits rejected", "told from a star", "1200 electrons a second", "a knob"]
+    "line",
+    [
+        "# the places of the stars",
+        "2 hits rejected",
+        "told from a star",
+        "1200 electrons a second",
+        "a knob",
+        "28 stars identified rightly",
+        "whose positions fit to 0.023 pixels",
+        "the band holds 95 % of trackers",
+        "the error could be 74.2 times as large",
+        "Trials a point",
+        "3 trials a second",
+        "is no number",
+    ],
 )
 def test_a_word_of_another_language_is_found(line):
     assert found(line)

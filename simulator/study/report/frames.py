@@ -55,7 +55,7 @@ def frame_panels(
     runner = runner or TrialRunner(scenario)
     made: dict[int, Panel] = {}
     for what, index in chosen_trials(columns, specification_deg):
-        if index in made:  # with few trials a frame may be selected twice
+        if index in made:  # a frame may be selected twice if there are few trials
             continue
         frame = runner.renderer.frame(index)[0]  # the truth, a floating-point image, is released at once
         solution = solve_frame(runner.tracker, frame)

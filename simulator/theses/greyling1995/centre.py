@@ -1,6 +1,6 @@
 """`centre.m` of Greyling 1995, appendix B: noise with its expression and seed, and the choice of the central pixel.
 
-The script places a Gaussian of I₀ = 10 on the 5 × 5 pixels around its own pixel of an 11 × 11 frame, adds noise to the
+The script puts a Gaussian of I₀ = 10 on the 5 × 5 pixels around its own pixel of an 11 × 11 frame, adds noise to the
 frame, takes the brightest pixel as the centre and computes the first moment of the 5 × 5 pixels around it.
 """
 
