@@ -51,7 +51,8 @@ def pixel_bytes(rgb: NDArray[np.uint8], form: str = "png") -> bytes:
     from PIL import Image
 
     stream = io.BytesIO()
-    enlarged = rgb.repeat(factor, axis=0).repeat(factor, axis=1) if factor > 1 else rgb
+    pixels = rgb[..., 0] if (rgb == rgb[..., :1]).all() else rgb  # grey in one channel: a smaller file
+    enlarged = pixels.repeat(factor, axis=0).repeat(factor, axis=1) if factor > 1 else pixels
     Image.fromarray(enlarged).save(stream, "png" if form == "png" else "jpeg", **({} if form == "png" else _JPEG))
     return stream.getvalue()
 
