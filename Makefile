@@ -58,7 +58,7 @@ $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-oracles: $(VENV)/.installed-test
-	$(BIN)/python -m pip install --quiet --editable '.[test,oracles]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,oracles,docs]'
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed
@@ -102,12 +102,12 @@ dist: $(VENV)/.installed-dist
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/python -m twine check --strict dist/*
-	@set -e; away=$$(mktemp -d); trap 'rm -rf $$away' EXIT; wheel=$$(ls $(CURDIR)/dist/*.whl); \
-	$(PYTHON) -m venv $$away/venv && $$away/venv/bin/python -m pip install --quiet $$wheel; \
+	@set -e; away=$$(mktemp -d); trap 'rm -rf $$away' EXIT; \
+	$(PYTHON) -m venv $$away/venv; $$away/venv/bin/python -m pip install --quiet dist/*.whl; \
 	cd $$away; export PATH=$$away/venv/bin:$$PATH PYTHONPATH= PYTHONSAFEPATH=1; \
 	python -c 'import simulator, startracker; assert "site-packages" in simulator.__file__, simulator.__file__'; \
-	boresight validate cubesat moon && boresight run cubesat --trials 8 --workers 1 --out out && test -s out/report.html; \
-	boresight solve sample --annotate solved.jpg && boresight export-c tracker >export.txt && test -s tracker/tracker.c; \
+	boresight validate cubesat moon; boresight run cubesat --trials 8 --workers 1 --out out; test -s out/report.html; \
+	boresight solve sample --annotate solved.jpg; boresight export-c tracker >export.txt; test -s tracker/tracker.h; \
 	echo "dist: $$(cd $(CURDIR)/dist && echo *) work outside of the clone"
 
 DASK_PORT ?= 8786

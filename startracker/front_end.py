@@ -142,9 +142,9 @@ def find_stars(
         pixels, background, spots = _detect(found, detect, detection, saturation_dn, clock)
         steps.append(partial(background_step, background))
         looks = _Looks(
-            found, pixels, background, spots, measure, detection, centroid, clock, saturation_dn, gain_e_per_dn
+            found, pixels, background, spots, measure, detection, centroid, clock, saturation_dn, gain_e_per_dn, camera
         )
-        stars = looks.points(spots) if camera is None else looks.decided(camera)
+        stars = looks.points(spots) if camera is None else looks.decided()
         return replace(stars, steps=Steps(*steps, stars.steps))
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
@@ -188,12 +188,13 @@ class _Looks:
     clock: Clock
     saturation_dn: float | None
     gain_e_per_dn: float | None
+    camera: Camera | None
 
-    def decided(self, camera: Camera) -> FoundStars:
+    def decided(self) -> FoundStars:
         """Stars of the more likely hypothesis; the other one as `FoundStars.other`."""
         spots = self.spots
         first: Callable[[], FoundStars | None] = partial(self.points, spots)
-        second: Callable[[], FoundStars | None] = partial(self.as_trails, camera)
+        second: Callable[[], FoundStars | None] = self.as_trails
         if spots.are_streaks:
             first, second = second, partial(self.points, spots.other or spots)
         elif (spots.direction_rad is not None or self._left_out_trails()) and self._trails_win():
@@ -223,7 +224,7 @@ class _Looks:
         found = self.measure(self.pixels, self.background, spots, self.centroid, self.gain_e_per_dn)
         self.clock.lap("centroid")
         step = partial(detection_steps, spots, self.detection, self.background)
-        return self._found(found, step, found.xy, spots.are_streaks)
+        return self._found(found, step, spots.are_streaks)
 
     @cached_property
     def trails(self) -> Trails | None:
@@ -233,33 +234,25 @@ class _Looks:
             known = find_trailed(fill_gaps(self.pixels), self.background, self.detection, self.saturation_dn)
         found = find_trails(
             self.pixels, self.background, self.detection, self.saturation_dn, self.gain_e_per_dn, _lines(known),
-            self.spots.direction_rad,
+            self.spots.direction_rad, self.camera,
         )  # fmt: skip
         self.clock.lap("trails")
         return found
 
-    def as_trails(self, camera: Camera) -> FoundStars | None:
-        """Positions of the trailed stars at mid-exposure; None if there are no trails.
-
-        Parameters
-        ----------
-        camera : Camera
-            Its projection gives the curvature of the trails.
-        """
+    def as_trails(self) -> FoundStars | None:
+        """Positions of the trailed stars at mid-exposure by the camera's projection; None if there are no trails."""
+        assert self.camera is not None
         trails = self.trails
         if trails is None:  # short trails are then measured as the detector found them
             return self.points(self.spots) if self.spots.are_streaks else None
-        stars = trails.centroids
-        xy, common = mid_exposure(trails, camera)
+        stars = mid_exposure(trails, self.camera)
         length = float(np.hypot(*trails.motion[:2]))
         text = f"{len(stars)} trails with a common motion, {length:.1f} px at the image centre"
-        return self._found(replace(stars, common_px2=common), partial(Step, "detection", text), xy, True)
+        return self._found(stars, partial(Step, "detection", text), True)
 
-    def _found(
-        self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], xy: FloatArray, trailed: bool
-    ) -> FoundStars:
+    def _found(self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], trailed: bool) -> FoundStars:
         return FoundStars(
-            xy,
+            stars.xy,
             stars.flux,
             np.trace(stars.covariance, axis1=1, axis2=2) / 2.0,
             saturated_share=self.survey.saturated_share,

@@ -24,7 +24,7 @@ from numba.core import event
 
 from startracker.compilation import expected_kernels, progress
 
-__all__ = ["clock", "is_compiled", "kernel", "kernel_with", "processor_clock"]
+__all__ = ["clock", "is_compiled", "kernel", "kernel_part", "kernel_with", "processor_clock"]
 
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _OURS = ("startracker.", "simulator.")
@@ -38,6 +38,15 @@ def kernel(function: Callable[..., Any]) -> Any:
     constant.
     """
     return _compiled(function)
+
+
+def kernel_part(function: Callable[..., Any]) -> Any:
+    """Decorator: the function is compiled as a part of the kernels that call it, which are few.
+
+    A kernel's machine code contains that of all kernels which it calls, optimised again; a chain of five is compiled
+    five times. Parts are compiled once for each call.
+    """
+    return _compiled(function, inline="always")
 
 
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -148,11 +148,10 @@ def unknown_aberration(matrix: FloatArray) -> FloatArray:
     motion. Its direction in the ecliptic is unknown: the covariance of β is (β_E²/2) (I − n nᵀ), with the ecliptic pole
     n. An Earth orbit adds (β_o²/3) I.
     """
-    pole = matrix @ _ECLIPTIC_POLE
+    x, y, _ = (matrix @ _ECLIPTIC_POLE).tolist()
     earth, orbit = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
-    beta = (earth + orbit) * np.eye(3) - earth * np.outer(pole, pole)
-    across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of b = (0, 0, 1)
-    return np.asarray(across @ beta @ across.T)
+    total, together = earth + orbit, earth * (x * y)
+    return np.array([[total - earth * (y * y), together, 0.0], [together, total - earth * (x * x), 0.0], [0.0] * 3])
 
 
 def corrects_aberration(observer: Observer | None) -> bool:

@@ -10,7 +10,7 @@ from simulator.paths import make_folder
 from startracker.errors import InputError
 from startracker.image import sample_photo
 
-__all__ = ["FITS_SUFFIXES", "OutputFiles", "image_files", "is_our_frame", "spooled"]
+__all__ = ["FITS_SUFFIXES", "OutputFiles", "image_files", "is_our_frame", "shown_name", "spooled"]
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *FITS_SUFFIXES)
@@ -46,6 +46,13 @@ def spooled(paths: Sequence[Path], folder: Path) -> list[Path]:
     file = folder / ("standard-input.fits" if data.startswith(b"SIMPLE  =") else "standard-input")
     file.write_bytes(data)
     return [file if path == Path("-") else path for path in paths]
+
+
+def shown_name(path: Path) -> str:
+    """Name of an image in the answer: as the user wrote it."""
+    if path.stem == "standard-input":
+        return path.name
+    return "sample" if path == sample_photo() else str(path)
 
 
 class OutputFiles:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.cli.centroid_list import parse_pixel, parse_size, read_centroids
 from simulator.cli.checks import picture_format, utc_time, writable
-from simulator.cli.image_files import FITS_SUFFIXES, OutputFiles, image_files, is_our_frame, spooled
+from simulator.cli.image_files import FITS_SUFFIXES, OutputFiles, image_files, is_our_frame, shown_name, spooled
 from simulator.cli.photograph_requests import PARITIES, SolveRequest
 from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
 from simulator.fits import read_fits
@@ -169,7 +169,7 @@ class _Solver:
             camera = self.camera or self._from_fov(width, height) or frame.camera
             frame = replace(frame, image=self._without_bad_pixels(frame.image))
             return _Job(
-                path.name if path.stem == "standard-input" else str(path),
+                shown_name(path),
                 width,
                 height,
                 camera,
@@ -190,7 +190,7 @@ class _Solver:
             )
         image = self._without_bad_pixels(loaded.image)
         return _Job(
-            path.name if path.stem == "standard-input" else str(path),
+            shown_name(path),
             width,
             height,
             known,

@@ -19,10 +19,10 @@ _ORDER = ("run", "render", "sweep", "study", "solve", "calibrate", "report", "co
 class SuggestingGroup(TyperGroup):
     """A group whose help lists commands in the order of their use, and which suggests the nearest known name."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of help."""
-        names = list(self.commands)
-        return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        order = [name for name in _ORDER if name in self.commands]
+        self.commands = {name: self.commands[name] for name in (*order, *self.commands)}
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; Ctrl-C ends it with one line and status 130."""
@@ -36,7 +36,7 @@ class SuggestingGroup(TyperGroup):
         """The command of a name."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             close = difflib.get_close_matches(args[0], self.commands, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.list_commands(ctx))}"
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.commands)}"
             kind = "command" if ctx.parent is None else "study"
             ctx.fail(f"'{args[0]}' is no {kind}; {hint}")
         return super().resolve_command(ctx, args)

@@ -31,7 +31,7 @@ _NEAR = 1e-6
 """From there its next step, the last one, ends within 1e-11."""
 _GUESSES, _STEP_PX = 9, 0.125
 _FLAT = 1e-6
-"""Slope of the mean against the centre below which the window no longer tells the position."""
+"""Slope of the mean against the centre below which the window no longer determines the position."""
 _NO_LIGHT = 1e-280
 SMALLEST_SIGMA_PX = 0.1
 """Narrower images lie within one pixel wherever they are; their position is not in the moments."""
@@ -94,7 +94,7 @@ def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[flo
 
 @kernel
 def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) -> tuple[float, float, float]:
-    """The same from a first guess; also the light in the window of a Gaussian at the last place but one."""
+    """The same from a first guess; also the light in the window of a Gaussian at the last centre but one."""
     middle = 0.5 * (low + high)
     reach = float(high - low + 1)
     left, right = middle - reach, middle + reach

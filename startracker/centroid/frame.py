@@ -68,7 +68,7 @@ def prepare(
         raise InputError(f"the gain is {gain_e_per_dn} e⁻/DN; it must be a positive number")
     values = as_pixels(image)
     if values.shape != background.shape:
-        raise InputError(f"the image is {values.shape} but its background {background.shape}; make it anew")
+        raise InputError(f"the image is {values.shape} but its background {background.shape}; compute it again")
     gain = gain_e_per_dn or (_gain_from_background(background) if values.size else 1.0)
     level, noise = background.level_plane, background.noise_plane
     return Prepared(Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, window // 2)
@@ -90,7 +90,7 @@ def measure_psf_sigma(image: Image, background: Background, spots: Spots, window
     """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
 
     The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has
-    them; saturated stars and those on the border are left out. (1, 1) when no star tells.
+    them; saturated stars and those on the border are left out. (1, 1) when no star can be measured.
     """
     return _widths(prepare(image, background, CentroidSettings(window_px=window_px), 1.0), spots)
 

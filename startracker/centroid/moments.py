@@ -37,14 +37,14 @@ def first_moment(
 
     Of a faint star the outer pixels of the window bring more noise than light: the 3 × 3 about its middle are taken
     where the corrected moment of these is the more certain one and star images are not wider than σ = 1.1 px (a wider
-    one may be a short streak, whose middle pixels tell too little).
+    one may be a short streak, whose middle pixels do not determine its position).
 
     The covariance is that of the moments under photon and background noise, times the slope of the correction, plus
     a floor of 0.005 px and, for a star with neighbours, the shift their light in its window can cause at most. A
     saturated star is measured over a window grown by its radius, uncorrected, with 0.05 px and a quarter of the
     difference of its two widths (bleeding) added.
 
-    Images drawn out by 3 to 5 px are no Gaussians, and a window of five pixels does not hold them: errors are up to
+    Images smeared by 3 to 5 px are not Gaussian, and a window of five pixels does not hold them: errors are up to
     twice those stated. The fits of the star image know what they are.
 
     Parameters

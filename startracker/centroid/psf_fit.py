@@ -51,7 +51,7 @@ def weighted_moment(
 
     The weight has the widths and the orientation of the star image, so that for faint stars nothing is lost against
     a fit, and the far pixels of the window bring no noise. The moment that the star image itself shows at the position
-    found is taken off (``bias_correction``), bad pixels and borders included.
+    found is subtracted (``bias_correction``), bad pixels and borders included.
 
     Parameters, errors raised and result are those of `startracker.centroid.first_moment`; pixels that are not finite
     are left out of the sums. A star for which the iteration fails, or whose image is saturated, gets its

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.centroid.psf_model import Samples
 from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.centroid.window import Pixels, read_pixels
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 
 __all__ = ["FITTED", "MOST_TOGETHER", "Starts", "fit_stars", "group_stars", "weighted_moments"]
@@ -126,7 +126,7 @@ def _space(stars: int, pixels: int) -> _Space:
     return _Space(np.empty((11 + size, pixels)), np.empty((size, size)), np.empty((2, size)), np.empty((3, stars)))
 
 
-@kernel
+@kernel_part
 def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
     """First column and row, and numbers of columns and rows, of a rectangle that holds all windows."""
     height, width = shape
@@ -138,7 +138,7 @@ def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
     return left, top, right - left, bottom - top
 
 
-@kernel
+@kernel_part
 def _leave_out(
     starts: Starts, members: IntArray, left: int, top: int, wide: int, signal: FloatArray, dark: FloatArray
 ) -> int:
@@ -155,7 +155,7 @@ def _leave_out(
     return count
 
 
-@kernel
+@kernel_part
 def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
     """Flux by unweighted least squares, Σ p d / Σ p², over the pixels of finite variance."""
     above, below = 0.0, 0.0
@@ -166,7 +166,7 @@ def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float
     return above / below if below > 0.0 else np.nan
 
 
-@kernel
+@kernel_part
 def _fit_group(
     pixels: Pixels,
     psf: Samples,
@@ -228,7 +228,7 @@ def _fit_group(
         _note(members, space, chi2, used - size, out)
 
 
-@kernel
+@kernel_part
 def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: FloatArray) -> None:
     """Rows of a fit, see `FITTED`, from a normal matrix that is factorised."""
     size, column = 3 * len(members), space.sides[0]
@@ -242,7 +242,7 @@ def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: Floa
             row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
 
-@kernel
+@kernel_part
 def _move(change: FloatArray, x: FloatArray, y: FloatArray, flux: FloatArray) -> float:
     """Take a step, shortened where it is long; its length, px, inf where it is none."""
     longest = 0.0
@@ -312,7 +312,7 @@ def weighted_moments(
     return out
 
 
-@kernel
+@kernel_part
 def _weighted_sums(
     pixels: Pixels, psf: Samples, starts: Starts, index: int, at: tuple[float, float], shape: tuple[float, float, float]
 ) -> tuple[Two, Four, Four, Three]:

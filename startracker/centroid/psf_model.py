@@ -24,7 +24,7 @@ _MOST_OVERSAMPLING = 48
 _SAMPLES_A_SIGMA = 7.0
 """Keys' interpolation is then good to 1e-4 of the peak."""
 _UNROTATED = 0.02
-"""Correlation below which an ellipse counts as upright: the frame does not tell it, positions do not feel it."""
+"""Correlation below which an ellipse counts as upright: frames do not determine it, positions do not depend on it."""
 _NEGLIGIBLE = 1e-5
 """Share of the peak that the terms left out of a sum of products have at most."""
 _MOST_TERMS = 5
@@ -98,8 +98,8 @@ class PsfModel:
 
         x, y = np.broadcast_arrays(np.asarray(dx, dtype=float), np.asarray(dy, dtype=float))
         middle = (self.table.shape[0] - 1) / 2
-        places = [y * self.oversampling + middle, x * self.oversampling + middle]
-        flat = [np.ravel(place) for place in places]
+        indices = [y * self.oversampling + middle, x * self.oversampling + middle]
+        flat = [np.ravel(values) for values in indices]
         return np.asarray(map_coordinates(self.table, flat, order=3, mode="constant")).reshape(x.shape)
 
     def smeared(self, along_x_px: float, along_y_px: float) -> PsfModel:

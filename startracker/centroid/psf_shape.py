@@ -1,4 +1,4 @@
-"""The star image of a frame, measured from its brightest stars: an elliptical Gaussian, or one drawn out by smear."""
+"""The star image of a frame, measured from its brightest stars: an elliptical Gaussian, or a smeared one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.centroid.psf_sums import normal_equations
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 from startracker.sorting import median
 
@@ -42,20 +42,20 @@ def fit_gaussians(pixels: Pixels, starts: Starts, stars: IntArray, half: int, sh
 
     Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; `shape` is the start.
     """
-    found, told = np.empty((3, len(stars))), 0
+    found, count = np.empty((3, len(stars))), 0
     work, slopes = np.empty((4, (2 * half + 1) ** 2)), np.empty((6, (2 * half + 1) ** 2))
     factors = np.empty((3 + len(_NODES), len(_NODES) * (2 * half + 1)))
     for n in stars:
         xx, yy, xy = _fit_gaussian(pixels, starts.x[n], starts.y[n], half, shape, work, slopes, factors)
         if math.isfinite(xx):
-            found[0, told], found[1, told], found[2, told] = xx, yy, xy
-            told += 1
-    if told == 0:
+            found[0, count], found[1, count], found[2, count] = xx, yy, xy
+            count += 1
+    if count == 0:
         return np.nan, np.nan, np.nan
-    return median(found[0, :told]), median(found[1, :told]), median(found[2, :told])
+    return median(found[0, :count]), median(found[1, :count]), median(found[2, :count])
 
 
-@kernel
+@kernel_part
 def _fit_gaussian(
     pixels: Pixels,
     x: float,
@@ -116,7 +116,7 @@ def _fit_gaussian(
     return failed
 
 
-@kernel
+@kernel_part
 def _gaussian_slopes(
     corner: tuple[float, float], wide: int, high: int, shape: Shape, out: FloatArray, factors: FloatArray
 ) -> None:
@@ -176,7 +176,7 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
     starts : Starts
         Approximate positions of the spots.
     sigmas : (float, float)
-        Widths along x and y by the moments, for the start and in case no star tells.
+        Widths along x and y by the moments, for the start and in case no star can be measured.
     reach_px : float
         Least half width of the table.
     """

@@ -18,13 +18,13 @@ FloatArray = NDArray[np.float64]
 @kernel
 def interpolate(size: int, oversampling: int, distance: float, weights: FloatArray, row: int) -> int:
     """Point of the table before a pixel at `distance` from the star; the weights of four points about it go to
-    a row of `weights`, and those of the derivative by the place in the table.
+    a row of `weights`, and those of the derivative by the position in the table.
 
     A pixel further on adds `oversampling` to the point, and leaves the weights as they are.
     """
-    place = distance * oversampling + (size - 1) // 2
-    first = math.floor(place)
-    t = place - first
+    position = distance * oversampling + (size - 1) // 2
+    first = math.floor(position)
+    t = position - first
     weights[row, 0], weights[row, 1] = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
     weights[row, 2], weights[row, 3] = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
     weights[row, 4], weights[row, 5] = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
@@ -134,9 +134,9 @@ def weigh_pixels(
     noise : (float, float)
         DN an electron, and relative error of the flat field.
     weigh : bool
-        Whether the variances are made anew.
+        Whether the variances are computed again.
     rows : (3, N)
-        Gets weights and residuals; variances, which are kept where they are not made anew.
+        Gets weights and residuals; variances, which are kept where they are not computed again.
     """
     weights, residuals, variances = rows[0], rows[1], rows[2]
     for star in range(len(flux)):

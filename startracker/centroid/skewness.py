@@ -14,7 +14,7 @@ one.
 
 A jittered star's true position is the mean of its image. With coma it is what the camera was calibrated with, centroids
 of stars of good signal (`REFERENCE_CONTRAST`), whose shift A₀ κ is part of its distortion. One frame cannot say which
-it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is taken off; A₀ κ is in the covariance
+it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is subtracted; A₀ κ is in the covariance
 of an error that all positions share.
 """
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 
 __all__ = ["REFERENCE_CONTRAST", "correct_skewness", "expansions_of", "shifts"]
@@ -68,7 +68,7 @@ def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
     out[8], out[9] = g * (s * (t * t - b) - 2.0 * c * t) / 2.0, g * t * (t * t - 3.0 * b) / 6.0
 
 
-@kernel
+@kernel_part
 def expansions_of(half: int, shape: Shape) -> FloatArray:
     """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
     side = 2 * half + 1
@@ -108,13 +108,14 @@ def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: f
     out = np.zeros((2, _CUMULANTS))
     if factorise(normal, 3):
         for k in range(_CUMULANTS):
-            row[:] = right[k]
+            for p in range(3):
+                row[p] = right[k, p]
             substitute(normal, 3, row)
             out[0, k], out[1, k] = row[1], row[2]
     return out
 
 
-@kernel
+@kernel_part
 def common_skewness(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
@@ -159,7 +160,7 @@ def common_skewness(
     return mean, covariance, chi2 / factor, variance / count
 
 
-@kernel
+@kernel_part
 def _equations_of_star(
     pixels: Pixels,
     star: FloatArray,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 __all__ = ["MEASURED", "Peaks", "Pixels", "frame_widths", "measure_stars", "read_pixels", "read_window"]
@@ -165,9 +165,9 @@ def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, h
     """Median Gaussian widths along x and y of the brightest clean stars, of which the brightest pixels are given.
 
     Each axis on its own: mean and variance of the marginal over the window, inverted for centre and width. NaN where no
-    window tells.
+    window determines them.
     """
-    widths, told, looked_at = np.empty((2, _WIDTH_STARS)), 0, 0
+    widths, count, looked_at = np.empty((2, _WIDTH_STARS)), 0, 0
     for n in range(len(xs)):
         if unfit[n] or looked_at == _WIDTH_STARS:
             continue
@@ -176,17 +176,17 @@ def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, h
         if not w[0] > 0.0:
             continue
         for axis in range(2):
-            widths[axis, told] = np.nan
+            widths[axis, count] = np.nan
             if abs(w[1 + axis]) < half and w[3 + axis] > 0.0:
                 low, high = int(w[8 + 2 * axis]), int(w[9 + 2 * axis])
-                widths[axis, told] = invert_moments(w[1 + axis], w[3 + axis], low, high)[1]
-        told += int(math.isfinite(widths[0, told] + widths[1, told]))
-    if told == 0:
+                widths[axis, count] = invert_moments(w[1 + axis], w[3 + axis], low, high)[1]
+        count += int(math.isfinite(widths[0, count] + widths[1, count]))
+    if count == 0:
         return np.nan, np.nan
-    return median(widths[0, :told]), median(widths[1, :told])
+    return median(widths[0, :count]), median(widths[1, :count])
 
 
-@kernel
+@kernel_part
 def _recentred(pixels: Pixels, x: int, y: int, half: int) -> tuple[int, int]:
     """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
     height, width = pixels.image.shape
@@ -201,7 +201,7 @@ def _recentred(pixels: Pixels, x: int, y: int, half: int) -> tuple[int, int]:
     return x, y
 
 
-@kernel
+@kernel_part
 def _centre(
     moment: float, sigma: float, low: int, high: int, half: int, centres: FloatArray
 ) -> tuple[float, float, float]:
@@ -213,7 +213,7 @@ def _centre(
 
 @kernel
 def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma_y: float, correct: bool) -> FloatArray:
-    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where there is no star image.
+    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where no star image is found.
 
     Parameters
     ----------
@@ -233,13 +233,13 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
         _measure_star(
             pixels, peaks.x[index], peaks.y[index], half, (sigma_x, sigma_y), correct, (centres_x, centres_y), row
         )
-        # known no better than a star image, or a pixel, is wide: what is there is no star image
+        # known no better than a star image, or a pixel, is wide: it is not a star image
         if max(row[3], row[4]) > limit:
             row[:] = np.nan
     return out
 
 
-@kernel
+@kernel_part
 def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: FloatArray) -> None:
     """Row of a saturated star: its moment over a window grown by its radius."""
     radius = math.sqrt(peaks.pixels[index] / math.pi)
@@ -255,7 +255,7 @@ def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: 
     out[3], out[4], out[5] = w[5] + extra, w[6] + extra, w[7]
 
 
-@kernel
+@kernel_part
 def _measure_star(
     pixels: Pixels,
     x: int,

@@ -138,7 +138,7 @@ def noise_floor(image: Image) -> tuple[float, float]:
         return 0.0, 1.0
     span = float(finite.max()) - float(np.median(values))
     step = _lattice_step(values) if values.size <= sample.size // 4 else 0.0
-    # float32 cannot tell values closer than this apart
+    # float32 does not resolve values closer than this
     resolution = float(np.finfo(np.float32).eps) * float(np.abs(finite).max())
     return step, max(step / math.sqrt(12.0), _NOISE_FREE * span, resolution, float(np.finfo(np.float32).tiny))
 
@@ -148,7 +148,7 @@ def _lattice_step(values: NDArray[Any]) -> float:
     if values.size < 3:
         return 0.0
     gaps = np.diff(values.astype(np.float64))
-    places = (values - np.float64(values[0])) / gaps.min()
-    if np.abs(places - np.rint(places)).max() < _ON_LATTICE:
+    steps_from_first = (values - np.float64(values[0])) / gaps.min()
+    if np.abs(steps_from_first - np.rint(steps_from_first)).max() < _ON_LATTICE:
         return float(gaps.min())
     return min(float(np.median(gaps)), float(values[-1] - values[0]) / 255.0)

@@ -75,7 +75,7 @@ class BadPixelCount:
         frame : array_like, shape (H, W)
             DN; pixels that are not finite count as bad.
         ignore : bool array, shape (H, W), optional
-            Pixels of which this frame tells nothing, such as those of known stars.
+            Pixels that are not to be judged by this frame, such as those of known stars.
 
         Raises
         ------
@@ -91,20 +91,20 @@ class BadPixelCount:
             raise InputError(f"frame {self.frames} is {pixels.shape}, the first {self._bright.shape}; they must agree")
         background = estimate(pixels, self.tile_px)
         blind = ~np.isfinite(pixels)
-        told = np.ones(pixels.shape, np.bool_) if ignore is None else ~ignore
+        judged = np.ones(pixels.shape, np.bool_) if ignore is None else ~ignore
         with np.errstate(invalid="ignore"):
-            self._bright += told & (blind | (pixels > background.level + self.sigma * background.noise))
-            self._dark += told & (blind | (pixels < background.level - self.sigma * background.noise))
-        self._seen += told
+            self._bright += judged & (blind | (pixels > background.level + self.sigma * background.noise))
+            self._dark += judged & (blind | (pixels < background.level - self.sigma * background.noise))
+        self._seen += judged
         self.frames += 1
 
     def bad(self, fewest_frames: int = _FEWEST_FRAMES) -> NDArray[np.bool_]:
-        """Pixels off in `share` of the frames that tell of them, and in two at least; (H, W).
+        """Pixels off in `share` of the frames that judge them, and in two at least; (H, W).
 
         Parameters
         ----------
         fewest_frames : int
-            Frames that must tell of a pixel.
+            Frames that must judge a pixel.
         """
         fewest = np.maximum(2.0, self.share * self._seen)
         bad = (self._bright >= fewest) | (self._dark >= fewest)

@@ -9,7 +9,7 @@ from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.thresholds import BLEND_LEAST_PX2, BLEND_PIXELS, RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
 from startracker.detection.values import Image
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = ["part_blends"]
 
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 _FAR_PX2 = 1 << 62
 
 
-@kernel
+@kernel_part
 def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     """Whether no neighbour is brighter; of equal neighbours the first in reading order is the peak."""
     height, width = np.uint64(image.shape[0]), np.uint64(image.shape[1])
@@ -95,13 +95,13 @@ def part_blends(
     return out[:count], parted
 
 
-@kernel
+@kernel_part
 def _has_several(head: int, following: IntArray) -> bool:
     """Whether a chain has more than one peak."""
     return head >= 0 and following[head] >= 0
 
 
-@kernel
+@kernel_part
 def _find_peaks(runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image) -> IntArray:
     """x, y and object (P, 3) of the highest pixels of their neighbourhoods in objects that have several."""
     pixels = 1
@@ -126,7 +126,7 @@ def _find_peaks(runs: IntArray, number: IntArray, table: Sources, most_pixels: i
     return peaks[:kept]
 
 
-@kernel
+@kernel_part
 def _chain_peaks(
     peaks: IntArray, heights: FloatArray, image: Image, level: Plane, noise: Plane, head: IntArray,
     following: IntArray,
@@ -166,7 +166,7 @@ def _chain_peaks(
     return parted
 
 
-@kernel
+@kernel_part
 def _share_pixels(
     runs: IntArray, number: IntArray, head: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
     saturation: float,

@@ -13,7 +13,7 @@ from startracker.detection.shapes import PEAK_SHARE, measure_shape
 from startracker.detection.sources import Searched, Sources
 from startracker.detection.surroundings import Rings, is_clutter, stamp_of
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = ["FAINTER", "REASONS", "STAR", "Criteria", "classify_sources"]
 
@@ -92,7 +92,7 @@ def classify_sources(
     return kind
 
 
-@kernel
+@kernel_part
 def _classify_examined(
     table: Sources, saturated: Flags, searched: Searched, criteria: Criteria, rings: Rings
 ) -> tuple[IntArray, bool]:
@@ -125,7 +125,7 @@ def _classify_examined(
     return kind, sharpness.limit_px2 > 0.0
 
 
-@kernel
+@kernel_part
 def _sharp_kind(table: Sources, n: int, searched: Searched, sharpness: Sharpness) -> int:
     """Hot pixel or cosmic ray, where a source is one of them; its shape is measured where it was not yet."""
     x, y, shape = table[n]["x_peak"], table[n]["y_peak"], sharpness.shapes[n]

@@ -76,7 +76,7 @@ def find_clusters(
     pixels = as_image(image)
     level, noise = background.level, background.noise
     if pixels.shape != background.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; compute it again")
     radius = settings.cluster_radius_px
     if radius is not None and not 0.0 < radius < math.inf:
         raise InputError(f"detection.cluster_radius_px is {radius}; it must be a positive number of pixels")

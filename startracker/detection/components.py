@@ -64,7 +64,7 @@ def find_components(
     """
     pixels = as_pixels(image)
     if pixels.shape != background.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; compute it again")
     saturation = np.inf if saturation_dn is None else float(saturation_dn)
     known, threshold = saturation_dn is not None, float(settings.threshold_sigma)
     if not settings.matched_filter:

@@ -33,7 +33,7 @@ from startracker.detection.thresholds import (
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort
 
 __all__ = ["Sharpness", "common_width", "is_sharp", "peak_share", "sharpest_star"]
@@ -91,7 +91,7 @@ def common_width(variance: FloatArray) -> float:
     return 0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]) if count else math.nan
 
 
-@kernel
+@kernel_part
 def sharpest_star(table: Sources, judged: Flags, searched: Searched) -> Sharpness:
     """Least variance along the minor axis that a star image of the frame can have.
 
@@ -127,7 +127,7 @@ def sharpest_star(table: Sources, judged: Flags, searched: Searched) -> Sharpnes
     return Sharpness(limit, share, weight, shapes)
 
 
-@kernel
+@kernel_part
 def _measure(table: Sources, which: IntArray, searched: Searched, weight: Weight, shapes: FloatArray) -> None:
     """Shapes of some sources, to their rows."""
     for n in which:
@@ -135,7 +135,7 @@ def _measure(table: Sources, which: IntArray, searched: Searched, weight: Weight
         measure_shape(searched.image, searched.level, searched.noise, x, y, weight, shapes[n])
 
 
-@kernel
+@kernel_part
 def _clear_widths(shapes: FloatArray, which: IntArray, above_px2: float, most: int) -> FloatArray:
     """Variances along the minor axis, above a limit, of the first sources with a sufficient signal-to-noise ratio."""
     out, count = np.empty(len(which)), 0
@@ -146,7 +146,7 @@ def _clear_widths(shapes: FloatArray, which: IntArray, above_px2: float, most: i
     return out[:count]
 
 
-@kernel
+@kernel_part
 def _width_beside_pixels(shapes: FloatArray, which: IntArray, width: float) -> float:
     """The variance that stars share where they are few among hot pixels; else `width`.
 
@@ -165,7 +165,7 @@ def _width_beside_pixels(shapes: FloatArray, which: IntArray, width: float) -> f
     return width
 
 
-@kernel
+@kernel_part
 def is_sharp(shape: FloatArray, sharpness: Sharpness, x: int, y: int, searched: Searched) -> bool:
     """Whether a source is sharper than the star images of its frame.
 

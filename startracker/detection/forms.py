@@ -1,4 +1,4 @@
-"""What the table of objects tells of their form: second moments, pieces of halos."""
+"""Form of the objects of a table: second moments, pieces of halos."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from startracker.detection.thresholds import (
     RING_MARGIN,
     SHAPE_PIXELS,
 )
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = ["Forms", "are_long", "brightest_first", "form_of", "is_halo", "measure_forms"]
 
@@ -56,7 +56,7 @@ def _measure_forms(table: Sources, max_axis_ratio: float, moments: FloatArray, l
         moments[n, 0], moments[n, 1], moments[n, 2], moments[n, 3], moments[n, 4] = x, y, xx, yy, xy
 
 
-@kernel
+@kernel_part
 def form_of(row: np.void, max_axis_ratio: float) -> tuple[float, float, float, float, float, bool]:
     """Centre and second moments x, y, xx, yy, xy of an object, and whether it is too long for a star.
 
@@ -98,7 +98,7 @@ def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio
     return long >= needed
 
 
-@kernel
+@kernel_part
 def is_halo(table: Sources) -> Flags:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 

@@ -107,7 +107,7 @@ def _fits(xy: FloatArray, lines: FloatArray, motion: FloatArray) -> NDArray[np.b
 
 
 def motion_at(xy: FloatArray, motion: FloatArray) -> FloatArray:
-    """Streak (N, 2) that a motion draws at each place."""
+    """Streak (N, 2) that a motion makes at each position."""
     a, b, c = motion
     return np.column_stack([a - c * xy[:, 1], b + c * xy[:, 0]])
 

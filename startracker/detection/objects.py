@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.values import Image
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = [
     "cut_runs",
@@ -43,19 +43,19 @@ def cut_runs(
     `signal` holds the values of the runs' pixels, one run after the other.
     """
     out, values = np.empty((len(signal), 3), np.int64), np.empty_like(signal)
-    count, used, place = 0, 0, 0
+    count, used, pixel = 0, 0, 0
     for index in range(len(runs)):
         y, start = runs[index, 0], -1
         for x in range(runs[index, 1], runs[index, 2]):
-            if keep[index] and signal[place] > threshold * noise[y, x]:
-                values[used] = signal[place]
+            if keep[index] and signal[pixel] > threshold * noise[y, x]:
+                values[used] = signal[pixel]
                 used += 1
                 start = x if start < 0 else start
             elif start >= 0:
                 out[count, 0], out[count, 1], out[count, 2] = y, start, x
                 count += 1
                 start = -1
-            place += 1
+            pixel += 1
         if start >= 0:
             out[count, 0], out[count, 1], out[count, 2] = y, start, runs[index, 2]
             count += 1
@@ -94,7 +94,7 @@ def join_runs(runs: IntArray) -> tuple[IntArray, int]:
     return number, count
 
 
-@kernel
+@kernel_part
 def _root(parent: IntArray, index: int) -> int:
     while parent[index] != index:
         parent[index] = parent[parent[index]]

@@ -49,12 +49,12 @@ def as_plane(values: FloatImage) -> Plane:
 
 
 @overload(operator.getitem)
-def _plane_getitem(plane: Any, place: Any) -> Callable[..., Any] | None:
+def _plane_getitem(plane: Any, pixel: Any) -> Callable[..., Any] | None:
     """``plane[y, x]`` in kernels."""
-    if isinstance(plane, types.BaseNamedTuple) and plane.instance_class is Plane and isinstance(place, types.UniTuple):
+    if isinstance(plane, types.BaseNamedTuple) and plane.instance_class is Plane and isinstance(pixel, types.UniTuple):
 
-        def value_at(plane: Any, place: Any) -> Any:
-            y, x = place
+        def value_at(plane: Any, pixel: Any) -> Any:
+            y, x = pixel
             cell = plane.cell[y]
             upper = plane.lines[cell, x]
             return upper + plane.share[y] * (plane.lines[min(cell + 1, plane.lines.shape[0] - 1), x] - upper)

@@ -55,7 +55,7 @@ def grow_regions(
     """
     pixels = as_image(image)
     if pixels.shape != background.shape:
-        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; make it anew")
+        raise InputError(f"the image is {pixels.shape} but its background {background.shape}; compute it again")
     if settings.search_step_px < 1:
         raise InputError(f"detection.search_step_px is {settings.search_step_px}; it must be at least 1")
     saturation = np.inf if saturation_dn is None else float(saturation_dn)

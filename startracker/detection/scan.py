@@ -3,8 +3,8 @@
 The filter is separable and symmetric; `half` is its middle and upper half. A row is filtered along x as it comes and
 waits in a ring until the rows that its column needs are there: everything happens in the processor's nearest cache.
 
-All rows are parts of one array, told by where they begin: numba counts a slice of an array in and out of use, which
-takes as long as a hundred pixels. Indices have no sign, as one that may be negative is compared with zero first.
+All rows are parts of one array, identified by their first index: numba counts a slice of an array in and out of use,
+which takes as long as a hundred pixels. Indices have no sign, as one that may be negative is compared with zero first.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
 ) -> None:  # fmt: skip
-    """Correlation along y of rows that begin at the places given, and marks where it exceeds the limits."""
+    """Correlation along y of rows that begin at the indices given, and marks where it exceeds the limits."""
     reach = len(half) - 1
     before, weight = rows[reach], half[0]
     for k in range(1, reach, 2):
@@ -101,11 +101,11 @@ def _sample_row(
     count: int,
 ) -> int:  # fmt: skip
     share, lines, row, cell = noise.share[y], noise.lines, np.uint64(y), np.uint64(noise.cell[y])
-    below, place = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
+    below, index = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
     for x in range(np.uint64(first), np.uint64(image.shape[1]), np.uint64(stride)):
-        sample[place] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
-        place += np.uint64(is_value(image[row, x]))
-    return int(np.int64(place))  # a signed number, as callers count with
+        sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
+        index += np.uint64(is_value(image[row, x]))
+    return int(np.int64(index))  # a signed number, as callers count with
 
 
 def search_rows(
@@ -163,7 +163,7 @@ def _search(
     size = 2 * reach + 1
     rows, total, least, residual = starts[:size], starts[size], starts[size + 1], starts[size + 2]
     cell, cells, shares = -1, noise.cell, noise.share
-    count, samples, place = 0, 0, 0
+    count, samples, index = 0, 0, 0
     for y in range(height + reach + 1):
         newest = rows[0]
         for k in range(size - 1):
@@ -179,12 +179,12 @@ def _search(
         done = y - reach - 1
         if done >= 0:
             count = _collect_marked(words, work, total, done, groups, found, count)
-            samples = _sample_row(work, total, noise, image, done, place, stride, sample, samples)
-            place += (width - place + stride - 1) // stride * stride - width if place < width else -width
+            samples = _sample_row(work, total, noise, image, done, index, stride, sample, samples)
+            index += (width - index + stride - 1) // stride * stride - width if index < width else -width
         centre = y - reach
         if not 0 <= centre < height:
             continue
-        # first what is above the lower of the two lines' limits, which is quickly told, then what is above its own
+        # first what is above the lower of the two lines' limits, which takes little time, then what is above its own
         between = 0.0 <= shares[centre] <= 1.0
         if cells[centre] != cell or not between:
             _least_limits(work, noise, centre, threshold, least)
@@ -257,9 +257,9 @@ def _cut_groups(
             value, upper = found[n, x - first], lines[cell, x]
             limit = threshold * (upper + share * (lines[below, x] - upper))
             above = (value > limit) & is_value(image[row, x])
-            place = three * (edges >> one)
-            runs[place] = row
-            runs[place + one + (edges & one)] = x
+            index = three * (edges >> one)
+            runs[index] = row
+            runs[index + one + (edges & one)] = x
             edges += np.uint64(above != inside)
             signal[values] = value
             values += np.uint64(above)

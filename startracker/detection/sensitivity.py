@@ -29,7 +29,7 @@ def sensitivity_map(even: ArrayLike, dark: ArrayLike | float = 0.0) -> FloatImag
 
     Notes
     -----
-    With N frames of S electrons a pixel the map is good to 1/√(N S).
+    With N frames of S electrons per pixel the map has a relative error of 1/√(N S).
     """
     light = _mean(even) - _mean(dark)
     middle = float(np.nanmean(light))

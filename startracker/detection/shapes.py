@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = [
     "MAJOR",
@@ -45,7 +45,7 @@ class Weight(NamedTuple):
     """(2 W + 2, W), W = 2 n + 1: signal of the window's pixels, whether they are usable, weights along x and y."""
 
 
-@kernel
+@kernel_part
 def shape_weight(weight_sigma: float) -> Weight:
     """Weight of a width, px, in a window of twice as much to either side."""
     half, variance = max(2, math.ceil(2.0 * weight_sigma)), weight_sigma * weight_sigma
@@ -55,7 +55,7 @@ def shape_weight(weight_sigma: float) -> Weight:
     return Weight(variance, centred, np.empty((2 * side + 2, side)))
 
 
-@kernel
+@kernel_part
 def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: FloatArray) -> None:
     """exp(−(k − shift)² / 2 variance) for k = −n … n, from its values for no shift: (k − d)² = k² − 2 k d + d²."""
     half = len(centred) - 1
@@ -68,7 +68,7 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
         out[half + k], out[half - k] = up * centred[k], down * centred[k]
 
 
-@kernel
+@kernel_part
 def _read_window(
     image: Image, level: Plane, x0: int, y0: int, window: FloatArray, use: FloatArray
 ) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from startracker.detection.thresholds import FLAT_TOP_PIXELS
 from startracker.detection.values import Image
 from startracker.kernels import kernel
 
-__all__ = ["SOURCE", "Searched", "Sources", "add_pixel", "is_saturated", "peak_pixels"]
+__all__ = ["SOURCE", "Searched", "Sources", "add_pixel", "is_saturated"]
 
 SOURCE = np.dtype(
     [
@@ -47,11 +47,6 @@ class Searched(NamedTuple):
     noise: Plane
     half: NDArray[np.float32]
     """The matched filter (`startracker.detection.scan`), or `UNFILTERED`."""
-
-
-def peak_pixels(table: Sources) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Column and row of the brightest pixels, as kernels take them."""
-    return np.ascontiguousarray(table["x_peak"]), np.ascontiguousarray(table["y_peak"])
 
 
 def is_saturated(table: Sources, saturation_known: bool) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 __all__ = ["filter_stamp", "filtered_pixel", "stamp_pitch"]
 
@@ -60,7 +60,7 @@ def filter_stamp(
                     out[j * pitch + i] = np.nan
 
 
-@kernel
+@kernel_part
 def _correlate(
     values: FloatImage, start: int, half: FloatImage, step: int, out: FloatImage, to: int, count: int
 ) -> None:
@@ -82,7 +82,7 @@ def _correlate(
                 sums[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
 
 
-@kernel
+@kernel_part
 def filtered_pixel(image: Image, level: Plane, half: FloatImage, x0: int, y0: int) -> tuple[float, float]:
     """Filtered signal of a single pixel, and its own; the first is NaN where the image is not finite."""
     height, width = image.shape

@@ -19,9 +19,9 @@ FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 _LAG_PX = 5
-"""Distance of the pixels whose difference tells the noise: beyond a star image and the correlation of photographs."""
+"""Distance of the pixels whose difference measures the noise: beyond a star image and correlation in photographs."""
 _ROWS, _COLUMNS = 16, 64
-"""Where differences are taken: along few rows, as every row of an image must be fetched anew."""
+"""Where differences are taken: along few rows, as every row of an image must be fetched again."""
 _MEDIAN_ABSOLUTE = 0.67449
 """Median of a unit normal deviate's absolute value."""
 _NOISE_TIMES = 1.5
@@ -35,8 +35,8 @@ _REACH_BINS = 2
 def has_structure(image: Image, background: Background) -> bool:
     """Whether the background's noise is more than 1.5 times the noise of the pixels.
 
-    The latter is told by differences of a pixel to the mean of two at 5 px on either side, along x or y, whichever are
-    larger, in units of the background's noise: slopes do not count in them.
+    The latter is measured by differences of a pixel to the mean of two at 5 px on either side, along x or y, whichever
+    are larger, in units of the background's noise: slopes do not count in them.
     """
     if min(image.shape) <= 2 * _LAG_PX:
         return False

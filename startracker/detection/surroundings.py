@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
-from startracker.kernels import kernel
+from startracker.kernels import kernel_part
 
 __all__ = ["Rings", "Stamp", "is_clutter", "rings_of", "stamp_of"]
 
@@ -68,7 +68,7 @@ class Stamp(NamedTuple):
     sample: FloatImage
 
 
-@kernel
+@kernel_part
 def stamp_of(rings: Rings) -> Stamp:
     """Working space for the largest ring."""
     pixels, filtered = rings.masks.shape[1], np.empty(rings.masks.shape[1], np.float32)
@@ -76,7 +76,7 @@ def stamp_of(rings: Rings) -> Stamp:
     return Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
 
 
-@kernel
+@kernel_part
 def is_clutter(
     searched: Searched, x: int, y: int, radius: float, heights: tuple[float, float], rings: Rings, stamp: Stamp
 ) -> bool:
@@ -103,12 +103,12 @@ def is_clutter(
     )
 
 
-@kernel
+@kernel_part
 def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: float) -> bool:
     """Whether the median of a ring exceeds its highest value less `quiet`, and all its values are finite.
 
     Seen at once for all of a stamp, of which `mask` keeps the bits of the ring's pixels. The bits of numbers that are
-    not negative are in the order of the numbers, so that integers tell the highest.
+    not negative are in the order of the numbers, so that the highest is found among integers.
     """
     top, pixels, below = np.int32(0), np.int32(0), np.int32(0)
     for i in range(np.uint64(count)):
@@ -123,7 +123,7 @@ def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: flo
     return bool(below <= pixels // 2)
 
 
-@kernel
+@kernel_part
 def _is_clutter(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,

@@ -112,7 +112,7 @@ SHARP_SHARE = 0.45
 over its field."""
 SHARPEST_STARS_PX2 = 0.3
 """Variance, px², pixel included, under which star images (σ < 0.47 px) are as sharp as a particle's track, which has
-0.03 to 0.25: then sharpness tells nothing."""
+0.03 to 0.25: then sharpness does not distinguish them."""
 WIDEST_TRACK_PX2 = 0.4
 """Variance across a particle's track, px², pixel included, at most: 0.25 and some diffusion of its charge."""
 SHARP_ERRORS = 2.0

@@ -36,7 +36,7 @@ _CLIPPED_STD = 0.98658
 
 @kernel
 def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
-    """Value at place k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
+    """Value at index k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
     left, right = start, stop - 1
     while left < right:
         # median of three keeps sorted and constant tiles from going quadratic
@@ -81,31 +81,31 @@ def whole_step(values: NDArray[Any]) -> int:
 
 @kernel
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
-    """Value at place k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
+    """Value at index k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
     Not a number where no value of the lattice is it. From tile to tile it moves by a step or two, which makes counting
-    what is lower and what is not higher, at many places at once, faster than any sorting.
+    what is lower and what is not higher, of many values at once, faster than any sorting.
     """
-    low, high, place, stride = -np.inf, np.inf, near, step
+    low, high, trial, stride = -np.inf, np.inf, near, step
     while high - low > 1.5 * step:
-        value, lower, not_higher = np.float32(place), np.int32(0), np.int32(0)
+        value, lower, not_higher = np.float32(trial), np.int32(0), np.int32(0)
         for i in range(np.uint64(count)):
             lower = np.int32(lower + np.int32(values[i] < value))
             not_higher = np.int32(not_higher + np.int32(values[i] <= value))
         if lower <= k < not_higher:
             return float(value)
         if k < lower:
-            high = place
+            high = trial
         else:
-            low = place
+            low = trial
         if abs(high - low) < np.inf:
-            place = low + step * np.rint(0.5 * (high - low) / step)
-            if not low < place < high:  # too large for its step to be told
+            trial = low + step * np.rint(0.5 * (high - low) / step)
+            if not low < trial < high:  # too large for its step to be resolved
                 break
         elif stride > step * _FARTHEST:
             break
         else:
-            place += stride if k >= not_higher else -stride
+            trial += stride if k >= not_higher else -stride
             stride *= 2.0
     return np.nan
 

@@ -165,7 +165,7 @@ def trails_win(centre: FloatArray, length: FloatArray, points: Spots, image: Ima
 
     A trailed frame has no round images of stars: what is left beside its trails are hot pixels and cosmic rays, which
     are sharper, and pieces of trails, which lie on these. So the number decides of points that have the width of the
-    frame's star images along both axes and lie on no trail. The trails tell that width across themselves.
+    frame's star images along both axes and lie on no trail. That width is measured across the trails.
 
     Parameters
     ----------

@@ -40,6 +40,7 @@ which does not appear in residuals; therefore w² is added to the variance about
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -126,6 +127,7 @@ class Pose(NamedTuple):
     """ln of the evidence of all models together, up to a constant that only depends on the stars."""
 
 
+@lru_cache(maxsize=1024)
 def few_stars_factor(freedom: int) -> float:
     """Factor of a covariance χ²/ν · P, so that it contains 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
 
@@ -266,12 +268,22 @@ def _fit_each_model(
     weight, scale = np.full((grid, 3), -np.inf), np.zeros((grid, 3))
     mean, every = np.zeros((grid, 3, widest)), np.zeros((grid, 3, widest, widest))
     plain, normal, right = np.zeros((grid, 3, 3)), np.empty((widest, widest)), np.empty(widest)
+    added, flat = np.empty((widest, widest)), np.empty((2, 2))
     for t in range(grid):
-        total, log_det = _weighted_sums(stars, columns, SYSTEMATIC[t] ** 2 * unit * shape, normal, right)
-        plain[t] = inverse(normal, 3)[0]
+        for i in range(2):
+            for j in range(2):
+                flat[i, j] = SYSTEMATIC[t] ** 2 * unit * shape[i, j]
+        total, log_det = _weighted_sums(stars, columns, flat, normal, right)
+        rotation, _ = inverse(normal, 3)
+        for i in range(3):
+            for j in range(3):
+                plain[t, i, j] = rotation[i, j]
         for m in range(first, models):
             size = (3 + known, 4 + known, 6 + known)[m]
-            added, log_prior = normal.copy(), 0.0
+            log_prior = 0.0
+            for i in range(size):
+                for j in range(i + 1):
+                    added[i, j] = normal[i, j]
             for k in range(3, size):
                 added[k, k] += 1.0 / prior_sigma[m, k] ** 2
                 log_prior -= 2.0 * math.log(prior_sigma[m, k])

@@ -89,9 +89,9 @@ def named(
     """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), which fit, and the centroids
     (N, 2) with duplicates merged.
 
-    A centroid that fits is within 3.7 standard errors; the others are paired with the remaining guide stars within
-    `near_px`. If several fit one star, it is at their mean: the nearest to the expected position would confirm any
-    expectation.
+    A centroid that fits is within 3.7 standard errors, of which those along the trail of a smeared star are far larger
+    than those across; the others are paired with the remaining guide stars within `near_px`. If several fit one star,
+    it is at their mean: the nearest to the expected position would confirm any expectation.
     """
     gate = np.empty(len(xy))
     for n in range(len(xy)):
@@ -99,6 +99,9 @@ def named(
         widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
         gate[n] = REJECT_SIGMAS * math.sqrt(factor * widest + systematic_px2)
     near, _ = nearest_unique(xy, positions, gate)
+    for n in range(len(xy)):
+        if near[n] >= 0 and not _is_within(xy[n], positions[near[n]], stated[n], factor, systematic_px2):
+            near[n] = -1
     owner, merged, several = np.empty(len(positions), np.int64), np.empty_like(xy), np.empty(len(xy))
     for k in range(len(positions)):
         owner[k] = -1
@@ -113,7 +116,9 @@ def named(
         best, at = gate[n], -1
         for k in range(len(positions) if near[n] < 0 else 0):
             away = math.hypot(xy[n, 0] - positions[k, 0], xy[n, 1] - positions[k, 1])
-            if away <= best and owner[k] >= 0:
+            if away > best or owner[k] < 0:
+                continue
+            if _is_within(xy[n], positions[k], stated[n], factor, systematic_px2):
                 best, at = away, owner[k]
         if at >= 0:
             several[at] += 1.0
@@ -128,6 +133,14 @@ def named(
             pairs[count, 0], pairs[count, 1], fits[count] = n, index[star], near[n] >= 0
             count += 1
     return pairs[:count], fits[:count], merged
+
+
+@kernel
+def _is_within(xy: FloatArray, position: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
+    """Whether a centroid (2,) is within 3.7 standard errors of a position (2,) by its covariance (2, 2)."""
+    a, c, b = factor * stated[0, 0] + systematic_px2, factor * stated[1, 1] + systematic_px2, factor * stated[0, 1]
+    x, y = xy[0] - position[0], xy[1] - position[1]
+    return bool(c * x * x - 2.0 * b * x * y + a * y * y <= REJECT_SIGMAS**2 * (a * c - b * b))
 
 
 def joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:

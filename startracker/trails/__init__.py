@@ -4,7 +4,8 @@ Takes an image, its background and what is known of its trails; gives `Trails`, 
 these with a camera the positions of the stars at mid-exposure.
 """
 
-from startracker.trails.find import Trails, find_trails
+from startracker.trails.find import find_trails
+from startracker.trails.result import Trails
 from startracker.trails.turn import mid_exposure
 
 __all__ = ["Trails", "find_trails", "mid_exposure"]

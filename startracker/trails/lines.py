@@ -13,13 +13,21 @@ from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane
 from startracker.kernels import kernel
 
-__all__ = ["COARSE_SIGMA", "SHORTEST_PX", "best_lines", "bin_residual", "candidate_lines", "lines_along"]
+__all__ = [
+    "COARSE_SIGMA",
+    "LONGEST_SHARE",
+    "SHORTEST_PX",
+    "best_lines",
+    "bin_residual",
+    "candidate_lines",
+    "lines_along",
+]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 SHORTEST_PX = 8.0
-_LONGEST_SHARE = 0.3
+LONGEST_SHARE = 0.3
 """Of the image's smaller side: of longer trails too few lie within it."""
 _OFF_LINE_PX = 1.5
 """A line of the search misses the end of a trail by no more than this."""
@@ -186,7 +194,7 @@ def candidate_lines(bins: FloatImage, unit: int, direction_rad: float | None = N
     direction_rad : float, optional
         Only lines within 8° of it.
     """
-    longest = _LONGEST_SHARE * 2.0 * unit * min(bins.shape)
+    longest = LONGEST_SHARE * 2.0 * unit * min(bins.shape)
     lengths = SHORTEST_PX * unit * math.sqrt(2.0) ** np.arange(40)
     lengths = lengths[lengths <= max(longest, SHORTEST_PX * unit)]
     tables = []

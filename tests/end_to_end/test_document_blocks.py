@@ -1,6 +1,6 @@
 """The code blocks of README and of the documents run, and print what the pages show.
 
-The pages of tutorials, guides and README run with every test; the others, which are references with many long
+README, most tutorials and most guides run with every test; the others, among them the references with many long
 commands, in `make test-all`.
 """
 
@@ -10,9 +10,15 @@ import pytest
 from document_blocks import ROOT, blocks, reduced, run_page, workspace
 
 DOCS = ROOT / "docs"
-QUICK = [ROOT / "README.md", DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md"))]
-QUICK += sorted((DOCS / "how-to").glob("*.md"))
-OTHERS = sorted(DOCS.glob("*.md"))
+PAGES = [
+    ROOT / "README.md",
+    *sorted(DOCS.glob("*.md")),
+    *sorted(DOCS.glob("tutorials/*.md")),
+    *sorted(DOCS.glob("how-to/*.md")),
+]
+LONG = {"choose-a-lens"}
+"""Tutorials with ten seconds and more of computing."""
+QUICK = [p for p in PAGES if (p.parent != DOCS or p.stem == "index") and p.stem not in LONG]
 
 
 def _with_code(pages: list[Path]) -> list[Path]:
@@ -30,7 +36,9 @@ def test_blocks_of_page_run(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", _with_code([p for p in OTHERS if p not in QUICK]), ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", _with_code([p for p in PAGES if p not in QUICK]), ids=lambda page: f"{page.parent.name}-{page.stem}"
+)
 @pytest.mark.filterwarnings("default")
 def test_blocks_of_reference_run(page, tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")

@@ -6,7 +6,9 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -92,6 +94,19 @@ def test_search_finds_what_readers_look_for(index):
     options = {entry[4] if isinstance(entry[4], str) else "" for group in index["objects"].values() for entry in group}
     assert any("wcs" in anchor for anchor in options)
     assert not _found(index, "nosuchwordanywhere")
+
+
+@pytest.mark.parametrize(
+    ("query", "first"), [("rolling shutter", "Camera geometry"), ("NEA", "Glossary"), ("--wcs", "boresight solve")]
+)
+def test_search_page_lists_the_page(site, page, query, first):
+    page.screen(1400)
+    page.open((site / "search.html").as_uri() + f"?q={quote(query)}")
+    found = "[...document.querySelectorAll('#search-results li')].map(n => n.innerText)"
+    deadline = time.monotonic() + 20.0
+    while not any(first in text for text in page.value(found)):
+        assert time.monotonic() < deadline, page.value(found)
+        time.sleep(0.2)
 
 
 def test_nothing_is_fetched(site):

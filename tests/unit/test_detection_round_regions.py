@@ -110,7 +110,7 @@ def test_bad_pixels_and_input():
     image = stars([(40.0, 50.0)])
     image[20, 20], image[70:73, 70:73] = np.nan, np.inf
     assert len(find_round_regions(image, flat(), RULES)) == 1
-    with pytest.raises(InputError, match="make it anew"):
+    with pytest.raises(InputError, match="compute it again"):
         find_round_regions(image, flat((8, 8)), RULES)
     with pytest.raises(InputError, match="search_step_px is 0"):
         find_round_regions(image, flat(), DetectionSettings(search_step_px=0))

@@ -270,12 +270,12 @@ def test_middle_of_a_streak_is_set_right_for_the_camera() -> None:
     centroids = Centroids(xy, np.ones(3), stated, np.zeros(3, bool))
     lengths = path[-1] - path[0]
     by_motion = Trails(centroids, motion, lengths, np.zeros(3, bool))
-    np.testing.assert_allclose(xy - mid_exposure(by_motion, camera)[0], expected, atol=0.04)
+    np.testing.assert_allclose(xy - mid_exposure(by_motion, camera).xy, expected, atol=0.04)
     assert np.abs(expected).max() > 0.3
     by_trails = Trails(centroids, motion * (1.0, 1.02, 0.9), -lengths, np.ones(3, bool))
-    half, covariance = fit_turn(by_trails, camera)
+    half, covariance, _ = fit_turn(xy, by_trails.lengths, np.full((3, 2), 4e-4), by_trails.motion, camera)
     assert np.all(np.abs(half - 0.5 * turn) < 3.0 * np.sqrt(np.diag(covariance)) + 1e-5)
-    np.testing.assert_allclose(xy - mid_exposure(by_trails, camera)[0], expected, atol=0.01)
+    np.testing.assert_allclose(xy - mid_exposure(by_trails, camera).xy, expected, atol=0.01)
 
 
 @pytest.mark.parametrize(("rate_deg_s", "length"), [(3.0, 48.0), (10.0, 159.0)])

@@ -1,0 +1,244 @@
+"""The motion that the lines of a frame share: each line made straight, one length for all, then the fit to them.
+
+A piece of a trail, or a line a little askew, looks like a shorter trail, and several such agree with each other. So the
+length is not that of most lines but that with which the light along all of them agrees, far beyond their ends.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.camera import Camera
+from startracker.detection.motion import agrees, common_motion, motion_at
+from startracker.detection.plane import Plane
+from startracker.detection.thresholds import MOTION_TOLERANCE_PX, MOTION_TOLERANCE_SHARE
+from startracker.trails.fit import best_stretches, fit_trail, light_along
+from startracker.trails.lines import COARSE_SIGMA, LONGEST_SHARE
+from startracker.trails.model import ANGLE, FLUX, HALF, LINE, SIGMA, TURNED, X, Y
+from startracker.trails.turn import PROJECTED_PX, Turn, fit_turn
+
+__all__ = ["CommonMotion", "Signal", "find_motion", "lengths_of", "within"]
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+_ENOUGH = 12
+"""Lines of which the motion is fitted at most."""
+_WIDTH_TRAILS = 5
+_FEWEST = 4
+_SHORTEST_MOTION_PX = 5.0
+"""These lines were fitted, each above the noise as a whole: shorter ones than those of bare objects mean something."""
+_SHORTEST_PX = 4
+_LENGTH_STEP = 1.02
+"""Ratio of the lengths that are tried; a flat image stretches trails by as much 11° from the axis."""
+_LOSS = 25.0
+"""Largest loss of a line's signal-to-noise ratio squared that counts, of 5 standard errors, and the least by which any
+other length must be worse."""
+_CUT_PX = 4.0
+"""A trail that ends nearer to the border may go on beyond."""
+_LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
+"""What else trails may differ by: a flat image stretches towards its corners by the square of the angle."""
+_CAUCHY = 2.4
+"""Residual in standard errors at which a trail has half its weight (95 % efficiency)."""
+
+
+class Signal(NamedTuple):
+    """What trails are fitted in: residual above the background and its noise, DN; DN an electron."""
+
+    residual: FloatImage
+    noise: Plane
+    inverse_gain: float
+
+    @property
+    def middle(self) -> FloatArray:
+        """Of the image (x, y), px."""
+        return 0.5 * (np.array(self.residual.shape[::-1], dtype=float) - 1.0)
+
+
+class CommonMotion(NamedTuple):
+    """The motion that the trails of a frame share.
+
+    Parameters
+    ----------
+    motion, covariance : (3,), (3, 3)
+        (a, b, c) of `startracker.detection.motion`.
+    middle : (2,)
+        Of the image, px.
+    sigma : float
+        Width of the star images, px.
+    turn : Turn, optional
+        The same for the camera's projection.
+    """
+
+    motion: FloatArray
+    covariance: FloatArray
+    middle: FloatArray
+    sigma: float
+    turn: Turn | None
+
+    def lines_at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Line (N, 2), px, of a trail about each position, and the variance of its length (N,)."""
+        if self.turn is not None:
+            return self.turn.lines_at(xy)
+        lines, (x, y) = motion_at(xy - self.middle, self.motion), (xy - self.middle).T
+        u, v = (lines / np.maximum(np.hypot(*lines.T), 1e-12)[:, None]).T
+        by_motion = np.column_stack([u, v, v * x - u * y])
+        return lines, np.einsum("nk,kj,nj->n", by_motion, self.covariance, by_motion)
+
+
+def lengths_of(table: FloatArray) -> FloatArray:
+    """Lengths (N, 2) along x and y of trails (N, 7), px."""
+    unit = np.column_stack([np.cos(table[:, ANGLE]), np.sin(table[:, ANGLE])])
+    return np.asarray(2.0 * table[:, HALF, None] * unit)
+
+
+def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Flags:
+    """Which trails (N, 7) have both ends at least so far inside the image, px."""
+    reach = 0.5 * np.abs(lengths_of(table)) + np.reshape(margin, (-1, 1))
+    inside = np.abs(table[:, [X, Y]] - signal.middle) + reach <= signal.middle
+    return np.asarray(inside.all(axis=1))
+
+
+def find_motion(
+    signal: Signal, lines: FloatArray, sigma: float, measure_sigma: bool, camera: Camera | None = None
+) -> CommonMotion | None:
+    """The motion that lines (N, 4), see `candidate_lines`, share; None for none.
+
+    Parameters
+    ----------
+    sigma : float
+        Width of the star images, px.
+    measure_sigma : bool
+        Whether it is that of the brightest trails instead.
+    camera : Camera, optional
+        Its projection stretches and turns trails over the field; None: a narrow field.
+    """
+    longest = LONGEST_SHARE * min(signal.residual.shape)
+    steps = np.arange(0.0, math.log(max(longest, 2.0 * _SHORTEST_PX) / _SHORTEST_PX), math.log(_LENGTH_STEP))
+    lengths = np.unique(np.rint(_SHORTEST_PX * np.exp(steps)).astype(np.int64))
+    straight = _straightened(signal, lines, sigma, lengths)
+    if straight is None:
+        return None
+    xy, trails = straight.table[:, [X, Y]] - signal.middle, lengths_of(straight.table)
+    motion = common_motion(xy, trails, _SHORTEST_MOTION_PX, _SHORTEST_MOTION_PX)
+    motion = None if motion is None else _lengthened(motion, xy, trails, straight)
+    return None if motion is None else _fitted(signal, motion, straight, measure_sigma, camera)
+
+
+class _Straight(NamedTuple):
+    """Lines (N, 7), brightest first, each with its best length; for each of some lengths (L,) the signal-to-noise
+    ratios and middles (N, L) of `best_stretches`, the latter from the line's."""
+
+    table: FloatArray
+    lengths: IntArray
+    scores: FloatArray
+    middles: FloatArray
+
+
+def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntArray) -> _Straight | None:
+    """The lines that stand out of the noise and are whole, fitted in position and direction; None for too few."""
+    found = []
+    for x, y, u, v in lines:
+        start = np.array([x, y, 0.0, 0.0, math.atan2(v, u), max(math.hypot(u, v), 2.0), sigma])
+        made, _, chi2, _ = fit_trail(signal.residual, signal.noise, start, TURNED, 3.0, signal.inverse_gain)
+        if not chi2 < math.inf or math.hypot(made[X] - x, made[Y] - y) > start[HALF] + 3.0:
+            continue
+        total = light_along(signal.residual, signal.noise, made, int(lengths[-1]))
+        score, middle = best_stretches(total, lengths)
+        best = int(np.argmax(score))
+        _move(made, middle[best], lengths[best])
+        if score[best] >= COARSE_SIGMA and within(signal, made[None], _CUT_PX)[0]:
+            found.append((made, score, middle - middle[best]))
+        if len(found) == _ENOUGH:
+            break
+    if len(found) < _FEWEST:
+        return None
+    found.sort(key=lambda line: -line[0][FLUX])
+    table, scores, middles = (np.array(column) for column in zip(*found, strict=True))
+    return _Straight(table, lengths, scores, middles)
+
+
+def _move(line: FloatArray, along: float, length: float) -> None:
+    """Move a line (7,) along itself, px, in place, and give it a length."""
+    line[X] += along * math.cos(line[ANGLE])
+    line[Y] += along * math.sin(line[ANGLE])
+    line[HALF] = 0.5 * length
+
+
+def _lengthened(motion: FloatArray, xy: FloatArray, trails: FloatArray, straight: _Straight) -> FloatArray | None:
+    """The motion with the length that explains the light along all lines of its direction; None if others do, too."""
+    lengths, expected = straight.lengths, motion_at(xy, motion)
+    size = np.hypot(*expected.T)
+    aside = np.abs(expected[:, 0] * trails[:, 1] - expected[:, 1] * trails[:, 0]) / np.maximum(size, 1e-9)
+    along = aside < MOTION_TOLERANCE_PX + _STRETCH * np.hypot(*trails.T)
+    squares = np.square(np.maximum(straight.scores[along], 0.0))
+    before, after = np.pad(squares, ((0, 0), (1, 0)))[:, :-1], np.pad(squares, ((0, 0), (0, 1)))[:, 1:]
+    near = np.maximum(np.maximum(before, after), squares)
+    scale = lengths / float(np.median(size))
+    index = np.minimum(np.searchsorted(lengths, size[along, None] * scale), len(lengths) - 1)
+    short_by = squares.max(axis=1)[:, None] - np.take_along_axis(near, index, axis=1)
+    loss = np.minimum(short_by, _LOSS).sum(axis=0)
+    best = int(np.argmin(loss))
+    others = np.abs(lengths - lengths[best]) > MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * lengths[best]
+    sure = not others.any() or loss[others].min() > loss[best] + _LOSS
+    return motion * scale[best] if sure else None
+
+
+def _fitted(
+    signal: Signal, motion: FloatArray, straight: _Straight, measure_sigma: bool, camera: Camera | None
+) -> CommonMotion | None:
+    """The motion from fits of the lines, begun with the length that this motion gives them."""
+    fits, errors = [], []
+    expected = np.hypot(*motion_at(straight.table[:, [X, Y]] - signal.middle, motion).T)
+    for line, length, middle in zip(straight.table, expected, straight.middles, strict=True):
+        start = line.copy()
+        _move(start, float(np.interp(length, straight.lengths, middle)), length)
+        made, covariance, chi2, _ = fit_trail(
+            signal.residual, signal.noise, start, LINE, 3.0 + 0.05 * start[HALF], signal.inverse_gain
+        )
+        if chi2 < math.inf and within(signal, made[None], _CUT_PX)[0]:
+            fits.append(made)
+            errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], made[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
+    if len(fits) < _FEWEST:
+        return None
+    made, variance = np.array(fits), np.array(errors)
+    trails = lengths_of(made)
+    fitting = agrees(trails, motion_at(made[:, [X, Y]] - signal.middle, motion))
+    if np.count_nonzero(fitting) < _FEWEST:
+        return None
+    made, trails, variance = made[fitting], trails[fitting], variance[fitting] + _TURN_PX**2
+    stretch = np.array([1.0, 0.0]) * (_LENGTH_ERROR_PX + _STRETCH * 2.0 * made[:, HALF, None]) ** 2
+    motion, covariance = _weighted_motion(made[:, [X, Y]] - signal.middle, trails, variance + stretch, motion)
+    turn = None
+    if camera is not None and math.hypot(*motion[:2]) > PROJECTED_PX:
+        turn = fit_turn(made[:, [X, Y]], trails, variance, motion, camera)
+    sigma = float(np.median(made[:_WIDTH_TRAILS, SIGMA])) if measure_sigma else float(straight.table[0, SIGMA])
+    return CommonMotion(motion, covariance, signal.middle, sigma, turn)
+
+
+def _weighted_motion(
+    xy: FloatArray, trails: FloatArray, variance: FloatArray, motion: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The motion of trails whose lengths and directions are known to a variance (N, 2), px², outliers held down, and
+    its covariance.
+
+    Directions of long trails are known far better than their lengths; two trails in line look like one longer one.
+    """
+    along = trails / np.hypot(*trails.T)[:, None]
+    axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    ones, zeros = np.ones(len(xy)), np.zeros(len(xy))
+    design = np.stack([np.column_stack([ones, zeros, -xy[:, 1]]), np.column_stack([zeros, ones, xy[:, 0]])], axis=1)
+    design = (axes @ design) / np.sqrt(variance)[:, :, None]
+    for _ in range(8):
+        sign = np.where((motion_at(xy, motion) * trails).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+        target = (axes @ (sign * trails)[:, :, None])[:, :, 0] / np.sqrt(variance)
+        weight = 1.0 / (1.0 + ((design @ motion - target) / _CAUCHY) ** 2)
+        normal = np.einsum("nik,ni,nij->kj", design, weight, design)
+        motion = np.linalg.solve(normal, np.einsum("nik,ni,ni->k", design, weight, target))
+    return motion, np.asarray(np.linalg.inv(normal))
