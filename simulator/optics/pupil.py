@@ -17,7 +17,7 @@ TERMS = 11
 """Number of Zernike terms of a wavefront: Noll's 1 (piston) to 11 (spherical)."""
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=256)
 def legendre(count: int) -> tuple[FloatArray, FloatArray]:
     """Points and weights of Gauss–Legendre quadrature on −1 … 1; cached, as computing a few hundred takes as long as an
     image."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics.jitter import JitterPath
+from simulator.optics.pupil import legendre
 from startracker.camera import Camera
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
@@ -53,7 +54,7 @@ def exposure_nodes(
     ratio = streak_px / feature_px
     count = 1 if ratio <= (0.04 if cycles == 0.0 else 1e-4) else math.ceil(1.03 * ratio + 1.6 + 3.5 * cycles)
     panels = math.ceil(count / _MAX_PANEL)
-    nodes, weights = _legendre(math.ceil(count / panels))
+    nodes, weights = legendre(math.ceil(count / panels))
     if panels == 1:
         return nodes.copy(), weights / 2.0
     middles = (2.0 * np.arange(panels) + 1.0) / panels - 1.0
@@ -214,10 +215,3 @@ def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
         out[k, 2, 0], out[k, 2, 1] = versine * x * z - sine * y, versine * y * z + sine * x
         out[k, 2, 2] = 1.0 - versine * (x * x + y * y)
     return out
-
-
-@functools.lru_cache(maxsize=256)
-def _legendre(count: int) -> tuple[FloatArray, FloatArray]:
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    nodes.flags.writeable = weights.flags.writeable = False
-    return nodes, weights

@@ -171,10 +171,8 @@ def spread_interval(values: ArrayLike) -> Interval:
     return math.sqrt(m2 * freedom / high), math.sqrt(m2 * freedom / low)
 
 
-def percentile_interval(
-    ordered: FloatArray, percent: float, confidence: float = 0.95
-) -> tuple[float | None, float | None]:
-    """Distribution-free interval of a percentile between two order statistics.
+def percentile_interval(ordered: FloatArray, percent: float) -> tuple[float | None, float | None]:
+    """Distribution-free 95 % interval of a percentile between two order statistics.
 
     P(x₍ₖ₎ ≤ q) = P(Bin(n, p) ≥ k): the bootstrap of a percentile needs no resampling, as the number of values below it
     is binomial (Conover 1999, *Practical Nonparametric Statistics*, section 3.2). The coverage is at least 95 %. A

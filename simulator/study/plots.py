@@ -46,6 +46,6 @@ def picture(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> 
     return new_figure(PICTURE_STYLE, rows, columns, size, squeeze=False, **axes)
 
 
-def save_bytes(figure: Figure, form: str = "png", dpi: int = 130) -> bytes:
-    """Figure as the bytes of a PNG, SVG or PDF file, the same bytes for the same figure."""
-    return figure_bytes(figure, form, dpi=dpi)
+def save_bytes(figure: Figure) -> bytes:
+    """Figure as the bytes of a PNG file, the same bytes for the same figure."""
+    return figure_bytes(figure, dpi=130)

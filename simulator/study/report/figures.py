@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, Binned, error_against
-from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, STUDY_STYLE, VERMILION, Panel, new_figure
+from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from startracker.catalog.stars import StarCatalog
 
@@ -100,7 +99,7 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
         Panel(
             "Boresights",
             "Boresights of the trials, Sanson–Flamsteed projection, ICRS.",
-            functools.partial(draw_sky, columns, catalog.brighter_than(_SKY_LIMIT_MAG)),
+            functools.partial(draw_sky, columns, catalog),
             height_in=4.3,
             wide=True,
         ),
@@ -148,15 +147,6 @@ def draw_histogram(columns: Columns, axis: str, specified_deg: float | None, ax:
         ax.plot([], [], " ", label=f"{outside} outside the plot")
     ax.set_ylim(0, ax.get_ylim()[1] * 1.45)
     ax.legend(loc="upper left", ncols=2, columnspacing=1.0, handlelength=1.5)
-
-
-def error_histograms(columns: Columns, specification_deg: Mapping[str, float]) -> Figure:
-    """Histograms of the errors about the body and camera axes in one figure."""
-    figure, grid = new_figure(STUDY_STYLE, 2, 3, (11, 6))
-    for ax, (axis, (name, _)) in zip(grid.ravel(), TITLES.items(), strict=True):
-        draw_histogram(columns, axis, specification_deg.get(axis), ax)
-        ax.set_title(name)
-    return figure
 
 
 def draw_against(columns: Columns, name: str, label: str, ax: Axes) -> None:
@@ -290,7 +280,7 @@ _ECLIPTIC_POLE = (270.0, 66.5607)
 _GALACTIC_POLE = (192.85948, 27.12825)  # J2000, Hipparcos catalogue vol. 1, section 1.5.3
 
 
-def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes, magnitude_limit: float = _SKY_LIMIT_MAG) -> None:
+def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes) -> None:
     """Boresights of all trials over the sky, Sanson–Flamsteed projection, right ascension increasing to the left."""
 
     def plane(ra_deg: NDArray[Any], dec_deg: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -303,10 +293,10 @@ def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes, magnitude_limit: 
     for parallel in range(-60, 61, 30):
         reach = 180.0 * np.cos(np.radians(parallel))
         ax.plot([180 - reach, 180 + reach], [parallel, parallel], color=LINE, linewidth=0.5)
-    bright = catalog.brighter_than(magnitude_limit)
+    bright = catalog.brighter_than(_SKY_LIMIT_MAG)
     x, y = plane(np.degrees(bright.ra_rad), np.degrees(bright.dec_rad))
-    ax.scatter(x, y, s=10 ** (0.2 * (magnitude_limit - bright.v_mag)), color=SOFT, linewidths=0, alpha=0.8,
-               label=f"stars, V ≤ {magnitude_limit:g}")  # fmt: skip
+    ax.scatter(x, y, s=10 ** (0.2 * (_SKY_LIMIT_MAG - bright.v_mag)), color=SOFT, linewidths=0, alpha=0.8,
+               label=f"stars, V ≤ {_SKY_LIMIT_MAG:g}")  # fmt: skip
     for label, pole, line, colour in (
         ("ecliptic", _ECLIPTIC_POLE, "--", ORANGE),
         ("galactic plane", _GALACTIC_POLE, ":", GREEN),

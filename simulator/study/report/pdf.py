@@ -138,8 +138,9 @@ class _Paper:
         self.top_in += 0.15
         self.text(text, 13, weight="bold")
 
-    def lines(self, lines: list[str], size: float = 5.0, columns: int = 4) -> None:
-        """Lines in columns, in a monospaced font; long ones are wrapped."""
+    def lines(self, lines: list[str], size: float = 5.0) -> None:
+        """Lines in four columns, in a monospaced font; long ones are wrapped."""
+        columns = 4
         pitch = (WIDTH_IN - 2 * MARGIN_IN) / columns
         letters = int((pitch - 0.1) / (_MONOSPACED_IN * size))
         lines = [part for line in lines for part in textwrap.wrap(line, letters, subsequent_indent="    ")]

@@ -59,12 +59,12 @@ def _least(function: Callable[[float], float], low: float, high: float) -> float
     return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
 
 
-def airy_bias(offset_px: ArrayLike = OFFSETS, ring_px: float = FIRST_DARK_RING) -> FloatArray:
+def airy_bias(offset_px: ArrayLike = OFFSETS) -> FloatArray:
     """Offset minus first moment over 5 × 5 point samples of an Airy pattern with a first dark ring of radius
-    `ring_px`."""
+    `FIRST_DARK_RING` px."""
     out = []
     for offset in np.atleast_1d(np.asarray(offset_px, dtype=float)):
-        samples = airy_pattern(np.hypot(_COLUMNS - offset, _ROWS) * FIRST_DARK_RING / ring_px)
+        samples = airy_pattern(np.hypot(_COLUMNS - offset, _ROWS))
         out.append(offset - float((samples * _COLUMNS).sum() / samples.sum()))
     return np.array(out)
 

@@ -109,9 +109,9 @@ def zone(catalog: StarCatalog, ra_deg: float) -> StarCatalog:
     return catalog.select(chosen[np.argsort(along[chosen], kind="stable")])
 
 
-def zone_counts(magnitude_limit: float = 6.5) -> tuple[IntArray, IntArray]:
-    """Stars and lines of each zone; zone k starts at right ascension 360°(k − 1)/12."""
-    catalog = guide_stars(magnitude_limit)
+def zone_counts() -> tuple[IntArray, IntArray]:
+    """Stars to V = 6.5 and lines of each zone; zone k starts at right ascension 360°(k − 1)/12."""
+    catalog = guide_stars(6.5)
     starts = [360.0 / ZONES * k for k in range(ZONES)]
     parts = [zone(catalog, start) for start in starts]
     counts = [len(lines(part, start_ra_deg=start)) for part, start in zip(parts, starts, strict=True)]

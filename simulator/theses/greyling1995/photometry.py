@@ -136,9 +136,10 @@ def _voltages(v_mag: float) -> Values:
     return {"cm": aperture_m * 100.0, "s": exposure_s, "v": _signed(v_mag), "panels": panels, "top": top}
 
 
-def _voltage_by_magnitude(aperture_m: float = 0.1, exposure_s: float = 0.5) -> Values:
+def _voltage_by_magnitude() -> Values:
     """Output voltage by magnitude: as in the script, with correct physics, and for two stars by the product."""
     v_mag, gain = np.linspace(-1.5, 8.0, 96), PROTOTYPE_VOLT_PER_E
+    aperture_m, exposure_s = 0.1, 0.5
     star = (v_mag, aperture_m, exposure_s)
     cool_b_v, cool_class = (float(column[2]) for column in _colours())
     return {

@@ -85,9 +85,9 @@ def _values(pairs: int) -> Values:
     }
 
 
-def _pair(accuracy: float = 0.12) -> Values:
+def _pair() -> Values:
     """Two stars and the squares that contain their centroids, with the steepest and the flattest line; not to scale."""
-    stars = np.array([[0.0, 0.0], [1.2, 0.8]])
+    stars, accuracy = np.array([[0.0, 0.0], [1.2, 0.8]]), 0.12
     shift = accuracy * np.array([1.0, -1.0])
     return {
         "stars": stars.T,

@@ -89,7 +89,6 @@ def success_rate(
     *,
     rule: Rule = "first",
     aliens: bool = False,
-    threshold_dn: float = THRESHOLD_DN,
 ) -> Success:
     """Success of region growing on random frames of 10° × 10°.
 
@@ -106,7 +105,7 @@ def success_rate(
         if aliens:
             xy = _add_aliens(image, xy, stream(1, "greyling1995 aliens", trial))
         image += rng.uniform(-amplitude, amplitude, image.shape)
-        spots = _objects(np.clip(np.rint(image), 0.0, FULL_SCALE_DN), rule, threshold_dn)
+        spots = _objects(np.clip(np.rint(image), 0.0, FULL_SCALE_DN), rule)
         order = np.lexsort((spots.x_peak, spots.y_peak)) if rule == "first" else np.arange(len(spots))
         kept = order[:STARS_SOUGHT]
         away = np.hypot(spots.x_peak[kept, None] - xy[:, 0], spots.y_peak[kept, None] - xy[:, 1])
@@ -117,13 +116,13 @@ def success_rate(
     return Success(snr_db, frames, found / (STARS_SOUGHT * frames), clean / frames, false / frames)
 
 
-def _objects(image: FloatArray, rule: Rule, threshold_dn: float) -> Spots:
+def _objects(image: FloatArray, rule: Rule) -> Spots:
     """Objects of a digitised frame, with the threshold of the thesis or the tracker's settings."""
     frame = image.astype(np.float32)
     if rule == "tracker":
         return grow_regions(frame, estimate(frame), DetectionSettings(), FULL_SCALE_DN)
     background = Background(np.zeros_like(frame), np.ones_like(frame))
-    return grow_regions(frame, background, thesis_settings(threshold_dn), FULL_SCALE_DN)
+    return grow_regions(frame, background, thesis_settings(THRESHOLD_DN), FULL_SCALE_DN)
 
 
 def _add_aliens(image: FloatArray, xy: FloatArray, rng: np.random.Generator) -> FloatArray:
