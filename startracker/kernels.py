@@ -67,7 +67,11 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
 
     def compile_once(signature: Any) -> Any:
         with _held(Path(dispatcher.stats.cache_path), name):
-            return compile_now(signature)
+            try:
+                return compile_now(signature)
+            except (AttributeError, ImportError):  # the cache names a class of an earlier version, which is gone
+                dispatcher._cache.flush()
+                return compile_now(signature)
 
     dispatcher.compile = compile_once
     return dispatcher

@@ -97,6 +97,32 @@ def test_of_two_processes_one_compiles_and_the_other_loads(tmp_path):
     assert sorted(process.communicate(timeout=120)[0] for process in both) == ["0\n", "1\n"]
 
 
+RENAMED = """
+from typing import NamedTuple
+from startracker.kernels import kernel
+
+class {name}(NamedTuple):
+    value: float
+
+@kernel
+def doubled(pair):
+    return 2.0 * pair.value
+
+print(doubled({name}(1.5)))
+"""
+
+
+def test_a_cache_that_names_a_class_which_is_gone_is_replaced(tmp_path):
+    """numba reads the types in its index before it compares dates: an upgrade in place met an AttributeError."""
+    for name in ("Before", "After"):
+        (tmp_path / "renamed.py").write_text(RENAMED.format(name=name))
+        done = subprocess.run(
+            [sys.executable, "-c", "import renamed"],
+            cwd=tmp_path, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.stdout.strip() == "3.0", done.stderr
+
+
 @pytest.mark.parametrize("task", ["run", "solve"])
 def test_most_kernels_that_a_task_expects_are_there(task):
     expected, missing = expected_kernels(task), []
