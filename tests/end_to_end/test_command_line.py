@@ -95,7 +95,7 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
     assert again.returncode == 0, again.stderr
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_path, workers):
     command = [
         sys.executable,

@@ -16,8 +16,8 @@ PAGES = [
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("how-to/*.md")),
 ]
-LONG = {"choose-a-lens"}
-"""Tutorials with ten seconds and more of computing."""
+LONG = {"camera", "choose-a-lens", "first-study", "quantum-efficiency"}
+"""Tutorials and guides with ten seconds and more of computing."""
 QUICK = [p for p in PAGES if (p.parent != DOCS or p.stem == "index") and p.stem not in LONG]
 
 

@@ -34,7 +34,7 @@ def test_rows(section):
         assert row(section, words).computed.replace(",", "") == computed.replace(",", "")
     q2 = row(section, "equation of Q2")
     assert q2.verdict == "differs"
-    assert q2.computed == "11 as printed, 12 mended"
+    assert q2.computed == "11 as printed, 12 corrected"
     assert "to T2, but the table has T0" in q2.why
     assert row(section, "state machine").computed == "9.524 kHz"
     # what the thesis gives no number for is no comparison; a tenth of a pixel from 8 bits on, not from 2

@@ -16,6 +16,8 @@ _NUMBER = re.compile(r"[-−+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _PICTURES = ("image/png", "image/jpeg")
 
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+LONG = {"accuracy", "greyling1995", "yee1999"}
+"""Notebooks of ten seconds and more of computing, whose functions have tests of their own."""
 
 
 def code_cells(notebook):
@@ -62,7 +64,10 @@ def test_notebook_teaches(path):
         assert any("image/png" in out.get("data", {}) for out in cell.outputs), "a figure is there without a kernel"
 
 
-@each_notebook
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in LONG)) for path in NOTEBOOKS],
+)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the notebook client's own event loop
 def test_notebook_runs_as_stored(path):
     stored, again = nbformat.read(path, as_version=4), executed(path)

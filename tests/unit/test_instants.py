@@ -7,7 +7,7 @@ import pytest
 
 from simulator.build import build_scenes
 from simulator.scenario import Scenario
-from simulator.scene import BLOCK_TRIALS
+from simulator.scene import BLOCK_TRIALS, GivenState
 from simulator.sky.earth import unhidden
 from simulator.sky.instants import Instants
 from simulator.sky.observer import observe
@@ -79,7 +79,9 @@ def test_planned_times_are_those_of_the_frames():
     planned, alone = build_scenes(scenario), build_scenes(scenario)
     planned.plan([10.0, 20.0, 30.0])
     stream = np.random.default_rng
-    one, other = (scenes.scene(0, lambda stage: stream(1), 0.1, 0.1, at_s=20.0) for scenes in (planned, alone))
+    one, other = (
+        scenes.scene(0, lambda stage: stream(1), 0.1, 0.1, GivenState(at_s=20.0)) for scenes in (planned, alone)
+    )
     assert one.t_s == other.t_s == 20.0
     np.testing.assert_allclose(one.r_km, other.r_km, rtol=0, atol=1e-9)
     np.testing.assert_allclose(one.bodies.direction, other.bodies.direction, rtol=0, atol=1e-13)
