@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -24,6 +23,7 @@ from startracker.detection.trailed import trails_win
 from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
+from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
@@ -44,18 +44,18 @@ class Clock:
     """Time taken by each stage, milliseconds."""
 
     laps: dict[str, float] = field(default_factory=dict)
-    start: float = field(default_factory=time.perf_counter)
-    last: float = field(default_factory=time.perf_counter)
+    start: float = field(default_factory=clock)
+    last: float = field(default_factory=clock)
 
     def lap(self, name: str) -> None:
         """Assign the time since the last lap to a stage."""
-        now = time.perf_counter()
+        now = clock()
         self.laps[name] = (now - self.last) * 1e3
         self.last = now
 
     def times_ms(self) -> dict[str, float]:
         """All laps, and the total until now."""
-        return {**self.laps, "total": (time.perf_counter() - self.start) * 1e3}
+        return {**self.laps, "total": (clock() - self.start) * 1e3}
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
 from startracker.display import described
 from startracker.errors import BoresightError
+from startracker.kernels import clock
 
 __all__ = ["Sequence", "run_sequence"]
 
@@ -131,7 +131,7 @@ def _run(
 ) -> Sequence:
     requested = scenario.sequence.frames
     runner = SequenceRunner(scenario, single=single)
-    started = time.perf_counter()
+    started = clock()
     pieces: list[pa.Table] = []
     rows: list[dict[str, Any]] = []
     views: list[FrameView] = []
@@ -158,7 +158,7 @@ def _run(
         )
     if rows:
         pieces.append(pa.Table.from_pylist(rows))
-    elapsed_s = time.perf_counter() - started
+    elapsed_s = clock() - started
     table = pa.concat_tables(pieces)
     sequence = Sequence(scenario, table, {}, folder)
     columns = sequence.columns

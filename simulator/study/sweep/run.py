@@ -12,7 +12,6 @@ import hashlib
 import itertools
 import json
 import shutil
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,6 +47,7 @@ from simulator.study.trials.trial import TrialRunner
 from startracker._version import __version__
 from startracker.display import described
 from startracker.errors import BoresightError, InputError
+from startracker.kernels import clock
 
 POINTS_FOLDER = "points"
 
@@ -252,7 +252,7 @@ def _run_sweep(
     """Run the remaining points of a plan and write the results, unless they have fewer points than existing ones."""
     kept = _open_points(plan, folder, force)
     state = _State({point.index: point.refused for point in plan.points if point.scenario is None})
-    started = time.perf_counter()
+    started = clock()
     _run_points(plan, kept, state, where, progress)
     if not state.whole:
         if state.interrupted:
@@ -279,7 +279,7 @@ def _run_sweep(
         "specification_deg": {axis: getattr(specification, f"{axis}_deg") for axis in BODY_AXES},
         "identity": plan.identity(reached).to_dict(),
         "workers": where.workers,
-        "elapsed_s": time.perf_counter() - started,
+        "elapsed_s": clock() - started,
         "trials_run": state.trials_run,
         "scenario": plan.scenario.resolved(),
     }
