@@ -81,7 +81,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_rows(tmp_path, undistur
         process = start(tmp_path, workers=2 if attempt % 4 == 3 else 1, resume=attempt > 0)
         process.stdout.readline()  # the first words: how many trials were found
         try:
-            process.wait(timeout=float(rng.uniform(0.05, 0.9)))
+            process.wait(timeout=float(rng.uniform(0.05, 0.9)) * 1.1**attempt)  # a slow machine ends later, but ends
         except subprocess.TimeoutExpired:
             process.kill()
             kills += 1
