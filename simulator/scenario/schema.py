@@ -21,6 +21,7 @@ from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
+from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.parameters import Sky
 from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
@@ -70,17 +71,6 @@ class StudySection(Section):
     neither occults stars nor emits light. False: as set by `sky.earth`."""
 
 
-class SpecificationSection(Section):
-    """Required 3σ accuracy about the body axes."""
-
-    roll_deg: Positive = 0.025
-    """About X (roll)."""
-    yaw_deg: Positive = 0.025
-    """About Z (yaw)."""
-    pitch_deg: Positive = 0.286
-    """About Y (pitch)."""
-
-
 class ScenarioModel(Section):
     """A complete scenario."""
 
@@ -111,7 +101,7 @@ class ScenarioModel(Section):
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
     specification: SpecificationSection = SpecificationSection()
-    """Required accuracy."""
+    """Required performance."""
     allow_unphysical: bool = False
     """Permit unphysical values; the report lists them."""
 
