@@ -18,6 +18,7 @@ from simulator.frame import TrueSources
 from simulator.light import Light, body_light, body_rates_e_s, near_image, path_middles, star_light, star_rates_e_s
 from simulator.optics.bodies import LAW_OF_BODY, LAWS, LitDisk, draw_body
 from simulator.optics.disk import add_disk
+from simulator.optics.displacement import Displacement
 from simulator.optics.ghosts import Ghost, ghost_sources
 from simulator.optics.illumination import Vignetting, illumination_map, star_illumination
 from simulator.optics.psf_set import PsfSet
@@ -78,6 +79,8 @@ class FocalPlane:
     """The calibrated camera, as in the frame."""
     true_camera: Camera
     """The true camera, with which the sky is rendered."""
+    displacement: Displacement
+    """Displacement of star images from the positions of the true camera."""
     photometer: Photometer
     """Aperture, transmission and quantum efficiency."""
     psfs: PsfSet
@@ -100,7 +103,8 @@ class FocalPlane:
         if exposure_s not in self._half_fields:
             camera = self.true_camera
             brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * exposure_s
-            reach_px = math.ceil(min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)) + 1
+            wing_px = min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)
+            reach_px = math.ceil(wing_px + self.displacement.most_px) + 1
             grown = replace(
                 camera,
                 width=camera.width + 2 * reach_px,
@@ -123,8 +127,10 @@ class FocalPlane:
         paths = exposure.paths(
             self.true_camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, margin_px
         )
-        self._draw(mean_e, light, seen.xy, paths)
-        sources = light.truth(seen.xy, path_middles(paths.xy, paths.weights, seen.xy), seen.electrons)
+        xy = self.displacement.moved(seen.xy, light.wavelength_nm)
+        paths = paths._replace(xy=self.displacement.moved(paths.xy, light.wavelength_nm))
+        self._draw(mean_e, light, xy, paths)
+        sources = light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
         self._draw_ghosts(mean_e, sources)
         exposure.add_transfer_smear(mean_e)
         return Illumination(sources, mean_e, excluded)
@@ -135,7 +141,8 @@ class FocalPlane:
         camera, photometer, sky, bodies = self.true_camera, self.photometer, self.sky, scene.bodies
         rate_e_s = star_rates_e_s(scene, photometer, sky)
         seen = self._reaching(scene, scene.star_directions, rate_e_s, exposure, 0.0)
-        stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, self.psfs.coloured)
+        coloured = self.psfs.coloured or self.displacement.coloured
+        stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, coloured)
         off_axis = np.arccos(np.clip(bodies.direction @ scene.pointing.camera.boresight, -1.0, 1.0))
         reach = self.half_field_rad(exposure.duration_s) + scene.streak_rad + bodies.angular_radius_rad
         near = np.flatnonzero(off_axis < np.minimum(reach, camera.limit_rad))
@@ -162,6 +169,7 @@ class FocalPlane:
         electrons = exposure.electrons(self._vignetted(rate_e_s, in_camera))
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + (radius_rad + scene.streak_rad) / camera.pixel_rad
+        extent_px += self.displacement.most_px
         rows = near_image(xy, extent_px, camera.width, camera.height)
         rows = rows[electrons[rows] > 0.0]
         return Reaching(rows, in_camera[rows], xy[rows], electrons[rows])

@@ -44,6 +44,7 @@ _UNITS = {
     "km": "km",
     "mm": "mm",
     "um": "µm",
+    "um_k": "µm/K",
     "nm": "nm",
     "px": "pixels",
     "h": "hours",

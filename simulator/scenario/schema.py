@@ -13,9 +13,11 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from simulator.detector.parameters import CosmicRays, Intensifier, Video
 from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
+from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
 from simulator.optics.jitter import Jitter
+from simulator.optics.pixel_response import IntraPixel
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
@@ -154,6 +156,8 @@ LIMITS: dict[type, dict[str, Any]] = {
         "azimuths": Annotated[int, Field(ge=4, le=64)],
     },
     PsfModel: {"sigma_px": Positive | None, "first_dark_ring_px": Positive | None, "wavelength_nm": Positive},
+    CalibrationResidual: {"rms_px": NonNegative, "order": Annotated[int, Field(ge=2, le=16)]},
+    IntraPixel: {"contrast": Fraction},
     Vignetting: {
         "mechanical_start_deg": Annotated[float, Field(ge=0, lt=180)],
         "mechanical_end_deg": Annotated[float, Field(gt=0, lt=180)] | None,
