@@ -51,6 +51,8 @@ _UNITS = {
     "hz": "Hz",
     "us": "µs",
     "arcsec": "arcseconds",
+    "mas": "milliarcseconds",
+    "mas_yr": "milliarcseconds/yr",
     "ppm_k": "ppm/K",
     "s": "s",
     "c": "°C",

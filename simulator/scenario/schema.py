@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, Video
+from simulator.detector.parameters import CosmicRays, Intensifier, TimeTag, Video
 from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
@@ -23,6 +23,7 @@ from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
+from simulator.sky.catalogue_errors import CatalogueErrors
 from simulator.sky.parameters import Sky
 from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
@@ -57,6 +58,8 @@ class TrackerSection(Section):
     """Settings of the centroiding."""
     identification: AnyIdentificationSettings = AnyIdentificationSettings()
     """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
+    catalogue_errors: CatalogueErrors = CatalogueErrors()
+    """Errors of the tracker's catalogue against the sky."""
 
 
 class StudySection(Section):
@@ -165,6 +168,8 @@ LIMITS: dict[type, dict[str, Any]] = {
     Ghost: {"flux": Fraction, "radius_px": Positive},
     CosmicRays: {"rate_cm2_s": NonNegative, "depth_um": Positive, "charge_e_um": Positive},
     Intensifier: dict.fromkeys(("gain", "gain_variance", "phosphor_sigma_px", "dark_e_s"), NonNegative),
+    TimeTag: {"jitter_s": NonNegative},
+    CatalogueErrors: {"position_mas": NonNegative, "proper_motion_mas_yr": NonNegative},
     Video: {"noise_dn": NonNegative, "line_blur_px": NonNegative},
     DetectionSettings: {
         "threshold_sigma": Positive,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, Video
+from simulator.detector.parameters import CosmicRays, Intensifier, TimeTag, Video
 from simulator.optics.displacement import CalibrationResidual, LateralColour
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
@@ -97,6 +97,8 @@ class DetectorSection(Section):
     """Delay from row to row, of a rolling shutter or of the transfer."""
     transfer_smear: Literal["both", "after"] = "both"
     """Transfer under light before (clearing) and after the exposure, or only after it."""
+    time_tag: TimeTag = TimeTag()
+    """Error of the time stated for mid-exposure: the attitude of a frame is that of another moment."""
     quantum_efficiency: str | Fraction = 0.5
     """A number, the name of an included detector, or a CSV file (wavelength_nm, qe)."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
