@@ -28,6 +28,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
+from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -92,6 +93,7 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
+        faint_sky=_faint_sky(scenario),
         aperture_mm=optics.aperture_mm,
         pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,
         vignetting=optics.vignetting,
@@ -105,6 +107,14 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         ),
         tether=scenario.tether,
     )
+
+
+def _faint_sky(scenario: Scenario) -> FaintSky | None:
+    """Stars beyond the catalogue; None if there are none."""
+    sky = scenario.sky
+    if sky.faint_magnitude_limit is None or sky.faint_magnitude_limit <= sky.magnitude_limit:
+        return None
+    return FaintSky(scenario.seed, sky.magnitude_limit, sky.faint_magnitude_limit)
 
 
 def _true_camera(scenario: Scenario, calibrated: Camera) -> Camera:

@@ -27,7 +27,9 @@ from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
 from simulator.scene import Scene
 from simulator.sky.background import diffuse_sky_s10
-from simulator.sky.earth import stray_sources, unhidden
+from simulator.sky.earth import occulted, stray_sources, unhidden
+from simulator.sky.faint_stars import FaintSky
+from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
@@ -87,6 +89,8 @@ class FocalPlane:
     """Point-spread functions."""
     sky: Sky
     """Parameters of the sky."""
+    faint_sky: FaintSky | None
+    """Stars beyond the catalogue."""
     aperture_mm: float
     pixel_area_cm2: float
     """Diameter of the lens and area of a pixel."""
@@ -132,6 +136,8 @@ class FocalPlane:
         self._draw(mean_e, light, xy, paths)
         sources = light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
         self._draw_ghosts(mean_e, sources)
+        if self.faint_sky is not None:
+            self._draw_faint_stars(mean_e, self.faint_sky, scene, exposure)
         exposure.add_transfer_smear(mean_e)
         return Illumination(sources, mean_e, excluded)
 
@@ -184,10 +190,7 @@ class FocalPlane:
         """Stars and small bodies through their PSFs, large bodies as disks."""
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
-        points = np.flatnonzero(~disk)
-        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], positions[points]):
-            chosen = points[members]
-            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
+        self._draw_points(mean_e, np.flatnonzero(~disk), light.wavelength_nm, positions, paths)
         for i in np.flatnonzero(disk):
             position = (float(positions[i, 0]), float(positions[i, 1]))
             body = LitDisk(
@@ -200,6 +203,32 @@ class FocalPlane:
             )
             psf = self.psfs.psf(float(light.b_v[i]), position)
             draw_body(mean_e, xy[i], weights, float(electrons[i]), body, psf)
+
+    def _draw_points(
+        self, mean_e: FloatArray, points: IntArray, wavelength_nm: FloatArray, positions: FloatArray, paths: Paths
+    ) -> None:
+        """A selection of sources through their PSFs."""
+        for members, share, psf in self.psfs.blends(wavelength_nm[points], positions[points]):
+            chosen = points[members]
+            xy = np.ascontiguousarray(paths.xy[chosen])
+            add_stars(mean_e, xy, paths.weights, paths.electrons[chosen] * share, psf)
+
+    def _draw_faint_stars(self, mean_e: FloatArray, sky: FaintSky, scene: Scene, exposure: Exposure) -> None:
+        """Stars beyond the catalogue, of the Sun's colour."""
+        camera, velocity = self.true_camera, scene.observer.velocity_km_s
+        reach_rad = self.half_field_rad(exposure.duration_s) + scene.streak_rad
+        direction, v_mag = sky.near(scene.pointing.camera.boresight, reach_rad)
+        if self.sky.aberration and velocity is not None:
+            direction = aberrated(direction, velocity)
+        rate_e_s = self.photometer.electrons_per_s(v_mag, SOLAR_B_V, 0.0)
+        if self.sky.earth:
+            rate_e_s[occulted(direction, scene.r_km)] = 0.0
+        seen = self._reaching(scene, direction, rate_e_s, exposure, 0.0)
+        motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
+        paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)
+        nm = np.full(len(seen.rows), float(self.photometer.effective_wavelength_nm(SOLAR_B_V, 0.0)))
+        paths = paths._replace(xy=self.displacement.moved(paths.xy, nm))
+        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths)
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         if self.ghosts:

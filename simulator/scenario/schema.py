@@ -25,6 +25,7 @@ from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.sky.catalogue_errors import CatalogueErrors
 from simulator.sky.parameters import Sky
+from simulator.sky.star_counts import FAINTEST_V
 from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
 __all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
@@ -149,6 +150,7 @@ LIMITS: dict[type, dict[str, Any]] = {
         "scale_factor_ppm": Annotated[float, Field(ge=0, le=200_000)],
     },
     Sky: {
+        "faint_magnitude_limit": Annotated[FiniteFloat, Field(le=FAINTEST_V)] | None,
         "background_s10": NonNegative,
         "background_model": Literal["constant", "leinert1998"],
         "earth_albedo": Fraction,
