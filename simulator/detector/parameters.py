@@ -44,6 +44,16 @@ class Video:
     """Standard deviation of the Gaussian blur of signal and noise along the lines by the bandwidth, pixels."""
 
 
+@dataclass(frozen=True)
+class TimeTag:
+    """Error of the time that the camera states for mid-exposure: stated minus true."""
+
+    offset_s: float = 0.0
+    """Constant error."""
+    jitter_s: float = 0.0
+    """Standard deviation of a Gaussian error of each frame."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DetectorParameters:
     """A detector and its readout, without the exposure: keys of a scenario's ``detector`` section with these names, and
