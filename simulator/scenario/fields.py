@@ -51,6 +51,8 @@ _UNITS = {
     "us": "µs",
     "arcsec": "arcseconds",
     "ppm_k": "ppm/K",
+    "years": "years",
+    "per_krad_e_s": "electrons/s/krad",
     "s": "s",
     "c": "°C",
     "ff": "fF",

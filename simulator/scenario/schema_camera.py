@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, Video
+from simulator.detector.parameters import CosmicRays, Displacement, Intensifier, RandomTelegraph, Video
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
 from simulator.optics.psf_model import PsfModel
@@ -122,6 +122,10 @@ class DetectorSection(Section):
     """Fraction of dead pixels, which collect neither light nor dark current."""
     dead_columns: Annotated[int, Field(ge=0)] = 0
     """Number of dead columns."""
+    displacement: Displacement = Displacement()
+    """Dark current by displacement damage."""
+    telegraph: RandomTelegraph = RandomTelegraph()
+    """Random telegraph pixels."""
     cosmic_rays: CosmicRays = CosmicRays()
     """Charged particles."""
     full_well_e: Positive = 30000.0
