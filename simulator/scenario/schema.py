@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, TimeTag, Video
+from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
+from simulator.environment.parameters import Environment
 from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
@@ -100,6 +101,8 @@ class ScenarioModel(Section):
     """The lens."""
     detector: DetectorSection
     """The detector."""
+    environment: Environment = Environment()
+    """Radiation along the orbit, and ageing by it."""
     tracker: TrackerSection = TrackerSection()
     """The tracker."""
     study: StudySection = StudySection()
@@ -159,6 +162,17 @@ LIMITS: dict[type, dict[str, Any]] = {
     },
     Ghost: {"flux": Fraction, "radius_px": Positive},
     CosmicRays: {"rate_cm2_s": NonNegative, "depth_um": Positive, "charge_e_um": Positive},
+    DisplacementDamage: {"interactions_per_pixel": NonNegative, "dark_e_s": NonNegative},
+    RandomTelegraph: {"pixel_fraction": Fraction, "dark_e_s": NonNegative, "low_s": Positive, "high_s": Positive},
+    Environment: {
+        "shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+        "age_years": Annotated[FiniteFloat, Field(ge=0, le=100)],
+        "solar_proton_events": Annotated[FiniteFloat, Field(ge=0, le=20)],
+        "depletion_um": Annotated[FiniteFloat, Field(gt=0, le=1000)],
+        "dark_per_krad_e_s": NonNegative,
+        "glass_path_mm": NonNegative,
+        "glass_shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+    },
     Intensifier: dict.fromkeys(("gain", "gain_variance", "phosphor_sigma_px", "dark_e_s"), NonNegative),
     TimeTag: {"jitter_s": NonNegative},
     CatalogueErrors: {"position_mas": NonNegative, "proper_motion_mas_yr": NonNegative},
