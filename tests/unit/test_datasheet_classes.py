@@ -98,7 +98,7 @@ def test_noise_is_temporal_noise() -> None:
     alone(found, "temporal_noise")
     count = MANY_FIELDS * GEOMETRY.frames
     assert found.figures["temporal_noise"][0].value == pytest.approx(1.0, abs=4.0 / math.sqrt(2.0 * count))
-    assert len(found.differences) == count
+    assert found.differences.size == count
 
 
 def test_uneven_pixels_are_pixel_spatial() -> None:

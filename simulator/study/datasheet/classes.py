@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from scipy.signal import csd
 from scipy.signal.windows import dpss
 
+from simulator.study.datasheet.estimates import Estimate
 from simulator.study.intervals import moment_intervals
 
-__all__ = ["BANDWIDTH", "CLASSES", "ClassFigure", "Separated", "Spectra", "separate"]
+__all__ = ["BANDWIDTH", "CLASSES", "Separated", "Spectra", "separate"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,15 +44,6 @@ LEAST_COMPLETE = 0.9
 
 FEWEST_FIELDS = 5
 """Minimum number of fields for an interval."""
-
-
-class ClassFigure(NamedTuple):
-    """Size of one class about one axis: the rms, or the mean for the bias."""
-
-    value: float
-    low: float
-    high: float
-    """Its 95 % interval, over the fields."""
 
 
 class Spectra(NamedTuple):
@@ -72,14 +64,15 @@ class Spectra(NamedTuple):
 class Separated(NamedTuple):
     """Classes of errors about A axes."""
 
-    figures: dict[str, list[ClassFigure]]
-    """By the names of `CLASSES`, and ``total`` for the rms of all frames: one per axis."""
+    figures: dict[str, list[Estimate]]
+    """By the names of `CLASSES`, and ``total`` for all frames: rms of each axis, or mean for the bias; intervals over
+    the fields."""
     field_powers: dict[str, FloatArray]
     """(fields, axes): Mean squares of each field by class; for the bias the mean errors."""
     spectra: Spectra
     """Spectra of the errors."""
     differences: FloatArray
-    """(M, axes): (e₁ − e₂)/√2 of all positions: samples of the temporal noise."""
+    """(fields, frames, axes): (e₁ − e₂)/√2, samples of the temporal noise."""
     fields: int
     """Number of fields used."""
     left_out: int
@@ -108,7 +101,7 @@ def separate(passes: FloatArray, step_px: float, cut_period_px: float, seed: int
     frames = passes.shape[2]
     if frames * step_px < BANDWIDTH * cut_period_px:
         raise ValueError(f"a scan of {frames * step_px:.0f} px cannot separate periods of {cut_period_px:g} px")
-    known = np.isfinite(passes).all(axis=(0, 3))
+    known: NDArray[np.bool_] = np.isfinite(passes.sum(axis=(0, 3)))
     use = known.mean(axis=1) >= LEAST_COMPLETE
     if use.sum() < 2:
         raise ValueError("fewer than two fields have attitudes in at least nine tenths of their frames")
@@ -126,7 +119,7 @@ def separate(passes: FloatArray, step_px: float, cut_period_px: float, seed: int
         "temporal_noise": 0.5 * np.mean((one - two) ** 2, axis=1),
         "total": 0.5 * np.mean(one**2 + two**2, axis=1),
     }
-    differences = ((passes[0] - passes[1]) / math.sqrt(2.0))[use][known[use]]
+    differences = (one - two) / math.sqrt(2.0)
     mean = Spectra(density.cycles_per_px, *(part.mean(axis=0) for part in density[1:]))
     return Separated(_figures(powers, seed), powers, mean, differences, int(use.sum()), int(np.sum(~use)))
 
@@ -156,7 +149,7 @@ def _densities(one: FloatArray, two: FloatArray, other: FloatArray, step_px: flo
     return Spectra(cycles, *(np.mean(part, axis=0) for part in zip(*found, strict=True)))
 
 
-def _figures(powers: dict[str, FloatArray], seed: int) -> dict[str, list[ClassFigure]]:
+def _figures(powers: dict[str, FloatArray], seed: int) -> dict[str, list[Estimate]]:
     """Rms of each class from the mean of its power over the fields, with intervals of that mean by the bootstrap."""
     figures = {}
     for name, of_field in powers.items():
@@ -166,5 +159,5 @@ def _figures(powers: dict[str, FloatArray], seed: int) -> dict[str, list[ClassFi
             ends = np.full((len(mean), 2), np.nan)
         if name != "bias":
             mean, ends = np.sqrt(np.maximum(mean, 0.0)), np.sqrt(np.maximum(ends, 0.0))
-        figures[name] = [ClassFigure(float(m), float(e[0]), float(e[1])) for m, e in zip(mean, ends, strict=True)]
+        figures[name] = [Estimate(float(m), float(e[0]), float(e[1])) for m, e in zip(mean, ends, strict=True)]
     return figures
