@@ -49,9 +49,6 @@ _SCAN_INDEX, _RATE_INDEX = 10_000_000, 20_000_000
 _MOST_FRAMES = 1000
 """Frames of a pass, for the indices."""
 
-SAME_DIRECTION_RAD = math.radians(1.0 / 60.0)
-"""Maximum difference between the directions of one star: merged doubles are farther from their components."""
-
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 _TRIAL_COLUMNS = (
@@ -175,21 +172,23 @@ class DatasheetFrames:
     def model_residuals(self, first: int, count: int) -> Columns:
         """Attitude error of trials with perfect star images, ``error_deg`` (count, 3), camera axes.
 
-        The rotation by which the apparent directions that the tracker computes from its catalogue and the observer's
-        state differ from those of the simulated sky, as the least-squares fit to the stars in the field.
+        The rotation by which the displacements of the stars from their catalogue positions (aberration, parallax, light
+        deflection) that the tracker computes from the observer's state differ from those of the simulated sky, as the
+        least-squares fit to the stars in the field. Errors of the catalogue and merged doubles do not contribute.
         """
         error_deg = np.full((count, 3), np.nan)
         for k in range(count):
             scene = self.renderer.scene(first + k)
+            epoch, camera = scene.observer.epoch_jyear, scene.pointing.camera
             guide = self.runner.tracker.guide.seen_by(scene.observer)
-            index, _, _ = guide.in_field(scene.pointing.camera.as_matrix())
+            index, _, _ = guide.in_field(camera.as_matrix())
             _, true, known = np.intersect1d(scene.stars.id, guide.catalog.id[index], return_indices=True)
-            seen = scene.pointing.camera.apply(scene.star_directions[true])
-            assumed = scene.pointing.camera.apply(guide.directions[index[known]])
-            apart = assumed - seen
-            close = np.linalg.norm(apart, axis=1) < SAME_DIRECTION_RAD
-            if close.sum() >= 2:
-                error_deg[k] = np.degrees(_rotation(seen[close], apart[close]))
+            if len(true) >= 2:
+                rows = index[known]
+                moved = scene.star_directions[true] - scene.stars.directions(epoch)[true]
+                assumed = guide.directions[rows] - guide.catalog.directions(epoch)[rows]
+                seen = camera.apply(scene.star_directions[true])
+                error_deg[k] = np.degrees(_rotation(seen, camera.apply(assumed - moved)))
         return {"error_deg": error_deg}
 
     def _measured(self, frame: Frame, truth: FrameTruth) -> tuple[FloatArray, NDArray[np.int64], bool]:

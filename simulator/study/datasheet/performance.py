@@ -26,7 +26,9 @@ LEAST_SHARE = 0.95
 ACQUIRED = 0.997
 """Probability of an attitude after the stated number of frames."""
 
-FIRST_ACCELERATION_DEG_S2 = 0.1
+FIRST_SHARE = 0.25
+"""First acceleration tried, as a fraction of the greatest one that frames at the scenario's interval can follow."""
+
 _OUTAGES_S = (1.0, 5.0)
 """Duration of the interruptions after which recovery is measured."""
 
@@ -198,15 +200,16 @@ def recovery_frames(found: Columns, start_s: float, step_s: float) -> int | None
 def _greatest_acceleration(
     scenario: Scenario, runner: TaskRunner, amounts: Amounts, rate_deg_s: float | None
 ) -> Quantity:
-    """The rate swings between ± a quarter of the greatest rate with constant acceleration."""
-    swing = 0.25 * rate_deg_s if rate_deg_s else 0.25
+    """The rate swings between ± half the greatest rate with constant acceleration, over at least two frames."""
+    swing = 0.5 * rate_deg_s if rate_deg_s else 0.5
+    highest = swing / scenario.sequence.step_s
 
     def passes(acceleration: float) -> bool:
         shaken = swinging(scenario, acceleration, swing, amounts.acceleration)
         found = runner.run([Task(shaken, "sequence")])[0]
         return bool(np.mean((found["status"] == "solved") & ~found["wrong"]) >= LEAST_SHARE)
 
-    limit = bracket(passes, FIRST_ACCELERATION_DEG_S2, amounts.bisections, 100.0)
+    limit = bracket(passes, FIRST_SHARE * highest, amounts.bisections, highest)
     return Quantity(
         "greatest_acceleration",
         "Greatest angular acceleration",
