@@ -43,23 +43,7 @@ class Series(NamedTuple):
     title: str
     unit: str
     points: list[dict[str, Any]]
-    """By condition: ``value``, ``available``, ``cross_rms_arcsec`` and ``about_rms_arcsec``, each with interval."""
-
-    def quantities(self) -> list[Quantity]:
-        """The points as values of the datasheet."""
-        found = []
-        for point in self.points:
-            at = f"{self.title} {point['value']:g}{' ' + self.unit if self.unit else ''}"
-            name = f"{self.name}_{point['value']:g}"
-            words = {"method": point["method"], "interpretation": "mixed"}
-            for key, title, unit in (
-                ("available", "availability", ""),
-                ("cross_rms_arcsec", "rms per axis across the boresight", "arcsec"),
-                ("about_rms_arcsec", "rms about the boresight", "arcsec"),
-            ):
-                size = Estimate(*point[key])
-                found.append(Quantity(f"{name}_{key.split('_')[0]}", f"{at}: {title}", size, unit, **words))
-        return found
+    """``value`` of the condition; ``available``, ``cross_rms_arcsec`` and ``about_rms_arcsec``, each with interval."""
 
 
 def temperature(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> Series:

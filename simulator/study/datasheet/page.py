@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 from simulator.scenario import Scenario
 from simulator.study.datasheet.plots import panels
 from simulator.study.datasheet.sheet import select
-from simulator.study.datasheet.tables import AXIS_NAMES, accuracy_table, estimate_text, list_table, terms_table
+from simulator.study.datasheet.tables import (
+    AXIS_NAMES,
+    accuracy_table,
+    conditions_table,
+    estimate_text,
+    list_table,
+    rate_table,
+    terms_table,
+)
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD
 from simulator.study.html_page import DIGEST_DIGITS, Table, drawn, render_page
 from simulator.study.report.drawing import drawn_apart
@@ -20,16 +28,6 @@ if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column, Datasheet
 
 __all__ = ["datasheet_pages"]
-
-SECTIONS = {
-    "acquisition": "Acquisition",
-    "tracking": "Tracking",
-    "rate": "Angular rate",
-    "sky": "Sky coverage and exclusion",
-    "robustness": "Temperature and robustness",
-    "timing": "Update rate and latency",
-}
-"""Sections with one value per row."""
 
 TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}
 
@@ -53,7 +51,7 @@ def _html(sheet: Datasheet) -> str:
         answers=[(column.life, column.verdict["verdict"], _answers(column)) for column in sheet.columns],
         conditions=_conditions(sheet.columns),
         accuracy=[(column.life, accuracy_table(column)) for column in sheet.columns],
-        sections=[(title, list_table(sheet.columns, name)) for name, title in SECTIONS.items()],
+        sections=_sections(sheet.columns),
         figures=[drawn(panel, f"d{k}") for k, panel in enumerate(found)],
         terms=terms_table(),
         interpretations=INTERPRETATIONS,
@@ -87,15 +85,28 @@ def _pdf(sheet: Datasheet) -> bytes:
             paper.text(table.note, 8, colour=SOFT)
         paper.heading("Figures")
         paper.panels(panels(sheet.columns), 2)
-        for name, heading in SECTIONS.items():
+        for heading, table in _sections(sheet.columns):
             paper.heading(heading)
-            paper.table(list_table(sheet.columns, name), 6.5)
+            paper.table(table, 6.5)
         paper.heading("Terms")
         paper.table(terms_table(), 6.5)
         paper.text(" ".join(f"{name}: {text}." for name, text in INTERPRETATIONS.items()), 8)
         paper.text(STANDARD, 8, colour=SOFT)
         paper.end()
     return stream.getvalue()
+
+
+def _sections(columns: list[Column]) -> list[tuple[str, Table]]:
+    """Tables after the accuracy, with their headings."""
+    return [
+        ("Acquisition", list_table(columns, "acquisition")),
+        ("Tracking", list_table(columns, "tracking")),
+        ("Angular rate", rate_table(columns)),
+        ("Limit of the rate", list_table(columns, "rate_limit")),
+        ("Sky coverage and exclusion", list_table(columns, "sky")),
+        ("Temperature and robustness", conditions_table(columns)),
+        ("Update rate and latency", list_table(columns, "timing")),
+    ]
 
 
 def _provenance(sheet: Datasheet) -> str:
@@ -118,7 +129,7 @@ def _answers(column: Column) -> list[str]:
     ]
     singles = (
         ("acquisition", "acquisition_probability_lost_in_space", True),
-        ("rate", "greatest_rate", False),
+        ("rate_limit", "greatest_rate", False),
         ("tracking", "greatest_acceleration", False),
     )
     texts = []

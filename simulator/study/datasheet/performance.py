@@ -115,40 +115,27 @@ def frames_needed(share: float | None) -> float | None:
     return 1.0 if share >= ACQUIRED else float(math.ceil(math.log(1.0 - ACQUIRED) / math.log(1.0 - share)))
 
 
-def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[list[Quantity], list[dict[str, Any]]]:
-    """Error against the angular rate across the boresight, and the greatest rate: values, and points of a plot."""
-    known: dict[float, Columns] = {}
-
-    def at(rate_deg_s: float) -> Columns:
-        if rate_deg_s not in known:
-            known[rate_deg_s] = runner.trials(scenario, amounts.per_rate, "at_rate", rate_deg_s)
-        return known[rate_deg_s]
-
-    def passes(rate_deg_s: float) -> bool:
-        return bool(np.mean(at(rate_deg_s)["right"]) >= LEAST_SHARE)
-
+def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[Quantity, list[dict[str, Any]]]:
+    """The greatest angular rate across the boresight, and errors against the rate: points with ``rate_deg_s``,
+    ``available`` and rms and mean about the axis of rotation (``along``), across it, and about the boresight."""
     count = amounts.per_rate
     runner.run([task for rate in RATES_DEG_S for task in trial_tasks(scenario, count, "at_rate", rate)])
-    quantities, points = [], []
+
+    def at(rate_deg_s: float) -> Columns:
+        return runner.trials(scenario, count, "at_rate", rate_deg_s)
+
+    points = []
     for rate in RATES_DEG_S:
         found = at(rate)
         point: dict[str, Any] = {"rate_deg_s": rate, "available": list(proportion(found["right"]))}
-        for part, meaning in (("along", "about the axis of rotation"), ("across", "across it"), ("about", "boresight")):
+        for part in ("along", "across", "about"):
             errors = found[f"{part}_deg"] * _ARCSEC
-            rms, mean = rms_of(errors, scenario.seed), mean_of(errors, scenario.seed)
-            point |= {f"{part}_rms_arcsec": list(rms), f"{part}_mean_arcsec": list(mean)}
-            method = f"{int(np.sum(found['right']))} correct of {count} frames"
-            words: dict[str, Any] = {"unit": "arcsec", "interpretation": "mixed", "method": method}
-            title = f"Error at {rate:g}°/s, {meaning}"
-            quantities += [
-                Quantity(f"rate_error_{part}_rms_{rate:g}", f"{title}, rms", rms, **words),
-                Quantity(f"rate_error_{part}_mean_{rate:g}", f"{title}, mean", mean, **words),
-            ]
+            point[f"{part}_rms_arcsec"] = list(rms_of(errors, scenario.seed))
+            point[f"{part}_mean_arcsec"] = list(mean_of(errors, scenario.seed))
         points.append(point)
-    limit = bracket(passes, 2.0, amounts.bisections, 90.0)
-    method = f"at least {100 * LEAST_SHARE:g} % of {amounts.per_rate} frames correct; bracket of the bisection"
-    quantities.append(Quantity("greatest_rate", "Greatest angular rate", limit.estimate, "deg/s", method=method))
-    return quantities, points
+    limit = bracket(lambda rate: float(np.mean(at(rate)["right"])) >= LEAST_SHARE, 2.0, amounts.bisections, 90.0)
+    method = f"at least {100 * LEAST_SHARE:g} % of {count} frames correct; bracket of the bisection"
+    return Quantity("greatest_rate", "Greatest angular rate", limit.estimate, "deg/s", method=method), points
 
 
 def tracking(scenario: Scenario, runner: TaskRunner, amounts: Amounts, rate_deg_s: float | None) -> list[Quantity]:

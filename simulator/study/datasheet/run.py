@@ -13,7 +13,7 @@ from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
 from simulator.study.datasheet.performance import acquisition, rates, tracking
 from simulator.study.datasheet.plan import FULL, QUICK, Amounts
-from simulator.study.datasheet.sheet import Quantity, select
+from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
 from simulator.study.datasheet.tasks import PARTS_FOLDER, TaskRunner
 from simulator.study.datasheet.timing import computing_time, timing
@@ -39,7 +39,7 @@ class Column:
     scenario: Scenario
     """The scenario at this stage."""
     sections: dict[str, list[Quantity]]
-    """Values by section: accuracy, residuals, rate, acquisition, tracking, sky, robustness, timing."""
+    """Values by section: accuracy, residuals, rate_limit, acquisition, tracking, sky, timing."""
     series: list[Series]
     """Errors and availability against conditions."""
     points: dict[str, list[dict[str, Any]]]
@@ -101,17 +101,15 @@ class Datasheet:
 def measure(life: str, scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> Column:
     """All values of one stage of life."""
     accuracy = measure_accuracy(scenario, runner, amounts.fields, amounts.trials)
-    of_rate, rate_points = rates(scenario, runner, amounts)
-    greatest = select(of_rate, "greatest_rate")
+    greatest, rate_points = rates(scenario, runner, amounts)
     conditions = [temperature(scenario, runner, amounts), *robustness(scenario, runner, amounts)]
     sections = {
         "accuracy": accuracy.quantities,
         "residuals": residuals(scenario, runner, amounts),
-        "rate": of_rate,
+        "rate_limit": [greatest],
         "acquisition": acquisition(scenario, runner, amounts),
-        "tracking": tracking(scenario, runner, amounts, greatest.estimate.value if greatest else None),
+        "tracking": tracking(scenario, runner, amounts, greatest.estimate.value),
         "sky": sky_coverage(scenario, amounts),
-        "robustness": [quantity for series in conditions for quantity in series.quantities()],
         "timing": timing(scenario),
     }
     points = {"rates": rate_points} | availability(accuracy.trials)

@@ -16,7 +16,14 @@ from simulator.study.statistics import CAMERA_AXES
 if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column
 
-__all__ = ["accuracy_table", "estimate_text", "list_table", "terms_table"]
+__all__ = [
+    "accuracy_table",
+    "conditions_table",
+    "estimate_text",
+    "list_table",
+    "rate_table",
+    "terms_table",
+]
 
 UNITS = {"arcsec": "″", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
 AXIS_NAMES = {"cross_x": "x", "cross_y": "y", "about_boresight": "about"}
@@ -82,15 +89,48 @@ def _first(values: Sequence[Quantity], names: Sequence[str], axis: str) -> Quant
 def list_table(columns: Sequence[Column], section: str) -> Table:
     """Values of a section, one row each; a column for every stage of life, and the method."""
     rows = []
-    for k, quantity in enumerate(columns[0].sections[section]):
+    for quantity in columns[0].sections[section]:
         cells = []
         for column in columns:
-            own = column.sections[section][k] if k < len(column.sections[section]) else quantity
-            share = not own.unit and own.estimate.value is not None and own.estimate.value <= 1.0
-            cells.append(estimate_text(own.estimate, own.unit, percent=share))
+            own = select(column.sections[section], quantity.name)
+            cells.append("–" if own is None else estimate_text(own.estimate, own.unit, percent=not own.unit))
         rows.append((quantity.title, *cells, quantity.method))
     lives = tuple(column.life for column in columns)
     return Table(("quantity", *lives, "method"), tuple(rows), (0, len(lives) + 1))
+
+
+def rate_table(columns: Sequence[Column]) -> Table:
+    """Errors against the angular rate, and the greatest rate."""
+    parts = (
+        ("along_rms_arcsec", "rms about the axis of rotation"),
+        ("along_mean_arcsec", "mean about it"),
+        ("across_rms_arcsec", "rms across it"),
+        ("about_rms_arcsec", "rms about the boresight"),
+    )
+    rows = []
+    for column in columns:
+        for point in column.points["rates"]:
+            errors = (estimate_text(Estimate(*point[key]), "arcsec") for key, _ in parts)
+            share = estimate_text(Estimate(*point["available"]), percent=True)
+            rows.append((column.life, f"{point['rate_deg_s']:g}°/s", share, *errors))
+    headings = ("life", "rate", "available", *(title for _, title in parts))
+    return Table(headings, tuple(rows), (0, 1), "Single frames at rates about axes across the boresight.")
+
+
+def conditions_table(columns: Sequence[Column]) -> Table:
+    """Errors and availability against temperature, false stars, particles and hot pixels."""
+    rows = []
+    for column in columns:
+        for series in column.series:
+            for point in series.points:
+                unit = f" {series.unit}" if series.unit else ""
+                share = estimate_text(Estimate(*point["available"]), percent=True)
+                errors = (
+                    estimate_text(Estimate(*point[f"{part}_rms_arcsec"]), "arcsec") for part in ("cross", "about")
+                )
+                rows.append((column.life, f"{series.title} {point['value']:g}{unit}", share, *errors))
+    headings = ("life", "condition", "available", "rms per axis across the boresight", "rms about the boresight")
+    return Table(headings, tuple(rows), (0, 1))
 
 
 def terms_table() -> Table:
