@@ -1,8 +1,7 @@
 """Controlled scans: the attitudes of successive frames move every star by the same fraction of a pixel.
 
-A scan has constant steps (`STEP_PX`) along columns and rows. They are irrational fractions of a pixel, so that stars
-sample all positions within a pixel, and errors with the period of a pixel (or of a half, a third or a quarter of one)
-are not aliased to low spatial frequencies.
+A scan has constant steps (`STEP_PX`) of about a pixel, so that stars sample many pixels and all positions within a
+pixel, and errors with the period of a pixel are not aliased to low spatial frequencies.
 """
 
 from __future__ import annotations
@@ -19,9 +18,10 @@ __all__ = ["STEP_PX", "ScanGeometry", "scan_attitudes", "scan_geometry"]
 
 FloatArray = NDArray[np.float64]
 
-STEP_PX = ((math.sqrt(5.0) - 1.0) / 2.0, 2.0 - math.sqrt(3.0))
-"""Motion of the stars per frame along columns (0.618) and rows (0.268), pixels. Multiples up to the fourth of either
-are at least 0.07 from an integer."""
+STEP_PX = (1.184, 0.294)
+"""Motion of the stars per frame along columns and rows, pixels. Of the harmonics of the pixel period, which such steps
+alias to lower frequencies, the first two of either axis are at least 0.18 cycles per frame from zero, the third and
+fourth 0.12, and the sums and differences of the first ones 0.1: above the cut-off, which is 0.076."""
 
 CUT_PERIOD_PX = 16.0
 """Period that separates the spatial classes: "a few pixels" in ECSS-E-ST-60-20C Rev.1, 3.2.8.3, where the supplier
