@@ -204,10 +204,10 @@ class SequenceRunner:
                 "saturation_dn": frame.saturation_dn,
                 "gain_e_per_dn": frame.gain_e_per_dn,
             }
-            solution = session.update(image, since_s, gyro_rad_s=gyro, **known)
+            solution = session.update(image, since_s + truth.time_tag_error_s, gyro_rad_s=gyro, **known)
             tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
-            row = self._row(k, state, truth.attitude, session, solution, *times)
+            row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
             row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
             if self.single:
@@ -356,7 +356,7 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
