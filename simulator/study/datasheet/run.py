@@ -17,10 +17,11 @@ from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
 from simulator.study.datasheet.tasks import PARTS_FOLDER, TaskRunner
 from simulator.study.datasheet.timing import computing_time, timing
-from simulator.study.datasheet.verdicts import verdicts
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD, TERMS
 from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256
+from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.verdicts import Judgement
 from startracker._version import __version__
 
 __all__ = ["RESULT_FILES", "Column", "Datasheet", "datasheet", "measure"]
@@ -46,8 +47,8 @@ class Column:
     """Points of the plots: rates, orbit, year, stars."""
     accuracy: Accuracy
     """Classes, with their spectra."""
-    verdict: dict[str, Any]
-    """Verdict on the specification."""
+    judgement: Judgement
+    """Verdicts on the specification."""
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``datasheet.json``."""
@@ -55,7 +56,8 @@ class Column:
         return {
             "life": self.life,
             "scenario_sha256": scenario_sha256(self.scenario),
-            "specification": self.verdict,
+            "specification": self.judgement.by_name(),
+            "verdict": self.judgement.to_dict(),
             "sections": {name: [q.to_dict() for q in group] for name, group in self.sections.items()},
             "series": {series.name: series.points for series in self.series} | self.points,
             "scan": {
@@ -113,7 +115,7 @@ def measure(life: str, scenario: Scenario, runner: TaskRunner, amounts: Amounts)
         "timing": timing(scenario),
     }
     points = {"rates": rate_points} | availability(accuracy.trials)
-    return Column(life, scenario, sections, conditions, points, accuracy, verdicts(scenario, accuracy.trials))
+    return Column(life, scenario, sections, conditions, points, accuracy, judge_frames(scenario, accuracy.trials))
 
 
 def datasheet(
