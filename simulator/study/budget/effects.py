@@ -64,6 +64,10 @@ def _no_faint_stars(scenario: Scenario) -> Changes:
     return {"sky.magnitude_limit": min(scenario.sky.magnitude_limit, scenario.tracker.magnitude_limit)}
 
 
+def _no_particles(scenario: Scenario) -> Changes:
+    return {"environment.transients": False} if scenario.environment.has_particles else {}
+
+
 def _perfect_catalogue(scenario: Scenario) -> Changes:
     return {"sky.catalog": scenario.tracker.catalog}
 
@@ -75,6 +79,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("video noise", "temporal", {"detector.video.noise_dn": 0.0}),
     Effect("quantisation", "temporal", _no_converter),
     Effect("cosmic rays", "temporal", {"detector.cosmic_rays.rate_cm2_s": 0.0}),
+    Effect("particles along the orbit", "temporal", _no_particles),
     Effect("sky background", "temporal", {"sky.background": False}),
     Effect("stray light", "temporal", {"optics.baffle.pst": None}),
     Effect("dark current", "temporal", {"detector.dark_current_e_s": 0.0, "detector.intensifier.dark_e_s": 0.0}),
@@ -89,6 +94,9 @@ EFFECTS: tuple[Effect, ...] = (
             "detector.dead_columns": 0,
         },
     ),
+    Effect("displacement damage", "pixel_spatial", {"detector.displacement.interactions_per_pixel": 0.0}),
+    Effect("telegraph pixels", "pixel_spatial", {"detector.telegraph.pixel_fraction": 0.0}),
+    Effect("ageing by radiation", "pixel_spatial", {"environment.age_years": 0.0}),
     Effect("response non-uniformity", "pixel_spatial", {"detector.prnu": 0.0}),
     Effect("charge transfer", "pixel_spatial", {"detector.cti_parallel": 0.0, "detector.cti_serial": 0.0}),
     Effect("non-linearity", "pixel_spatial", {"detector.nonlinearity": (0.0, 0.0)}),
