@@ -40,6 +40,6 @@ def main(request: DatasheetRequest) -> int:
     for column in sheet.columns:
         table = accuracy_table(column)
         print_table(console, f"{scenario.name}, {column.life}", table.headings, table.rows, block=3)
-        console.print(f"{column.life}: specification {column.verdict['verdict']}")
+        console.print(f"{column.life}. {column.judgement.text}", markup=False)
     print(f"{folder}: {', '.join(RESULT_FILES)}")
     return 0

@@ -53,6 +53,9 @@ _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 _TRIAL_COLUMNS = (
     "t_s",
+    "true_ra_deg",
+    "true_dec_deg",
+    "rate_deg_s",
     "orbit_argument_deg",
     "sunlit",
     "stars_in_field",
@@ -80,7 +83,8 @@ class DatasheetFrames:
         columns = {name: np.array([row[name] for row in rows], dtype=float) for name in _TRIAL_COLUMNS}
         solved = np.array([row["status"] == "solved" for row in rows])
         wrong = np.array([row["wrong"] for row in rows], dtype=bool)
-        return columns | {"solved": solved, "wrong": wrong, "right": solved & ~wrong}
+        status = np.array([row["status"] for row in rows])
+        return columns | {"status": status, "wrong": wrong, "right": solved & ~wrong}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
         """The three passes over one field.
