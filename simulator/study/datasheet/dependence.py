@@ -30,7 +30,7 @@ HOT_FRACTIONS = (0.0, 1e-3, 1e-2, 5e-2)
 """Values at which robustness is stated. The largest fluxes of trapped protons in a low orbit are some 1,100 cm⁻² s⁻¹
 (arXiv:2006.00909)."""
 
-THERMAL_KEYS = ("optics.thermal.expansion_ppm_k",)
+THERMAL_KEYS = ("optics.thermal.expansion_ppm_k", "optics.thermal.decentring_um_k")
 """Keys that make the image depend on the temperature of the lens."""
 
 _ARCSEC = 3600.0
@@ -103,7 +103,7 @@ def _thermo_elastic(scenario: Scenario, runner: TaskRunner, count: int) -> list[
     term, flat = TERMS["thermo_elastic"], flatten(scenario)
     words: dict[str, Any] = {"unit": "arcsec", "interpretation": term.interpretation}
     title = f"{term.title} of {THERMAL_STEP_K:g} K"
-    if not any(flat.get(key) for key in THERMAL_KEYS):
+    if not any(np.any(flat[key]) for key in THERMAL_KEYS):
         method = "none: the scenario's lens does not change with temperature (optics.thermal)"
         return [
             Quantity("thermo_elastic_mean", title, Estimate(0.0, 0.0, 0.0), axis=axis, method=method, **words)

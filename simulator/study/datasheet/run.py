@@ -48,7 +48,7 @@ class Column:
     accuracy: Accuracy
     """Classes, with their spectra."""
     judgement: Judgement
-    """Verdicts on the specification."""
+    """Verdict on the specification, from the trials."""
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``datasheet.json``."""
@@ -56,8 +56,8 @@ class Column:
         return {
             "life": self.life,
             "scenario_sha256": scenario_sha256(self.scenario),
-            "specification": self.judgement.by_name(),
             "verdict": self.judgement.to_dict(),
+            "specification": self.judgement.by_name(),
             "sections": {name: [q.to_dict() for q in group] for name, group in self.sections.items()},
             "series": {series.name: series.points for series in self.series} | self.points,
             "scan": {
@@ -133,9 +133,10 @@ def datasheet(
     Parameters
     ----------
     scenario : Scenario
-        The camera and its mission, at the beginning of life.
+        The camera and its mission.
     end_of_life : Scenario, optional
-        The same at the end of life; without it there is no such column.
+        The same at the end of life. By default an end of life is stated if the scenario's camera is aged by its
+        environment (``environment.age_years``): the beginning of life is then the scenario at the age of zero.
     quick : bool
         A first look with fewer frames.
     workers : int
@@ -155,9 +156,7 @@ def datasheet(
         After Ctrl-C; finished tasks in `out` are used by the next call.
     """
     amounts = QUICK if quick else FULL
-    stages = [("BOL", scenario)]
-    if end_of_life is not None:
-        stages.append(("EOL", end_of_life))
+    stages = stages_of(scenario, end_of_life)
     sha256 = scenario_sha256(scenario, datasheet=True, stages=[scenario_sha256(stage) for _, stage in stages])
     identity = Identity("datasheet", scenario.name, scenario.seed, sha256, {"trials": amounts.trials})
     if out is None:
@@ -166,6 +165,15 @@ def datasheet(
         sheet = _measured(stages, amounts, identity, workers, folder / PARTS_FOLDER, progress)
         _write(sheet, folder)
     return sheet
+
+
+def stages_of(scenario: Scenario, end_of_life: Scenario | None = None) -> list[tuple[str, Scenario]]:
+    """Beginning of life, and end of life if it is given or if the environment has aged the camera."""
+    if end_of_life is not None:
+        return [("BOL", scenario), ("EOL", end_of_life)]
+    if scenario.environment.has_damage:
+        return [("BOL", scenario.changed({"environment.age_years": 0.0})), ("EOL", scenario)]
+    return [("BOL", scenario)]
 
 
 def _measured(
