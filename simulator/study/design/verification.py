@@ -14,7 +14,7 @@ from simulator.scenario import Scenario
 from simulator.study.design.search import Design, Point, Search, Trade, changed, design
 from simulator.study.run import run
 from simulator.study.specification.requirements import specification_of
-from simulator.study.specification.verdicts import NOT_MET, UNDECIDED, Judgement, frames_needed
+from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement, frames_needed
 from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
@@ -88,6 +88,12 @@ class Verified:
     def answer(self) -> Verification | None:
         """The run of the smallest confirmed value; None if there is none."""
         return min((run for run in self.runs if run.accepted), key=lambda run: run.value, default=None)
+
+    @property
+    def confirmed(self) -> str:
+        """What the runs say of the answer: ``confirmed`` if it meets the specification, or ``not contradicted`` if they
+        have too few trials for that."""
+        return "confirmed" if self.answer and self.answer.judgement.state == MET else "not contradicted"
 
     @property
     def contradicted(self) -> bool:
