@@ -245,12 +245,18 @@ class FocalPlane:
     @functools.cached_property
     def _s10_e_s(self) -> FloatArray:
         """Electrons per second of a uniform sky of 1 S10 in every pixel."""
-        return illumination_map(self.true_camera, self.vignetting) * self.s10_e_s_pixel
+        return self._uniform_rate_e_s()
 
     @functools.lru_cache(maxsize=1)  # noqa: B019 (one image, as long as the plane lives)
     def _even_rate_e_s(self, s10: float) -> FloatArray:
-        rate_e_s = self._s10_e_s * s10
+        rate_e_s = self._uniform_rate_e_s()  # of its own: an even sky needs no other map
+        rate_e_s *= s10
         rate_e_s.flags.writeable = False
+        return rate_e_s
+
+    def _uniform_rate_e_s(self) -> FloatArray:
+        rate_e_s = illumination_map(self.true_camera, self.vignetting)
+        rate_e_s *= self.s10_e_s_pixel
         return rate_e_s
 
     def background_rate_e_s(self, scene: Scene) -> tuple[FloatArray, tuple[str, ...]]:

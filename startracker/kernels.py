@@ -8,13 +8,14 @@ from __future__ import annotations
 import contextlib
 import gc
 import hashlib
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 with contextlib.suppress(ImportError):
     import fcntl
@@ -99,10 +100,10 @@ def _held(folder: Path, name: str) -> Iterator[None]:
 
 
 @cache
-def _lock_file(folder: Path) -> IO[bytes]:
-    """Lock file, open for the lifetime of the process, as closing it would release the locks."""
+def _lock_file(folder: Path) -> int:
+    """Descriptor of the lock file, open for the lifetime of the process, as closing it would release the locks."""
     folder.mkdir(parents=True, exist_ok=True)
-    return (folder / ".compiling").open("ab")
+    return os.open(folder / ".compiling", os.O_RDWR | os.O_CREAT)
 
 
 def clock() -> float:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.sky.ephemeris import DE421_NAME, barycentric, barycentric_position_au, de421, sky_time
+from simulator.sky.ephemeris import barycentric_position_au, sky_time
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import PLANETS, moon_v, planet_v, sun_v
 from startracker.constants import AU_KM
 from startracker.display import fields_repr
+from startracker.ephemeris import astrometric_au, barycentric
 from startracker.errors import InputError
 from startracker.observer import Observer
 
@@ -168,7 +169,7 @@ def bodies_seen_from(
         return Bodies(_NAMES[:0], np.zeros((*nothing.shape, 3)), *(nothing,) * 4, _COLOURS[:0])
     time = sky_time(clock, t_s)
     sun = barycentric("Sun", time).xyz.au.T
-    seen = _astrometric_au(time, position_au)
+    seen = astrometric_au(_NAMES.tolist(), time, position_au)
     distance = np.linalg.norm(seen, axis=-1)
     direction = seen / distance[..., None]
     from_sun = seen[..., :-1, :] + (position_au - sun)[..., None, :]
@@ -198,12 +199,3 @@ def _deflected(direction: FloatArray, from_sun: FloatArray, observer_au: FloatAr
     away = observer_au[..., None, :] / distance
     bent = erfa.ufunc.ld(1.0, direction, from_sun, away, distance[..., 0], _DEFLECTION_LIMIT)
     return np.asarray(bent / np.linalg.norm(bent, axis=-1, keepdims=True))
-
-
-def _astrometric_au(time: Any, position_au: FloatArray) -> FloatArray:
-    """Vectors (..., N, 3) from the observer to the position of each body at the time of light emission."""
-    from skyfield.positionlib import Barycentric
-
-    here = Barycentric(position_au.T, np.zeros(position_au.T.shape), time)
-    kernel = de421()
-    return np.stack([here.observe(kernel[DE421_NAME[name]]).xyz.au.T for name in _NAMES.tolist()], axis=-2)

@@ -61,14 +61,7 @@ def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
 
 def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
     """Solve a frame with all data known on board."""
-    return tracker.solve(
-        frame.image,
-        prior=frame.prior,
-        prior_deg=frame.prior_deg,
-        observer=frame.observer,
-        saturation_dn=frame.saturation_dn,
-        gain_e_per_dn=frame.gain_e_per_dn,
-    )
+    return tracker.solve(frame)
 
 
 def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
