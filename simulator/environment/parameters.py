@@ -49,12 +49,7 @@ class Environment:
     @property
     def sources(self) -> Environment:
         """Only what the radiation outside the spacecraft depends on; the rest has its defaults."""
-        return Environment(
-            trapped=self.trapped,
-            solar=self.solar,
-            solar_proton_events=self.solar_proton_events,
-            estimate=self.estimate,
-        )
+        return Environment(trapped=self.trapped, solar=self.solar)
 
     @property
     def has_particles(self) -> bool:
