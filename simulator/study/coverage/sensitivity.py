@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters
+from simulator.build import aged_detector, build_focal_plane, build_mounting, build_orbit
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
@@ -139,7 +139,7 @@ def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivi
     if not (math.isfinite(least) and least > 0):
         raise InputError(f"snr: must be positive, not {least}")
     plane = build_focal_plane(scenario)
-    exposure_s, detector = scenario.detector.exposure_s, detector_parameters(scenario.detector)
+    exposure_s, detector = scenario.detector.exposure_s, aged_detector(scenario)
     images = _images(plane, nominal_rate_rad_s(scenario), exposure_s)
     pixel = _pixel(plane, detector, exposure_s)
     if detection.matched_filter:
