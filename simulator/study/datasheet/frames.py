@@ -23,6 +23,7 @@ from simulator.scenario import Scenario
 from simulator.scene import Scene
 from simulator.study.datasheet.scan import ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
@@ -55,10 +56,7 @@ _MOST_FRAMES = 1000
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 _TRIAL_COLUMNS = (
-    "t_s",
-    "true_ra_deg",
-    "true_dec_deg",
-    "rate_deg_s",
+    *JUDGED_COLUMNS,
     "orbit_argument_deg",
     "sunlit",
     "stars_in_field",
@@ -87,7 +85,7 @@ class DatasheetFrames:
         solved = np.array([row["status"] == "solved" for row in rows])
         wrong = np.array([row["wrong"] for row in rows], dtype=bool)
         status = np.array([row["status"] for row in rows])
-        return columns | {"status": status, "wrong": wrong, "right": solved & ~wrong}
+        return columns | {"status": status, "solved": solved, "wrong": wrong, "right": solved & ~wrong}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
         """The three passes over one field.

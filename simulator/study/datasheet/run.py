@@ -56,8 +56,8 @@ class Column:
         return {
             "life": self.life,
             "scenario_sha256": scenario_sha256(self.scenario),
-            "verdict": self.judgement.to_dict(),
             "specification": self.judgement.by_name(),
+            "verdict": self.judgement.to_dict(),
             "sections": {name: [q.to_dict() for q in group] for name, group in self.sections.items()},
             "series": {series.name: series.points for series in self.series} | self.points,
             "scan": {
