@@ -13,10 +13,10 @@ from simulator.detector import Detector, build_fixed_pattern
 from simulator.detector.parameters import DetectorParameters
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
-from simulator.mission.orbit import Orbit
-from simulator.mission.orbit import build_orbit as orbit_of_parameters
 from simulator.mission.parameters import SequenceMotion
 from simulator.mission.pointing import mounting_of
+from simulator.mission.trajectories import build_trajectory
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.curves import load_curve
 from simulator.optics.jitter import load_spectrum
 from simulator.optics.psf import Lens
@@ -126,9 +126,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     return SceneBuilder(parameters, build_orbit(scenario))
 
 
-def build_orbit(scenario: Scenario) -> Orbit:
-    """Orbit of a scenario."""
-    return orbit_of_parameters(scenario.orbit, scenario.epoch)
+def build_orbit(scenario: Scenario) -> Trajectory:
+    """Trajectory of a scenario's spacecraft; `InputError` for a file that cannot be used."""
+    return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
 from simulator.optics.bodies import NO_LIMB, sun_angle_rad
-from simulator.scene import Scene
-from simulator.sky.earth import limbs, occulted, unhidden
+from simulator.scene import NEAR_BODY_RAD, Scene
+from simulator.sky.earth import has_disk, limbs, occulted, unhidden
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import Bodies
@@ -62,11 +62,14 @@ class Light:
 
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth."""
+    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth, or a body that it orbits."""
     v_mag = scene.catalog.v_mag[scene.rows]
     rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
-    if sky.earth:
+    if has_disk(sky, scene.r_km):
         rate[occulted(scene.star_directions, scene.r_km)] = 0.0
+    for body in np.flatnonzero(scene.bodies.angular_radius_rad > NEAR_BODY_RAD):
+        cosine = scene.star_directions @ scene.bodies.direction[body]
+        rate[cosine > math.cos(scene.bodies.angular_radius_rad[body])] = 0.0
     return rate
 
 
@@ -107,7 +110,7 @@ def body_light(
         return np.array([sun_angle_rad(camera, attitude, body, towards) for body in bodies.direction])
 
     limb = np.tile(NO_LIMB, (len(bodies), 1))
-    if sky.earth:
+    if has_disk(sky, scene.r_km):
         limb[:, 0], limb[:, 1] = limbs(bodies.direction, bodies.angular_radius_rad, scene.r_km)
         limb[:, 2] = angles(-scene.r_km)
     return Light(
