@@ -305,17 +305,9 @@ class _Solver:
         if job.xy is not None:
             return tracker.solve_centroids(job.xy, job.flux, observer=job.observer)
         assert job.image is not None
-        frame = job.frame
-        if frame is None:
+        if job.frame is None:
             return tracker.solve(job.image, saturation_dn=job.saturation_dn, observer=job.observer)
-        return tracker.solve(
-            frame.image,
-            prior=None if request.lost_in_space else frame.prior,
-            prior_deg=frame.prior_deg,
-            observer=frame.observer,
-            saturation_dn=frame.saturation_dn,
-            gain_e_per_dn=frame.gain_e_per_dn,
-        )
+        return tracker.solve(job.frame, lost_in_space=request.lost_in_space)
 
 
 def _after(tried: Solution, chosen: Solution, how: str) -> Solution:

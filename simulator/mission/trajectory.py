@@ -13,7 +13,7 @@ from simulator.mission.clock import Clock
 from startracker.ephemeris import DE421_NAME, barycentric, timescale
 from startracker.errors import InputError
 
-__all__ = ["BARYCENTRE", "GM_KM3_S2", "UNLIMITED", "States", "Trajectory", "from_earth", "refuse_outside"]
+__all__ = ["BARYCENTRE", "GM_KM3_S2", "UNLIMITED", "States", "Trajectory", "from_earth", "geocentric", "refuse_outside"]
 
 FloatArray = NDArray[np.float64]
 
@@ -130,6 +130,11 @@ def centre_state(centre: str, clock: Clock, t_s: float | FloatArray) -> States:
         return States(np.zeros((*np.shape(t_s), 3)), np.zeros((*np.shape(t_s), 3)))
     at = barycentric(centre, timescale().tt_jd(*clock.tt_jd(t_s)))
     return States(at.xyz.km.T, at.velocity.km_per_s.T)
+
+
+def geocentric(trajectory: Trajectory, t_s: FloatArray) -> States:
+    """Geocentric states (N, 3) of a trajectory at times (N,), ICRF axes; `InputError` outside its span."""
+    return from_earth(trajectory, t_s, *trajectory.state(t_s))
 
 
 def from_earth(trajectory: Trajectory, t_s: FloatArray, r_km: FloatArray, v_km_s: FloatArray) -> States:

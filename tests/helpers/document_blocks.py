@@ -23,7 +23,6 @@ import io
 import os
 import re
 import shlex
-import shutil
 import sys
 import tempfile
 import tomllib
@@ -268,9 +267,8 @@ def check_scenario(text: str) -> None:
 
 @contextlib.contextmanager
 def workspace(folder: Path, *, photographs: bool = True):
-    """Work in a folder where the documents find what they name: the scenarios, a photograph, photographs for a fit."""
+    """Work in a folder where the documents find what they name: the scenarios, photographs, photographs for a fit."""
     (folder / "scenarios").symlink_to(ROOT / "scenarios")
-    shutil.copy(ROOT / "docs/tutorials/photograph/orion_belt.jpg", folder)
     before = Path.cwd()
     os.chdir(folder)
     try:

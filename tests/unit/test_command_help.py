@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from simulator.cli import _COMMANDS, main
+from simulator.cli import main
+from simulator.cli.application import _COMMANDS
 from simulator.cli.options import complete_key, complete_scenario
 from simulator.cli.study_command import STUDIES
 from simulator.cli.terminal import WorkBar, times_text
