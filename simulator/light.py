@@ -18,7 +18,7 @@ from simulator.sky.solar_system import Bodies
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
-__all__ = ["Light", "body_light", "near_image", "path_middles", "star_light"]
+__all__ = ["Light", "body_light", "hidden_stars", "near_image", "path_middles", "star_light"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -62,15 +62,19 @@ class Light:
 
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth, or a body that it orbits."""
+    """Photo-electrons per second of the scene's stars (N,); 0 where they are hidden."""
     v_mag = scene.catalog.v_mag[scene.rows]
     rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
-    if has_disk(sky, scene.r_km):
-        rate[occulted(scene.star_directions, scene.r_km)] = 0.0
-    for body in np.flatnonzero(scene.bodies.angular_radius_rad > NEAR_BODY_RAD):
-        cosine = scene.star_directions @ scene.bodies.direction[body]
-        rate[cosine > math.cos(scene.bodies.angular_radius_rad[body])] = 0.0
+    rate[hidden_stars(scene, scene.star_directions, sky)] = 0.0
     return rate
+
+
+def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.bool_]:
+    """Whether stars in directions (N, 3) are behind the Earth, or behind a body that the spacecraft orbits."""
+    hidden = occulted(directions, scene.r_km) if has_disk(sky, scene.r_km) else np.zeros(len(directions), dtype=bool)
+    for body in np.flatnonzero(scene.bodies.angular_radius_rad > NEAR_BODY_RAD):
+        hidden |= directions @ scene.bodies.direction[body] > math.cos(scene.bodies.angular_radius_rad[body])
+    return hidden
 
 
 def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
