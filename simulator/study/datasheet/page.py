@@ -18,9 +18,8 @@ from simulator.study.datasheet.tables import (
     terms_table,
 )
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD
-from simulator.study.html_page import DIGEST_DIGITS, Table, drawn, render_page
+from simulator.study.html_page import DIGEST_DIGITS, TONES, Table, drawn, render_page, verdict_table
 from simulator.study.report.drawing import drawn_apart
-from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED
 from simulator.study.style import SOFT, style
 from startracker._version import __version__
 
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column, Datasheet
 
 __all__ = ["datasheet_pages"]
-
-TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}
 
 
 def datasheet_pages(sheet: Datasheet) -> tuple[str, bytes]:
@@ -48,7 +45,10 @@ def _html(sheet: Datasheet) -> str:
         scenario=sheet.scenario,
         provenance=_provenance(sheet),
         tone=TONES[sheet.columns[-1].judgement.state],
-        answers=[(column.life, column.judgement.text, _answers(column)) for column in sheet.columns],
+        answers=[
+            (column.life, column.judgement.text, verdict_table(column.judgement), _answers(column))
+            for column in sheet.columns
+        ],
         conditions=_conditions(sheet.columns),
         accuracy=[(column.life, accuracy_table(column)) for column in sheet.columns],
         sections=_sections(sheet.columns),
@@ -73,7 +73,8 @@ def _pdf(sheet: Datasheet) -> bytes:
         paper.text(sheet.scenario.description, 9, colour=SOFT)
         paper.text(_provenance(sheet), 8, colour=SOFT)
         for column in sheet.columns:
-            paper.text(f"{column.life}. {column.judgement.text}", 11, weight="bold")
+            paper.text(f"{column.life}. {column.judgement.text}.", 11, weight="bold")
+            paper.table(verdict_table(column.judgement), 6.5)
             for line in _answers(column):
                 paper.text(line, 9)
         paper.heading("Conditions")
@@ -162,7 +163,7 @@ def _camera(scenario: Scenario) -> dict[str, str]:
         "detector": f"{detector.width} × {detector.height} pixels of {pitch} µm",
         "exposure": f"{detector.exposure_s:g} s, every {scenario.sequence.step_s:g} s",
         "temperature": f"detector {detector.temperature_c:g} °C, lens {optics.thermal.temperature_c:g} °C",
-        "orbit": f"{scenario.orbit.altitude_km:g} km",
+        "orbit": scenario.orbit.described,
         "age": _age(scenario),
         "tracker": f"{tracker.catalog} to V {tracker.magnitude_limit:g}, {tracker.centroider}, {tracker.identifier}",
         "fields": f"attitudes by study.sampling: {scenario.study.sampling}",

@@ -11,7 +11,7 @@ from typing import Any
 from simulator.scenario import Scenario
 from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
-from simulator.study.datasheet.performance import acquisition, rates, tracking
+from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.plan import FULL, QUICK, Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
@@ -56,8 +56,8 @@ class Column:
         return {
             "life": self.life,
             "scenario_sha256": scenario_sha256(self.scenario),
-            "verdict": self.judgement.to_dict(),
             "specification": self.judgement.by_name(),
+            "verdict": self.judgement.to_dict(),
             "sections": {name: [q.to_dict() for q in group] for name, group in self.sections.items()},
             "series": {series.name: series.points for series in self.series} | self.points,
             "scan": {
@@ -111,7 +111,7 @@ def measure(life: str, scenario: Scenario, runner: TaskRunner, amounts: Amounts)
         "rate_limit": [greatest],
         "acquisition": acquisition(scenario, runner, amounts),
         "tracking": tracking(scenario, runner, amounts, greatest.estimate.value),
-        "sky": sky_coverage(scenario, amounts),
+        "sky": sky_coverage(scenario, amounts) + exclusion(scenario, runner, amounts),
         "timing": timing(scenario),
     }
     points = {"rates": rate_points} | availability(accuracy.trials)

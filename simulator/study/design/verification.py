@@ -28,8 +28,8 @@ MOST_RUNS = 8
 _LARGEST_STEP = 1.5
 _SMALLEST_STEP = 1.03
 _STEP = 1.15
-"""Ratio of successive values: limits, and the step where no error tells it. A few outliers can make a factor of ten
-that a slightly larger value does not have."""
+"""Ratio of successive values: its limits, and its value if it cannot be derived from the errors. A few outliers can
+cause a factor of ten that disappears at a slightly larger value."""
 _TRIALS_FACTOR = 1.6
 _CLOSE_ENOUGH = 1.05
 """Ratio of the smallest value confirmed to the largest one contradicted at which the search ends."""
