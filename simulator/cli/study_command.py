@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from simulator.cli.checks import at_least
+from simulator.cli.environment_command import environment_study
 from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.printed_command import PictureRequest, greyling1995_study
 from simulator.cli.suggesting import SuggestingGroup
@@ -188,6 +189,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
     "coverage": coverage_study,
     "design": design_study,
     "budget": budget_study,
+    "environment": environment_study,
     "greyling1995": greyling1995_study,
     "yee1999": as_command(PictureRequest, "yee_picture"),
 }
@@ -196,7 +198,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
 
 study_app = typer.Typer(
     cls=SuggestingGroup,
-    help="Studies of a camera: sky coverage, design, error budget; two theses recomputed.",
+    help="Studies of a camera: sky coverage, design, error budget, radiation; two theses recomputed.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -204,6 +206,7 @@ _EXAMPLES = {
     "coverage": "boresight study coverage cubesat",
     "design": "boresight study design cubesat --over optics.aperture_mm --from 3 --to 30",
     "budget": "boresight study budget cubesat --trials 200",
+    "environment": "boresight study environment aged",
     "greyling1995": "boresight study greyling1995 --section chapter-4",
     "yee1999": "boresight study yee1999",
 }
