@@ -6,18 +6,24 @@ read.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import fields, replace
+from datetime import datetime
 
 from simulator.detector import Detector, build_fixed_pattern
-from simulator.detector.parameters import DetectorParameters
+from simulator.detector.parameters import DetectorParameters, DisplacementDamage
+from simulator.environment.damage import Damage, Pixel, damage
+from simulator.environment.dose import OrbitRadiation, dose, orbit_radiation
+from simulator.environment.parameters import Environment
+from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
 from simulator.mission.orbit import Orbit
 from simulator.mission.orbit import build_orbit as orbit_of_parameters
-from simulator.mission.parameters import SequenceMotion
+from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
-from simulator.optics.curves import load_curve
+from simulator.optics.curves import Curve, load_curve
 from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
 from simulator.optics.psf import Lens
@@ -34,12 +40,15 @@ from startracker.attitude import Attitude
 from startracker.camera import Camera
 
 __all__ = [
+    "aged_detector",
     "build_camera",
+    "build_damage",
     "build_detector",
     "build_focal_plane",
     "build_mounting",
     "build_orbit",
     "build_scenes",
+    "build_transients",
     "detector_parameters",
     "sequence_motion",
     "shutter_of",
@@ -76,6 +85,9 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
     response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
         detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
     )
+    aged = build_damage(scenario)
+    if aged is not None and aged.transmission < 1.0:
+        response = Curve(response.wavelength_nm, aged.transmission * response.value)
     area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
     photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
     lens = Lens(
@@ -168,8 +180,9 @@ def build_mounting(scenario: Scenario) -> Attitude:
 
 
 def build_detector(scenario: Scenario) -> Detector:
-    """Detector of a scenario with its fixed pattern, which enters frames in single precision."""
-    parameters = detector_parameters(scenario.detector)
+    """Detector of a scenario, aged by its environment, with its fixed pattern, which enters frames in single
+    precision."""
+    parameters = aged_detector(scenario)
     return Detector(parameters, build_fixed_pattern(parameters, scenario.seed).single())
 
 
@@ -177,6 +190,69 @@ def detector_parameters(section: DetectorSection) -> DetectorParameters:
     """A detector without its exposure."""
     names = {field.name for field in fields(DetectorParameters)} - {"pitch_um"}
     return DetectorParameters(**{name: getattr(section, name) for name in names}, pitch_um=section.pitch_um)
+
+
+def aged_detector(scenario: Scenario) -> DetectorParameters:
+    """The detector of a scenario with the damage of its environment added, and particles of a positive rate if the
+    environment provides those of each frame."""
+    parameters = detector_parameters(scenario.detector)
+    aged = build_damage(scenario)
+    if aged is not None:
+        parameters = _with_damage(parameters, aged)
+    if scenario.environment.has_particles:
+        parameters = replace(parameters, cosmic_rays=replace(parameters.cosmic_rays, rate_cm2_s=1.0))
+    return parameters
+
+
+def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
+    """Sum of the damage and of what the scenario's detector already has."""
+    interactions = new.displacement.interactions_per_pixel + aged.displacement.interactions_per_pixel
+    dark_e_s = new.displacement.mean_e_s + aged.displacement.mean_e_s
+    return replace(
+        new,
+        dark_current_e_s=new.dark_current_e_s + aged.dark_current_e_s,
+        displacement=DisplacementDamage(interactions, dark_e_s / interactions if interactions > 0 else 0.0),
+        telegraph=aged.telegraph if new.telegraph.pixel_fraction == 0 else new.telegraph,
+        cti_parallel=new.cti_parallel + aged.cti_parallel,
+        cti_serial=new.cti_serial + aged.cti_serial,
+    )
+
+
+def build_damage(scenario: Scenario) -> Damage | None:
+    """Damage of the camera at the age of the scenario's environment; None if it is as new.
+
+    Raises
+    ------
+    InputError
+        If the package of the trapped particles is not installed.
+    """
+    environment, section = scenario.environment, scenario.detector
+    if not environment.has_damage:
+        return None
+    radiation = _orbit_radiation(scenario.orbit, scenario.epoch, environment.sources)
+    pixel = Pixel(section.pitch_um[0] * section.pitch_um[1], section.dark_reference_c, section.kind != "cmos")
+    inner, outer = (
+        dose(radiation, environment, shield_mm, environment.age_years)
+        for shield_mm in (environment.shield_mm, environment.glass_shield_mm)
+    )
+    return damage(inner, outer, pixel, environment)
+
+
+@functools.lru_cache(maxsize=4)  # a second and a half; detector and lens ask for the same
+def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, sources: Environment) -> OrbitRadiation:
+    return orbit_radiation(orbit_of_parameters(orbit, epoch), sources)
+
+
+def build_transients(scenario: Scenario) -> Transients | None:
+    """Particles at the positions of frames; None if the environment provides none.
+
+    Raises
+    ------
+    InputError
+        If the package of the trapped particles is not installed.
+    """
+    environment = scenario.environment
+    return Transients(environment, build_orbit(scenario).clock) if environment.has_particles else None
 
 
 def shutter_of(section: DetectorSection) -> Shutter:

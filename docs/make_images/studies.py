@@ -12,16 +12,16 @@ from simulator.study.coverage.maps import coverage_map
 from simulator.study.coverage.survey import coverage
 from simulator.study.design.plot import design_plot
 from simulator.study.design.search import Trade, design
-from simulator.study.plots import save_bytes
+from startracker.picture import figure_bytes
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 
 
 def main() -> None:
     cubesat = load_scenario("cubesat")
-    (IMAGES / "coverage.png").write_bytes(save_bytes(coverage_map(coverage(cubesat)), dpi=100))
+    (IMAGES / "coverage.png").write_bytes(figure_bytes(coverage_map(coverage(cubesat)), dpi=100))
     trade = design(cubesat, Trade("optics.aperture_mm", 3.0, 30.0))
-    (IMAGES / "design.png").write_bytes(save_bytes(design_plot(trade), dpi=100))
+    (IMAGES / "design.png").write_bytes(figure_bytes(design_plot(trade), dpi=100))
 
 
 if __name__ == "__main__":

@@ -101,11 +101,11 @@ def argument_of_latitude_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatA
     return np.asarray(np.degrees(np.arctan2(ahead, np.sum(node * r, axis=-1))) % 360.0)
 
 
-def ground_track_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Geodetic latitude and east longitude in [−180, 180], degrees, WGS 84, of the point below the spacecraft.
+def itrs_km(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> FloatArray:
+    """Positions in the rotating frame of the Earth, km, shape of `r_km`.
 
-    ITRS from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's ``gst06``), then
-    ERFA's ``gc2gd``. UTC replaces UT1 and polar motion is neglected: up to 0.9 s and 0.3″, or 0.4 km at the equator.
+    ITRS from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's ``gst06``). UTC
+    replaces UT1 and polar motion is neglected: up to 0.9 s and 0.3″, or 0.4 km at the equator.
 
     Parameters
     ----------
@@ -116,6 +116,12 @@ def ground_track_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) ->
     """
     of_date = true_of_date(clock, t_s)
     gast = erfa.ufunc.gst06(*clock.utc_jd(t_s), *clock.tt_jd(t_s), of_date)
-    itrs = (erfa.ufunc.rz(gast, of_date) @ r_km[..., None])[..., 0]
-    longitude, latitude, _, _ = erfa.ufunc.gc2gd(1, itrs * 1e3)  # 1: WGS 84
+    rotated: FloatArray = (erfa.ufunc.rz(gast, of_date) @ r_km[..., None])[..., 0]
+    return rotated
+
+
+def ground_track_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Geodetic latitude and east longitude in [−180, 180], degrees, WGS 84, of the point below the spacecraft, by
+    `itrs_km` and ERFA's ``gc2gd``; parameters as there."""
+    longitude, latitude, _, _ = erfa.ufunc.gc2gd(1, itrs_km(clock, t_s, r_km) * 1e3)  # 1: WGS 84
     return np.degrees(latitude), np.degrees(longitude)

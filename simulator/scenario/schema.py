@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, TimeTag, Video
+from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
+from simulator.environment.parameters import Environment
 from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
@@ -23,6 +24,7 @@ from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
+from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.catalogue_errors import CatalogueErrors
 from simulator.sky.parameters import Sky
 from simulator.sky.star_counts import FAINTEST_V
@@ -76,17 +78,6 @@ class StudySection(Section):
     neither occults stars nor emits light. False: as set by `sky.earth`."""
 
 
-class SpecificationSection(Section):
-    """Required 3σ accuracy about the body axes."""
-
-    roll_deg: Positive = 0.025
-    """About X (roll)."""
-    yaw_deg: Positive = 0.025
-    """About Z (yaw)."""
-    pitch_deg: Positive = 0.286
-    """About Y (pitch)."""
-
-
 class ScenarioModel(Section):
     """A complete scenario."""
 
@@ -110,6 +101,8 @@ class ScenarioModel(Section):
     """The lens."""
     detector: DetectorSection
     """The detector."""
+    environment: Environment = Environment()
+    """Radiation along the orbit, and ageing by it."""
     tracker: TrackerSection = TrackerSection()
     """The tracker."""
     study: StudySection = StudySection()
@@ -117,7 +110,7 @@ class ScenarioModel(Section):
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
     specification: SpecificationSection = SpecificationSection()
-    """Required accuracy."""
+    """Required performance."""
     allow_unphysical: bool = False
     """Permit unphysical values; the report lists them."""
 
@@ -169,6 +162,17 @@ LIMITS: dict[type, dict[str, Any]] = {
     },
     Ghost: {"flux": Fraction, "radius_px": Positive},
     CosmicRays: {"rate_cm2_s": NonNegative, "depth_um": Positive, "charge_e_um": Positive},
+    DisplacementDamage: {"interactions_per_pixel": NonNegative, "dark_e_s": NonNegative},
+    RandomTelegraph: {"pixel_fraction": Fraction, "dark_e_s": NonNegative, "low_s": Positive, "high_s": Positive},
+    Environment: {
+        "shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+        "age_years": Annotated[FiniteFloat, Field(ge=0, le=100)],
+        "solar_proton_events": Annotated[FiniteFloat, Field(ge=0, le=20)],
+        "depletion_um": Annotated[FiniteFloat, Field(gt=0, le=1000)],
+        "dark_per_krad_e_s": NonNegative,
+        "glass_path_mm": NonNegative,
+        "glass_shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+    },
     Intensifier: dict.fromkeys(("gain", "gain_variance", "phosphor_sigma_px", "dark_e_s"), NonNegative),
     TimeTag: {"jitter_s": NonNegative},
     CatalogueErrors: {"position_mas": NonNegative, "proper_motion_mas_yr": NonNegative},

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, TimeTag, Video
+from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
 from simulator.optics.displacement import CalibrationResidual, LateralColour
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
@@ -134,6 +134,10 @@ class DetectorSection(Section):
     """Fraction of dead pixels, which collect neither light nor dark current."""
     dead_columns: Annotated[int, Field(ge=0)] = 0
     """Number of dead columns."""
+    displacement: DisplacementDamage = DisplacementDamage()
+    """Dark current by displacement damage."""
+    telegraph: RandomTelegraph = RandomTelegraph()
+    """Random telegraph pixels."""
     cosmic_rays: CosmicRays = CosmicRays()
     """Charged particles."""
     full_well_e: Positive = 30000.0

@@ -28,6 +28,7 @@ FILES = {
     "coverage": "coverage.json",
     "design": "design.json",
     "budget": "budget.json",
+    "datasheet": "datasheet.json",
 }
 """Kinds of results, and the file with their identity."""
 

@@ -21,6 +21,7 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.operation import OperatedCamera
+from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
@@ -87,7 +88,7 @@ class SequenceRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
-        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+        self.specification = specification_of(scenario)
         section = scenario.sequence
         self._pointing = scenario.pointing
         self.start = self._start()
@@ -282,7 +283,7 @@ class SequenceRunner:
         nees = math.nan
         if estimate is not None and covariance is not None:
             errors = attitude_errors_deg(true, estimate, mounting)
-            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification_deg)
+            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
             camera = covariance[:3, :3]
             to_body = mounting.inverse.as_matrix()
             sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))

@@ -14,6 +14,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
 from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
+from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from startracker.attitude import Attitude
@@ -113,7 +114,7 @@ class TrialRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
-        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+        self.specification = specification_of(scenario)
 
     def run(self, index: int) -> dict[str, Any]:
         """Row of trial `index`."""
@@ -158,7 +159,7 @@ class TrialRunner:
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
             errors = attitude_errors_deg(true, solution.attitude, truth.mounting)
-            row["beyond_specification"] = beyond_specification(errors, self.specification_deg)
+            row["beyond_specification"] = beyond_specification(errors, self.specification)
             estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:
