@@ -104,7 +104,7 @@ def test_the_example_is_good():
         ),
         (
             GOOD + "orbit: {propagator: sgp5}\n",
-            "x.yaml:11:9: orbit.propagator: must be 'j2' or 'sgp4', not 'sgp5'; did you mean 'sgp4'?",
+            "x.yaml:11:9: orbit.propagator: must be 'auto', 'j2', 'sgp4', 'kepler' or 'numerical', not 'sgp5'; did you mean 'sgp4'?",
         ),
         (
             GOOD + "orbit: {inclination_deg: 190}\n",
