@@ -135,8 +135,8 @@ def test_the_time_of_each_frame_has_its_jitter():
 
 
 def test_a_sequence_is_behind_by_its_time():
-    """A constant error of 0.2 s at 0.0595°/s: the filter's attitude is 43″ from the truth at the stated time, also where
-    a frame is missing and the filter predicts by its clock."""
+    """A constant error of 0.2 s at 0.0595°/s: the filter's attitude is 43″ from the truth at the stated time, also
+    where a frame is missing and the filter predicts by its clock."""
     keys = ["sequence.frames=12", "sequence.step_s=0.5", "detector.time_tag.offset_s=0.2"]
     keys += ["sequence.dropouts=[{start_s: 4.5, duration_s: 0.4}]"]
     columns = run_sequence(Scenario.load("cubesat", keys)).columns
