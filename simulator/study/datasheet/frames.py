@@ -26,6 +26,7 @@ from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.systematic import explained_deg
 from simulator.study.trials.trial import (
     TrialRunner,
     attitude_errors_deg,
@@ -221,12 +222,12 @@ class DatasheetFrames:
         matched = matched_sources(truth, solution.stars.fitted.xy)
         if solution.attitude is None:
             return np.full(3, np.nan), matched, False
-        errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+        errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         wrong_stars = misidentified(truth, solution) if self.runner.same_catalog else 0
         nees = normalised_error_squared(error_deg, solution.covariance)
         bound_deg = attitude_bound_deg(self.renderer, truth, matched)
-        if is_wrong(wrong_stars, nees, error_deg, bound_deg):
+        if is_wrong(wrong_stars, nees, error_deg, explained_deg(self.renderer, truth, matched, bound_deg)):
             return np.full(3, np.nan), matched, False
         return error_deg, matched, True
 
