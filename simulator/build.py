@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 from datetime import datetime
 
 from simulator.detector import Detector, build_fixed_pattern
-from simulator.detector.parameters import DetectorParameters, Displacement
+from simulator.detector.parameters import DetectorParameters, DisplacementDamage
 from simulator.environment.damage import Damage, Pixel, damage
 from simulator.environment.dose import OrbitRadiation, dose, orbit_radiation
 from simulator.environment.parameters import Environment
@@ -24,14 +24,17 @@ from simulator.mission.orbit import build_orbit as orbit_of_parameters
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
 from simulator.optics.curves import Curve, load_curve
+from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
 from simulator.optics.psf import Lens
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
 from simulator.optics.thermal import true_camera
+from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
+from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
 from startracker.attitude import Attitude
 from startracker.camera import Camera
@@ -79,7 +82,7 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         For names or files in the scenario that cannot be used.
     """
     optics, detector = scenario.optics, scenario.detector
-    camera, baffle, thermal = build_camera(scenario), optics.baffle, optics.thermal
+    camera, baffle = build_camera(scenario), optics.baffle
     response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
         detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
     )
@@ -92,13 +95,17 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         detector.pitch_um,
         optics.obscuration,
         detector.charge_diffusion_um,
+        detector.intra_pixel.contrast,
     )
+    seen_by = _true_camera(scenario, camera)
     return FocalPlane(
         camera=camera,
-        true_camera=true_camera(camera, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c),
+        true_camera=seen_by,
+        displacement=_displacement(scenario, seen_by, photometer),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
+        faint_sky=_faint_sky(scenario),
         aperture_mm=optics.aperture_mm,
         pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,
         vignetting=optics.vignetting,
@@ -112,6 +119,30 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         ),
         tether=scenario.tether,
     )
+
+
+def _faint_sky(scenario: Scenario) -> FaintSky | None:
+    """Stars beyond the catalogue; None if there are none."""
+    sky = scenario.sky
+    if sky.faint_magnitude_limit is None or sky.faint_magnitude_limit <= sky.magnitude_limit:
+        return None
+    return FaintSky(scenario.seed, sky.magnitude_limit, sky.faint_magnitude_limit)
+
+
+def _true_camera(scenario: Scenario, calibrated: Camera) -> Camera:
+    """The camera at the temperature of its lens."""
+    thermal, pitch_um = scenario.optics.thermal, scenario.detector.pitch_um
+    moved = (thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1])
+    return true_camera(calibrated, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c, moved)
+
+
+def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer) -> Displacement:
+    """Displacement of star images against a camera's own."""
+    optics = scenario.optics
+    residual = draw_residual(camera, optics.calibration_residual, stream(scenario.seed, "calibration residual"))
+    reference_nm = float(photometer.effective_wavelength_nm(optics.lateral_colour.reference_b_v))
+    curve_px = scenario.detector.intra_pixel.centroid_curve_px
+    return Displacement.of(camera, residual, optics.lateral_colour, reference_nm, curve_px)
 
 
 def _without_earth(scenario: Scenario) -> bool:
@@ -179,7 +210,7 @@ def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
     return replace(
         new,
         dark_current_e_s=new.dark_current_e_s + aged.dark_current_e_s,
-        displacement=Displacement(interactions, dark_e_s / interactions if interactions > 0 else 0.0),
+        displacement=DisplacementDamage(interactions, dark_e_s / interactions if interactions > 0 else 0.0),
         telegraph=aged.telegraph if new.telegraph.pixel_fraction == 0 else new.telegraph,
         cti_parallel=new.cti_parallel + aged.cti_parallel,
         cti_serial=new.cti_serial + aged.cti_serial,

@@ -178,6 +178,8 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
     for axis, value in zip("XYZ", truth.rate_camera_rad_s, strict=True):
         unit.header[f"RATE_{axis}"] = (float(value), "[rad/s] inertial rate, camera axes")
     unit.header["T_S"] = (truth.t_s, "[s] after the scenario's epoch")
+    if truth.time_tag_error_s:
+        unit.header["TAG_ERR"] = (truth.time_tag_error_s, "[s] stated minus true time of mid-exposure")
     return unit
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from simulator.build import build_detector, build_focal_plane, build_scenes, build_transients, shutter_of
 from simulator.detector.chain import Moment
 from simulator.detector.excess_noise import bunch_e
+from simulator.detector.parameters import TimeTag
 from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
@@ -134,12 +135,15 @@ class Renderer:
         light = self.expose(scene, duration_s)
         moment = self._moment(scene, duration_s)
         readout = self.detector.expose(light.mean_e, moment, self._streams(index), keep_charge=False)
+        tag, late_s = scenario.detector.time_tag, 0.0
+        if tag != TimeTag():
+            late_s = tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
 
         frame = Frame(
             image=readout.image,
             camera=self.camera,
             observer=scene.observer,
-            utc=self.scenes.clock.isot(scene.t_s),
+            utc=self.scenes.clock.isot(scene.t_s + late_s),
             exposure_s=duration_s,
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
@@ -160,6 +164,7 @@ class Renderer:
             sources=light.sources,
             mean_electrons=light.mean_e,
             excluded=light.excluded,
+            time_tag_error_s=late_s,
         )
         return frame, truth
 

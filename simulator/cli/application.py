@@ -18,7 +18,7 @@ import typer
 from simulator.cli.export_request import ExportRequest
 from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
 from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
-from simulator.cli.run_requests import RenderRequest, RunRequest, SweepRequest
+from simulator.cli.run_requests import DatasheetRequest, RenderRequest, RunRequest, SweepRequest
 from simulator.cli.study_command import study_app
 from simulator.cli.suggesting import SuggestingGroup, usage_error_line
 from startracker._version import __version__
@@ -116,6 +116,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("render", as_command(RenderRequest, "render_command"), _SIMULATE, "boresight render moon --preview moon.png"),
     ("sweep", as_command(SweepRequest, "sweep_command"), _SIMULATE,
      "boresight sweep cubesat --over optics.aperture_mm=6:24:7"),
+    ("datasheet", as_command(DatasheetRequest, "datasheet_command"), _SIMULATE, "boresight datasheet cubesat --quick"),
     ("solve", as_command(SolveRequest, "solve_command"), _SOLVE, "boresight solve photo.jpg --annotate solved.png"),
     ("calibrate", as_command(CalibrateRequest, "calibrate_command"), _SOLVE,
      "boresight calibrate *.tiff --out camera.yaml --plot fit.png"),

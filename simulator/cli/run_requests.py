@@ -1,4 +1,4 @@
-"""Options of ``boresight run``, ``render`` and ``sweep``."""
+"""Options of ``boresight run``, ``render``, ``sweep`` and ``datasheet``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.cli.options import Dask, ScenarioFile, ScenarioFiles, Seed, SetValues, option, switch
+from simulator.cli.options import Dask, ScenarioFile, ScenarioFiles, Seed, SetValues, complete_key, option, switch
 
 Force = Annotated[
     bool,
@@ -106,4 +106,29 @@ class SweepRequest:
     resume: Annotated[
         bool, switch("--resume", "Go on from an interrupted sweep in DIR; a finished one stays as it is.")
     ] = False
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class DatasheetRequest:
+    """Measure a datasheet in the words of ECSS-E-ST-60-20C: datasheet.json, .html and .pdf in DIR."""
+
+    scenario: ScenarioFile
+    quick: Annotated[bool, switch("--quick", "A first look with fewer frames, within a minute.")] = False
+    eol_set: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--eol-set",
+            metavar="PATH=VALUE",
+            help="Override a key at the end of life, which adds a column; may be repeated.",
+            autocompletion=complete_key,
+        ),
+    ] = None
+    seed: Seed = None
+    set_values: SetValues = None
+    workers: Annotated[
+        int | None,
+        option("--workers", "N", "Processes on this machine; default: its cores. The datasheet does not depend on it."),
+    ] = None
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-datasheet.")] = None
     force: Force = False

@@ -20,7 +20,7 @@ class CosmicRays:
 
 
 @dataclass(frozen=True)
-class Displacement:
+class DisplacementDamage:
     """Dark current of displacement damage: interactions of particles with atoms of the depleted silicon, randomly
     distributed over the pixels."""
 
@@ -79,6 +79,16 @@ class Video:
     """Standard deviation of the Gaussian blur of signal and noise along the lines by the bandwidth, pixels."""
 
 
+@dataclass(frozen=True)
+class TimeTag:
+    """Error of the time that the camera states for mid-exposure: stated minus true."""
+
+    offset_s: float = 0.0
+    """Constant error."""
+    jitter_s: float = 0.0
+    """Standard deviation of a Gaussian error of each frame."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DetectorParameters:
     """A detector and its readout, without the exposure: keys of a scenario's ``detector`` section with these names, and
@@ -102,7 +112,7 @@ class DetectorParameters:
     hot_column_dark_e_s: float = 0.0
     dead_pixel_fraction: float = 0.0
     dead_columns: int = 0
-    displacement: Displacement = Displacement()
+    displacement: DisplacementDamage = DisplacementDamage()
     telegraph: RandomTelegraph = RandomTelegraph()
     cosmic_rays: CosmicRays = CosmicRays()
     full_well_e: float = 30000.0

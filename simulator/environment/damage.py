@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
-from simulator.detector.parameters import Displacement, RandomTelegraph
+from simulator.detector.parameters import DisplacementDamage, RandomTelegraph
 from simulator.environment.coefficients import Estimate, coefficient
 from simulator.environment.dose import Dose
 from simulator.environment.parameters import Environment
@@ -47,7 +47,7 @@ class Damage:
     """Dose behind `Environment.glass_shield_mm`."""
     dark_current_e_s: float
     """Increase of every pixel's dark current by ionising dose."""
-    displacement: Displacement
+    displacement: DisplacementDamage
     telegraph: RandomTelegraph
     cti_parallel: float
     cti_serial: float
@@ -95,7 +95,7 @@ def damage(detector_dose: Dose, glass_dose: Dose, pixel: Pixel, environment: Env
         detector_dose=detector_dose,
         glass_dose=glass_dose,
         dark_current_e_s=environment.dark_per_krad_e_s * detector_dose.ionising_krad,
-        displacement=Displacement(interactions, steady_e_s / interactions if interactions > 0 else 0.0),
+        displacement=DisplacementDamage(interactions, steady_e_s / interactions if interactions > 0 else 0.0),
         telegraph=telegraph,
         cti_parallel=parallel,
         cti_serial=coefficient("serial_transfer_share", estimate) * parallel,

@@ -328,6 +328,7 @@ RULES: tuple[Rule, ...] = (
     sequence_rules.contradictions,
     _guide_stars,
     _window,
+    _least_and_most("sky.magnitude_limit", "sky.faint_magnitude_limit"),
     _least_and_most("tracker.detection.min_pixels", "tracker.detection.max_pixels"),
     _least_and_most("tracker.identification.min_stars", "tracker.identification.max_stars"),
     _least_and_most("tracker.identification.min_stars", "tracker.detection.max_stars"),

@@ -29,6 +29,7 @@ FILES = {
     "design": "design.json",
     "budget": "budget.json",
     "environment": "environment.json",
+    "datasheet": "datasheet.json",
 }
 """Kinds of results, and the file with their identity."""
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 from simulator.detector import build_fixed_pattern
 from simulator.detector.chain import Detector, Moment
-from simulator.detector.parameters import DetectorParameters, Displacement, RandomTelegraph
+from simulator.detector.parameters import DetectorParameters, DisplacementDamage, RandomTelegraph
 from simulator.detector.telegraph import TelegraphPixels, telegraph_pixels
 from simulator.randomness import stream
 
@@ -20,7 +20,7 @@ PROCESS = RandomTelegraph(0.1, 800.0, low_s=30.0, high_s=12.0)
 
 
 def damaged(interactions, dark_e_s, **keys):
-    return DetectorParameters(**(SIZE | keys), displacement=Displacement(interactions, dark_e_s))
+    return DetectorParameters(**(SIZE | keys), displacement=DisplacementDamage(interactions, dark_e_s))
 
 
 @pytest.mark.parametrize("interactions", [0.05, 1.0, 8.0])

@@ -20,9 +20,8 @@ from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState
-from simulator.sky.ephemeris import barycentric_position_au
+from simulator.study.body_angles import angle_from_deg
 from startracker.attitude import Attitude, direction_to_radec
-from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 
@@ -218,21 +217,12 @@ def _excluded(
     exclusion: Exclusion, clock: Clock, t_s: FloatArray, r_km: FloatArray, directions: FloatArray
 ) -> dict[str, BoolArray]:
     """Attitudes that violate each exclusion angle that is set."""
-    out: dict[str, BoolArray] = {}
-    for name, body, limit in (("sun", "Sun", exclusion.sun_deg), ("moon", "Moon", exclusion.moon_deg)):
-        if limit > 0.0:
-            barycentric = (barycentric_position_au(each, clock, t_s) for each in (body, "Earth"))
-            off = _angle_deg(np.subtract(*barycentric) * AU_KM - r_km, directions)
-            out[name] = off < limit
-    if exclusion.earth_deg > 0.0:
-        limb = np.degrees(np.arcsin(np.minimum(EARTH_RADIUS_KM / np.linalg.norm(r_km, axis=1), 1.0)))
-        out["earth"] = _angle_deg(-r_km, directions) - limb < exclusion.earth_deg
-    return out
-
-
-def _angle_deg(vectors: FloatArray, directions: FloatArray) -> FloatArray:
-    cosine = np.sum(vectors * directions, axis=1) / np.linalg.norm(vectors, axis=1)
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    limits = {body: getattr(exclusion, f"{body}_deg") for body in ("sun", "moon", "earth")}
+    return {
+        body: angle_from_deg(body, clock, t_s, r_km, directions) < limit
+        for body, limit in limits.items()
+        if limit > 0.0
+    }
 
 
 def _east_north(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
