@@ -175,6 +175,13 @@ def test_solar_events_arrive_where_the_field_lets_them():
     np.testing.assert_allclose(half.above, event.above, rtol=1e-12)
 
 
+def test_levels_that_switch_within_an_exposure_are_refused():
+    keys = ["detector.telegraph.pixel_fraction=0.1", "detector.telegraph.dark_e_s=100", "detector.telegraph.high_s=1.5"]
+    with pytest.raises(InputError, match=r"detector\.telegraph\.high_s: 1\.5 s is less than ten exposures of 0\.2 s"):
+        load(*keys)
+    load(*keys[:2])
+
+
 def test_a_missing_package_is_said_in_one_line(monkeypatch):
     whole = builtins.__import__
 
