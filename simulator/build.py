@@ -10,6 +10,7 @@ import functools
 import math
 from dataclasses import fields, replace
 from datetime import datetime
+from pathlib import Path
 
 from simulator.detector import Detector, build_fixed_pattern
 from simulator.detector.parameters import DetectorParameters, DisplacementDamage
@@ -19,10 +20,10 @@ from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
-from simulator.mission.orbit import Orbit
-from simulator.mission.orbit import build_orbit as orbit_of_parameters
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
+from simulator.mission.trajectories import build_trajectory
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.curves import Curve, load_curve
 from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
@@ -169,9 +170,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     return SceneBuilder(parameters, build_orbit(scenario))
 
 
-def build_orbit(scenario: Scenario) -> Orbit:
-    """Orbit of a scenario."""
-    return orbit_of_parameters(scenario.orbit, scenario.epoch)
+def build_orbit(scenario: Scenario) -> Trajectory:
+    """Trajectory of a scenario's spacecraft; `InputError` for a file that cannot be used."""
+    return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:
@@ -237,12 +238,12 @@ def build_damage(scenario: Scenario, environment: Environment | None = None) -> 
 
 def orbit_radiation_of(scenario: Scenario, environment: Environment) -> OrbitRadiation:
     """Mean radiation along the orbit of a scenario, outside the spacecraft, in an environment."""
-    return _orbit_radiation(scenario.orbit, scenario.epoch, environment.sources)
+    return _orbit_radiation(scenario.orbit, scenario.epoch, scenario.base_dir, environment.sources)
 
 
 @functools.lru_cache(maxsize=8)  # a second and a half; detector and lens ask for the same
-def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, sources: Environment) -> OrbitRadiation:
-    return orbit_radiation(orbit_of_parameters(orbit, epoch), sources)
+def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, folder: Path, sources: Environment) -> OrbitRadiation:
+    return orbit_radiation(build_trajectory(orbit, epoch, folder), sources)
 
 
 def build_transients(scenario: Scenario) -> Transients | None:

@@ -15,7 +15,7 @@ from simulator.environment.parameters import Environment
 from simulator.environment.spectrum import Spectrum
 from simulator.environment.trapped import ELECTRON_MEV, PROTON_MEV, TrappedBelts
 from simulator.mission.frames import itrs_km
-from simulator.mission.orbit import Orbit
+from simulator.mission.trajectory import Trajectory, geocentric
 
 FloatArray = NDArray[np.float64]
 
@@ -52,14 +52,15 @@ class Dose:
         return self.protons_krad + self.electrons_krad + self.solar_krad
 
 
-def orbit_positions(orbit: Orbit, samples: int = SAMPLES) -> tuple[FloatArray, FloatArray]:
+def orbit_positions(orbit: Trajectory, samples: int = SAMPLES) -> tuple[FloatArray, FloatArray]:
     """Times (N,), seconds after the epoch, and positions (N, 3), km, in the Earth's frame, distributed over
-    `SAMPLED_DAYS` days."""
-    t_s = np.linspace(0.0, SAMPLED_DAYS * 86_400.0, samples, endpoint=False, dtype=np.float64)
-    return t_s, itrs_km(orbit.clock, t_s, orbit.state(t_s)[0])
+    `SAMPLED_DAYS` days, or over what a file of states has of them."""
+    first_s, last_s = max(orbit.span_s[0], 0.0), min(orbit.span_s[1], SAMPLED_DAYS * 86_400.0)
+    t_s = np.linspace(first_s, last_s, samples, endpoint=False, dtype=np.float64)
+    return t_s, itrs_km(orbit.clock, t_s, geocentric(orbit, t_s).r_km)
 
 
-def orbit_radiation(orbit: Orbit, environment: Environment, samples: int = SAMPLES) -> OrbitRadiation:
+def orbit_radiation(orbit: Trajectory, environment: Environment, samples: int = SAMPLES) -> OrbitRadiation:
     """Mean radiation along an orbit, by the nominal models.
 
     Raises

@@ -6,6 +6,7 @@ its interval; the others are limited by the statistics of cross-spectra (`FIELDS
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -44,6 +45,7 @@ QUIET: dict[str, Any] = {
 GEOMETRY = scan_geometry(384, 384)
 
 
+@functools.lru_cache(maxsize=2)
 def scanned(**changes: Any) -> tuple[Separated, np.ndarray]:
     """Classes in arcseconds, and the Cramér–Rao bound of the noise, arcseconds (frames, 3)."""
     values = QUIET | {name.replace("__", "."): value for name, value in changes.items()}

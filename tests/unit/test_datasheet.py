@@ -145,3 +145,12 @@ def test_stages_of_life() -> None:
     aged = SCENARIO.changed({"environment.age_years": 5.0, "environment.solar_proton_events": 1.0})
     stages = stages_of(aged)
     assert [(life, stage.environment.age_years) for life, stage in stages] == [("BOL", 0.0), ("EOL", 5.0)]
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, 35.0, 90.0, 170.0])
+def test_a_boresight_at_an_angle_from_a_body(angle_deg: float) -> None:
+    direction = np.array([0.6, -0.48, 0.64])
+    around = [frames._at_angle(direction, math.radians(angle_deg), azimuth) for azimuth in (0.0, 2.0, 4.0)]
+    cosines = np.array(around) @ direction
+    assert cosines == pytest.approx(np.full(3, math.cos(math.radians(angle_deg))), abs=1e-12)
+    assert np.linalg.norm(np.mean(around, axis=0)) < 1.0 - 1e-6

@@ -24,7 +24,13 @@ from simulator.scenario import Scenario
 from simulator.sky.background import sky_brightness_s10
 from simulator.sky.photometry import Photometer
 from simulator.study.coverage.boresights import sky_grid
-from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
+from simulator.study.trials.bounds import (
+    fisher_of_position,
+    image_slopes,
+    mean_dark_e,
+    mean_displacement_e,
+    pixel_variance_e2,
+)
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.display import fields_repr
@@ -221,7 +227,7 @@ def _pixel(plane: FocalPlane, detector: DetectorParameters, exposure_s: float) -
     directions = sky_grid(200)
     s10 = sky_brightness_s10(directions, -directions[0], plane.sky)
     sky_e = float(np.median(s10)) * plane.s10_e_s_pixel * exposure_s
-    dark_e = mean_dark_e(detector, exposure_s)
+    dark_e = mean_dark_e(detector, exposure_s) + mean_displacement_e(detector, exposure_s)
     none = np.zeros(1)
     noise_e = math.sqrt(max(float(pixel_variance_e2(none + sky_e, dark_e, none, detector, exposure_s)[0]), 1e-12))
     highest = highest_dn(detector)

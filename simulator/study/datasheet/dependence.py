@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of
+from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import LEVELS, Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
@@ -83,18 +84,15 @@ def residuals(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
     no_deflection = scenario.changed({"sky.light_deflection": False})  # which the tracker does not correct
     errors = runner.run([Task(no_deflection, "model_residuals", (0, count))])[0]["error_deg"] * _ARCSEC
     term = TERMS["aberration"]
-    quantities = [
-        Quantity(
-            "aberration_residual_rms",
-            f"{term.title}, rms",
-            rms_of(errors[:, k], scenario.seed),
-            "arcsec",
-            axis,
-            interpretation=term.interpretation,
-            method=f"{term.method}; {count} fields, position and velocity of the spacecraft known exactly",
-        )
-        for k, axis in enumerate(CAMERA_AXES)
-    ]
+    method = f"{term.method}; {count} fields, position and velocity of the spacecraft known exactly"
+    quantities = []
+    for k, axis in enumerate(CAMERA_AXES):
+        named = partial(Quantity, unit="arcsec", axis=axis, interpretation=term.interpretation, method=method)
+        rms = rms_of(errors[:, k], scenario.seed)
+        quantities.append(named("aberration_residual_rms", f"{term.title}, rms", rms))
+        quantities += [
+            named("aberration_residual", term.title, upper_limit(errors[:, k], level), level=level) for level in LEVELS
+        ]
     return quantities + _thermo_elastic(scenario, runner, count)
 
 

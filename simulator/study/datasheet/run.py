@@ -11,7 +11,7 @@ from typing import Any
 from simulator.scenario import Scenario
 from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
-from simulator.study.datasheet.performance import acquisition, rates, tracking
+from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.plan import FULL, QUICK, Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
@@ -111,7 +111,7 @@ def measure(life: str, scenario: Scenario, runner: TaskRunner, amounts: Amounts)
         "rate_limit": [greatest],
         "acquisition": acquisition(scenario, runner, amounts),
         "tracking": tracking(scenario, runner, amounts, greatest.estimate.value),
-        "sky": sky_coverage(scenario, amounts),
+        "sky": sky_coverage(scenario, amounts) + exclusion(scenario, runner, amounts),
         "timing": timing(scenario),
     }
     points = {"rates": rate_points} | availability(accuracy.trials)

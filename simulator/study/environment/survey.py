@@ -16,7 +16,7 @@ from simulator.environment.dose import SAMPLED_DAYS, Dose, dose, orbit_positions
 from simulator.environment.parameters import Environment
 from simulator.environment.transients import LocalFlux, Transients
 from simulator.mission.frames import ground_track_deg
-from simulator.mission.orbit import Orbit
+from simulator.mission.trajectory import Trajectory, geocentric
 from simulator.scenario import Scenario
 from startracker._version import __version__
 from startracker.display import fields_repr
@@ -153,7 +153,7 @@ def survey(scenario: Scenario) -> EnvironmentSurvey:
     return EnvironmentSurvey(
         name=scenario.name,
         environment=environment,
-        day=_track(transients, orbit, np.arange(0.0, _DAY_S, _STEP_S)),
+        day=_track(transients, orbit, np.arange(max(orbit.span_s[0], 0.0), min(orbit.span_s[1], _DAY_S), _STEP_S)),
         month=_track(transients, orbit, orbit_positions(orbit)[0]),
         frame_cm2_s=detector.width * pitch_x * detector.height * pitch_y * 1e-8 * detector.exposure_s,
         shields={mm: dose(radiation, environment, mm, environment.age_years) for mm in SHIELDS_MM},
@@ -162,8 +162,8 @@ def survey(scenario: Scenario) -> EnvironmentSurvey:
     )
 
 
-def _track(transients: Transients, orbit: Orbit, t_s: FloatArray) -> Track:
-    r_km, _ = orbit.state(t_s)
+def _track(transients: Transients, orbit: Trajectory, t_s: FloatArray) -> Track:
+    r_km = geocentric(orbit, t_s).r_km
     return Track(t_s, *ground_track_deg(orbit.clock, t_s, r_km), transients.flux(t_s, r_km))
 
 

@@ -13,7 +13,7 @@ from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
 from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, TaskRunner
 
-TINY = Amounts(6, 40, 12, 6, 1, 6, 12, 4, 400)
+TINY = Amounts(5, 24, 8, 5, 1, 5, 12, 4, 400)
 REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]
 
 
@@ -66,6 +66,7 @@ def test_every_value_has_an_interval_or_says_that_it_is_open(written: Path) -> N
         assert names >= {"bias_mean", "thermo_elastic_mean", "fov_spatial", "pixel_spatial", "temporal_noise"}
         assert names >= {"measurement_error", "aberration_residual_rms", "greatest_rate", "greatest_acceleration"}
         assert names >= {"acquisition_probability_lost_in_space", "recovery_time", "update_rate", "coverage_sky_3"}
+        assert names >= {"smallest_angle_sun", "smallest_angle_moon", "smallest_angle_earth", "aberration_residual"}
 
 
 def test_the_same_bytes_after_an_interruption_and_on_one_worker(
