@@ -70,6 +70,15 @@ def test_particles_cross_the_detector_in_the_anomaly_and_not_outside():
     assert np.array_equal(again, dark[storm])
 
 
+def test_truth_states_the_particles_of_the_frame():
+    assert Renderer(load("detector.cosmic_rays.rate_cm2_s=7")).frame(0)[1].particles_cm2_s == 7.0
+    assert Renderer(load()).frame(0)[1].particles_cm2_s == 0.0
+    renderer = Renderer(load("environment.galactic=true"))
+    truth = renderer.frame(5)[1]
+    r_km, _ = renderer.scenes.orbit.state(np.array([truth.t_s]))
+    assert truth.particles_cm2_s == pytest.approx(renderer.transients.flux(np.array([truth.t_s]), r_km).total[0])
+
+
 def test_groups_of_particles_carry_the_local_flux():
     pytest.importorskip("aep8")
     scenario = load(*AP8)
