@@ -13,10 +13,12 @@ from simulator.environment import shield
 from simulator.environment.coefficients import COEFFICIENTS
 from simulator.environment.damage import Pixel, damage, glass_transmission
 from simulator.environment.dose import Dose
+from simulator.environment.galactic import GalacticCosmicRays
 from simulator.environment.parameters import Environment
 from simulator.environment.solar import event_fluence, reaching
 from simulator.environment.spectrum import Spectrum
 from simulator.environment.transients import proton_charge_e_um
+from simulator.mission.frames import itrs_km
 from startracker.errors import InputError
 
 SMALL = ["detector.width=128", "detector.height=96", "sky.magnitude_limit=3"]
@@ -90,6 +92,17 @@ def test_groups_of_particles_carry_the_local_flux():
         renderer.transients.flux(np.array([t_s]), r_km).total[0], rel=1e-12
     )
     assert all(group.depth_um == 10.0 for group in groups)
+
+
+def test_half_of_an_isotropic_flux_crosses_a_plane():
+    """The rate per area is the omnidirectional flux times the mean of |cos θ| over all directions."""
+    position = np.array([[0.0, 0.0, 7178.0]])
+    transients = build_transients(load("environment.galactic=true"))
+    itrs = itrs_km(Renderer(load()).scenes.clock, np.zeros(1), position)
+    flux, _ = GalacticCosmicRays("min").flux_cm2_s(itrs, 0.2)
+    cosine = np.linspace(-1.0, 1.0, 2001)
+    crossing = transients.flux(np.zeros(1), position).galactic_protons
+    assert crossing == pytest.approx(flux * np.mean(np.abs(cosine)), rel=1e-3)
 
 
 def test_charge_of_protons():
