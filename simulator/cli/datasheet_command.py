@@ -8,6 +8,7 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import DatasheetRequest
 from simulator.cli.terminal import open_console, print_table, progress_bar
+from simulator.cli.verdicts import print_judgement
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
 from simulator.study.datasheet.tables import accuracy_table
 from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted
@@ -40,6 +41,6 @@ def main(request: DatasheetRequest) -> int:
     for column in sheet.columns:
         table = accuracy_table(column)
         print_table(console, f"{scenario.name}, {column.life}", table.headings, table.rows, block=3)
-        console.print(f"{column.life}: specification {column.verdict['verdict']}")
+        print_judgement(column.judgement, console)
     print(f"{folder}: {', '.join(RESULT_FILES)}")
     return 0

@@ -53,10 +53,8 @@ def _refuse_unused(request: RunRequest) -> None:
         value, option = getattr(request, name), f"--{name.replace('_', '-')}"
         if value is not None and value is not False:
             if request.sequence:
-                raise InputError(
-                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
-                )
-            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
+                raise InputError(f"{option}: has no effect with --sequence; remove it")
+            raise InputError(f"{option}: requires --sequence")
 
 
 def _print(study: Study, folder: Path, console: Console) -> None:

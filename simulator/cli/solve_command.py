@@ -134,9 +134,7 @@ def _check(request: SolveRequest) -> None:
     if request.parity is not None and request.parity not in PARITIES:
         raise InputError(f"--parity: must be {', '.join(PARITIES)}, not '{request.parity}'")
     if request.annotate is None and (request.grid or request.constellations or request.colour):
-        raise InputError(
-            "--grid, --constellations and --colour: draw on the picture of --annotate OUT.png; give that too"
-        )
+        raise InputError("--grid, --constellations and --colour: require --annotate OUT.png")
     _points(request)
     if len(images) == 1 and not images[0].is_dir():
         if request.wcs is not None and not request.wcs.is_dir():

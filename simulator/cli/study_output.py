@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from simulator.cli.terminal import print_table
 from simulator.cli.verdicts import coloured, print_judgement
+from simulator.study.coverage.exclusions import everything_excluded
 from simulator.study.design.search import PARAMETERS
 from simulator.study.specification.requirements import Requirement
 from simulator.study.texts import deg_text
@@ -31,11 +32,10 @@ def print_coverage(result: Coverage, console: Console) -> None:
     for text in result.excluded_texts():
         console.print(f"  {text}")
     if stars["min"] is None:
-        alone = [body for body, share in summary["excluded_share"].items() if share == 1.0]
-        by = " and ".join(f"{result.sources.get(body, body)}" for body in alone or result.sources)
-        console.print(
-            f"  everything is excluded by {by}; the options --sun-deg, --moon-deg and --earth-deg set other angles"
-        )
+        others = "the options --sun-deg, --moon-deg and --earth-deg set other angles"
+        console.print(f"  {everything_excluded(result.boresights, result.sources)}; {others}")
+        if result.judgement:
+            print_judgement(result.judgement, console)
         return
     low = summary["poorest"][0]
     console.print(
@@ -125,7 +125,7 @@ def print_verified(verified: Verified, console: Console) -> None:
     elif answer is first:
         console.print(f"The verification does not contradict the prediction at {title} {answer.value:.4g} {unit}.")
     else:
-        console.print(f"Smallest {title} confirmed by {answer.trials} trials: {answer.value:.4g} {unit}")
+        console.print(f"Smallest {title} {verified.confirmed} by {answer.trials} trials: {answer.value:.4g} {unit}")
 
 
 def _titles(errors: list[Requirement]) -> list[str]:

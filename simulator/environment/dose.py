@@ -31,8 +31,8 @@ class OrbitRadiation:
     protons: Spectrum
     electrons: Spectrum
     """Trapped particles, flux averaged over the orbit, particles/cm²/s."""
-    solar_events: Spectrum
-    """Solar protons that arrive during the scenario's events, fluence, protons/cm²."""
+    solar_share: FloatArray
+    """Fraction of time and directions in which solar protons arrive, at the energies of `solar.EVENT_MEV`."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def orbit_positions(orbit: Trajectory, samples: int = SAMPLES) -> tuple[FloatArr
 
 
 def orbit_radiation(orbit: Trajectory, environment: Environment, samples: int = SAMPLES) -> OrbitRadiation:
-    """Mean radiation along an orbit.
+    """Mean radiation along an orbit, by the nominal models.
 
     Raises
     ------
@@ -73,26 +73,28 @@ def orbit_radiation(orbit: Trajectory, environment: Environment, samples: int = 
     protons = Spectrum(PROTON_MEV, np.zeros(len(PROTON_MEV)))
     electrons = Spectrum(ELECTRON_MEV, np.zeros(len(ELECTRON_MEV)))
     if environment.trapped != "none":
-        belts = TrappedBelts(environment.solar, environment.estimate)
+        belts = TrappedBelts(environment.solar)
         protons, electrons = belts.mean_spectra(positions, year)
-    events = solar.event_fluence(environment.solar_proton_events)
-    share = GalacticCosmicRays(environment.solar).transmission(positions, proton_rigidity_gv(events.energy_mev))
-    return OrbitRadiation(protons, electrons, solar.reaching(events, share))
+    rigidity_gv = proton_rigidity_gv(solar.EVENT_MEV)
+    return OrbitRadiation(
+        protons, electrons, GalacticCosmicRays(environment.solar).transmission(positions, rigidity_gv)
+    )
 
 
 def dose(radiation: OrbitRadiation, environment: Environment, shield_mm: float, years: float) -> Dose:
     """Dose behind a shield in a number of years; the solar events count once, whatever the years."""
     seconds = years * SECONDS_PER_YEAR
     krad = matter.RAD_PER_MEV_G * 1e-3
-    protons, electrons = radiation.protons.times(seconds), radiation.electrons.times(seconds)
+    protons = radiation.protons.times(seconds * coefficient("trapped_protons", environment.estimate))
+    electrons = radiation.electrons.times(seconds * coefficient("trapped_electrons", environment.estimate))
+    events = solar.reaching(solar.event_fluence(environment.solar_proton_events), radiation.solar_share)
     niel = coefficient("niel_scale", environment.estimate)
     return Dose(
         protons_krad=krad * shield.proton_dose_mev_g(protons, shield_mm),
         electrons_krad=krad * shield.electron_dose_mev_g(electrons, shield_mm),
-        solar_krad=krad * shield.proton_dose_mev_g(radiation.solar_events, shield_mm),
+        solar_krad=krad * shield.proton_dose_mev_g(events, shield_mm),
         displacement_mev_g=niel
         * sum(
-            shield.proton_dose_mev_g(spectrum, shield_mm, matter.proton_niel_silicon)
-            for spectrum in (protons, radiation.solar_events)
+            shield.proton_dose_mev_g(spectrum, shield_mm, matter.proton_niel_silicon) for spectrum in (protons, events)
         ),
     )

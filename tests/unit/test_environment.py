@@ -42,7 +42,7 @@ def test_off_the_environment_changes_no_byte():
     plain = Renderer(load()).frame(0)[0]
     idle = Renderer(load("environment.shield_mm=9", "environment.age_years=7", "environment.solar=max")).frame(0)[0]
     assert np.array_equal(plain.image, idle.image)
-    assert build_damage(load("environment.age_years=7")) is None
+    assert not load("environment.age_years=7").environment.has_damage
     assert build_transients(load("environment.shield_mm=9")) is None
     assert aged_detector(load()) == detector_parameters(load().detector)
 

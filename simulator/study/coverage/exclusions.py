@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import all_keys
-from simulator.study.coverage.boresights import Exclusion
+from simulator.study.coverage.boresights import Boresights, Exclusion
 
-__all__ = ["BODIES", "exclusion_of", "exclusion_text"]
+__all__ = ["BODIES", "everything_excluded", "exclusion_of", "exclusion_text"]
 
 BODIES = ("sun", "moon", "earth")
 
@@ -45,6 +45,12 @@ def exclusion_of(
         if angle > 0.0:
             sources[body] = source
     return Exclusion(**angles), sources
+
+
+def everything_excluded(looks: Boresights, sources: Mapping[str, str]) -> str:
+    """Sentence with the angles that exclude every attitude: those that do so alone, otherwise all."""
+    alone = [body for body, broken in looks.excluded.items() if broken.all()]
+    return "everything is excluded by " + " and ".join(sources.get(body, body) for body in alone or looks.excluded)
 
 
 def exclusion_text(body: str, angle_deg: float, source: str) -> str:

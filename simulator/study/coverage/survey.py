@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from simulator.build import build_camera
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
 from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
-from simulator.study.coverage.exclusions import exclusion_of, exclusion_text
+from simulator.study.coverage.exclusions import everything_excluded, exclusion_of, exclusion_text
 from simulator.study.coverage.field_counts import circle, count_by_level, outline, solid_angle_sr
 from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.coverage.sensitivity import build_sensitivity
@@ -281,14 +281,15 @@ def coverage(
         sky_stars=len(stars.brighter_than(limit)),
         exclusion=angles,
         sources=origin,
-        judgement=_predicted(scenario, looks, least_stars) if own_stars else None,
+        judgement=_predicted(scenario, looks, least_stars, origin) if own_stars else None,
         left_out=left_out(scenario) if own_stars else (),
     )
 
 
-def _predicted(scenario: Scenario, looks: Boresights, least_stars: int) -> Judgement:
+def _predicted(scenario: Scenario, looks: Boresights, least_stars: int, sources: Mapping[str, str]) -> Judgement:
     evidence = predict(scenario, looks, least_stars).evidence
-    return judge(evidence.specification, evidence)
+    judged = judge(evidence.specification, evidence)
+    return judged if looks.allowed.any() else replace(judged, untested=(everything_excluded(looks, sources),))
 
 
 def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[float, str]:

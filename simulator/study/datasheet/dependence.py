@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of
+from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import LEVELS, Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
@@ -30,7 +31,7 @@ HOT_FRACTIONS = (0.0, 1e-3, 1e-2, 5e-2)
 """Values at which robustness is stated. The largest fluxes of trapped protons in a low orbit are some 1,100 cm⁻² s⁻¹
 (arXiv:2006.00909)."""
 
-THERMAL_KEYS = ("optics.thermal.expansion_ppm_k",)
+THERMAL_KEYS = ("optics.thermal.expansion_ppm_k", "optics.thermal.decentring_um_k")
 """Keys that make the image depend on the temperature of the lens."""
 
 _ARCSEC = 3600.0
@@ -83,18 +84,15 @@ def residuals(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
     no_deflection = scenario.changed({"sky.light_deflection": False})  # which the tracker does not correct
     errors = runner.run([Task(no_deflection, "model_residuals", (0, count))])[0]["error_deg"] * _ARCSEC
     term = TERMS["aberration"]
-    quantities = [
-        Quantity(
-            "aberration_residual_rms",
-            f"{term.title}, rms",
-            rms_of(errors[:, k], scenario.seed),
-            "arcsec",
-            axis,
-            interpretation=term.interpretation,
-            method=f"{term.method}; {count} fields, position and velocity of the spacecraft known exactly",
-        )
-        for k, axis in enumerate(CAMERA_AXES)
-    ]
+    method = f"{term.method}; {count} fields, position and velocity of the spacecraft known exactly"
+    quantities = []
+    for k, axis in enumerate(CAMERA_AXES):
+        named = partial(Quantity, unit="arcsec", axis=axis, interpretation=term.interpretation, method=method)
+        rms = rms_of(errors[:, k], scenario.seed)
+        quantities.append(named("aberration_residual_rms", f"{term.title}, rms", rms))
+        quantities += [
+            named("aberration_residual", term.title, upper_limit(errors[:, k], level), level=level) for level in LEVELS
+        ]
     return quantities + _thermo_elastic(scenario, runner, count)
 
 
@@ -103,7 +101,7 @@ def _thermo_elastic(scenario: Scenario, runner: TaskRunner, count: int) -> list[
     term, flat = TERMS["thermo_elastic"], flatten(scenario)
     words: dict[str, Any] = {"unit": "arcsec", "interpretation": term.interpretation}
     title = f"{term.title} of {THERMAL_STEP_K:g} K"
-    if not any(flat.get(key) for key in THERMAL_KEYS):
+    if not any(np.any(flat[key]) for key in THERMAL_KEYS):
         method = "none: the scenario's lens does not change with temperature (optics.thermal)"
         return [
             Quantity("thermo_elastic_mean", title, Estimate(0.0, 0.0, 0.0), axis=axis, method=method, **words)

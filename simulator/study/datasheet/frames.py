@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.build import build_detector
+from simulator.constants import EARTH_RADIUS_KM
 from simulator.detector.chain import Detector
 from simulator.frame import Frame, FrameTruth
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.scene import Scene
 from simulator.study.datasheet.scan import ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
@@ -30,6 +33,7 @@ from simulator.study.trials.trial import (
     normalised_error_squared,
     solve_frame,
 )
+from startracker.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
 
 __all__ = ["PASSES", "DatasheetFrames", "sequence_columns"]
@@ -43,8 +47,8 @@ PASSES = 3
 BOUND_EVERY = 3
 """The bound of the noise is computed for each third frame of a scan."""
 
-_SCAN_INDEX, _RATE_INDEX = 10_000_000, 20_000_000
-"""First indices of the random streams of scans and of given rates, beyond those of the trials."""
+_SCAN_INDEX, _RATE_INDEX, _BODY_INDEX = 10_000_000, 20_000_000, 30_000_000
+"""First indices of the random streams of scans, of given rates, and near bodies, beyond those of the trials."""
 
 _MOST_FRAMES = 1000
 """Frames of a pass, for the indices."""
@@ -52,7 +56,7 @@ _MOST_FRAMES = 1000
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 _TRIAL_COLUMNS = (
-    "t_s",
+    *JUDGED_COLUMNS,
     "orbit_argument_deg",
     "sunlit",
     "stars_in_field",
@@ -80,7 +84,8 @@ class DatasheetFrames:
         columns = {name: np.array([row[name] for row in rows], dtype=float) for name in _TRIAL_COLUMNS}
         solved = np.array([row["status"] == "solved" for row in rows])
         wrong = np.array([row["wrong"] for row in rows], dtype=bool)
-        return columns | {"solved": solved, "wrong": wrong, "right": solved & ~wrong}
+        status = np.array([row["status"] for row in rows])
+        return columns | {"status": status, "solved": solved, "wrong": wrong, "right": solved & ~wrong}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
         """The three passes over one field.
@@ -144,6 +149,22 @@ class DatasheetFrames:
             "across_deg": np.sum(error_deg * across, axis=1),
             "about_deg": error_deg[:, 2],
         }
+
+    def near_body(self, first: int, count: int, body: str, angle_deg: float) -> Columns:
+        """Frames whose boresight is `angle_deg` from the centre of the ``sun`` or the ``moon``, or from the limb of the
+        ``earth``, at random azimuths and rolls and at the times of trials: ``right`` (count,)."""
+        right = np.zeros(count, dtype=bool)
+        for k in range(count):
+            scene = self.renderer.scene(first + k)
+            rng = stream(self.runner.scenario.seed, f"near {body}", first + k)
+            direction, radius_rad = _body_direction(scene, body)
+            boresight = _at_angle(direction, radius_rad + math.radians(angle_deg), rng.uniform(0.0, math.tau))
+            ra, dec = np.degrees(direction_to_radec(boresight[None]))
+            look = Attitude.from_radec_roll(float(ra[0]), float(dec[0]), rng.uniform(0.0, 360.0))
+            frame, truth = self.renderer.frame(_BODY_INDEX + first + k, at_s=scene.t_s, attitude=look)
+            error_deg, _, _ = self._measured(frame, truth)
+            right[k] = np.isfinite(error_deg).all()
+        return {"right": right}
 
     def with_false_stars(self, first: int, count: int, number: int) -> Columns:
         """The identified star images of trials, joined by `number` false ones.
@@ -225,6 +246,24 @@ class DatasheetFrames:
             self._noise_only = copy.copy(self.renderer)
             self._noise_only.detector = Detector(replace(device.parameters, prnu=0.0, dsnu=0.0), device.pattern)
         return self._noise_only
+
+
+def _body_direction(scene: Scene, body: str) -> tuple[FloatArray, float]:
+    """Direction (3,) of a body's centre, and the angular radius from which angles are counted, rad."""
+    if body == "sun":
+        return scene.sun_direction, 0.0
+    if body == "moon":
+        return np.asarray(scene.bodies.direction[np.flatnonzero(scene.bodies.name == "Moon")[0]]), 0.0
+    distance = float(np.linalg.norm(scene.r_km))
+    return -scene.r_km / distance, math.asin(min(EARTH_RADIUS_KM / distance, 1.0))
+
+
+def _at_angle(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
+    """Unit vector (3,) at an angle from a direction."""
+    across = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    across /= np.linalg.norm(across)
+    around = math.cos(azimuth_rad) * across + math.sin(azimuth_rad) * np.cross(direction, across)
+    return np.asarray(math.cos(angle_rad) * direction + math.sin(angle_rad) * around)
 
 
 def _rotation(seen: FloatArray, apart: FloatArray) -> FloatArray:

@@ -18,18 +18,15 @@ from simulator.study.datasheet.tables import (
     terms_table,
 )
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD
-from simulator.study.html_page import DIGEST_DIGITS, Table, drawn, render_page
+from simulator.study.html_page import DIGEST_DIGITS, TONES, Table, drawn, render_page, verdict_table
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.style import SOFT, style
-from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker._version import __version__
 
 if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column, Datasheet
 
 __all__ = ["datasheet_pages"]
-
-TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}
 
 
 def datasheet_pages(sheet: Datasheet) -> tuple[str, bytes]:
@@ -47,8 +44,11 @@ def _html(sheet: Datasheet) -> str:
         "datasheet/datasheet.html.j2",
         scenario=sheet.scenario,
         provenance=_provenance(sheet),
-        tone=TONES[sheet.columns[0].verdict["verdict"]],
-        answers=[(column.life, column.verdict["verdict"], _answers(column)) for column in sheet.columns],
+        tone=TONES[sheet.columns[-1].judgement.state],
+        answers=[
+            (column.life, column.judgement.text, verdict_table(column.judgement), _answers(column))
+            for column in sheet.columns
+        ],
         conditions=_conditions(sheet.columns),
         accuracy=[(column.life, accuracy_table(column)) for column in sheet.columns],
         sections=_sections(sheet.columns),
@@ -73,7 +73,8 @@ def _pdf(sheet: Datasheet) -> bytes:
         paper.text(sheet.scenario.description, 9, colour=SOFT)
         paper.text(_provenance(sheet), 8, colour=SOFT)
         for column in sheet.columns:
-            paper.text(f"{column.life}: specification {column.verdict['verdict']}", 11, weight="bold")
+            paper.text(f"{column.life}. {column.judgement.text}.", 11, weight="bold")
+            paper.table(verdict_table(column.judgement), 6.5)
             for line in _answers(column):
                 paper.text(line, 9)
         paper.heading("Conditions")
@@ -147,6 +148,13 @@ def _conditions(columns: list[Column]) -> Table:
     return Table(("condition", *(column.life for column in columns)), rows, tuple(range(len(columns) + 1)))
 
 
+def _age(scenario: Scenario) -> str:
+    environment = scenario.environment
+    if not environment.has_damage:
+        return "as new"
+    return f"{environment.age_years:g} years behind {environment.shield_mm:g} mm of aluminium, {environment.estimate}"
+
+
 def _camera(scenario: Scenario) -> dict[str, str]:
     optics, detector, tracker = scenario.optics, scenario.detector, scenario.tracker
     pitch = " × ".join(f"{value:g}" for value in dict.fromkeys(detector.pitch_um))
@@ -156,6 +164,7 @@ def _camera(scenario: Scenario) -> dict[str, str]:
         "exposure": f"{detector.exposure_s:g} s, every {scenario.sequence.step_s:g} s",
         "temperature": f"detector {detector.temperature_c:g} °C, lens {optics.thermal.temperature_c:g} °C",
         "orbit": scenario.orbit.described,
+        "age": _age(scenario),
         "tracker": f"{tracker.catalog} to V {tracker.magnitude_limit:g}, {tracker.centroider}, {tracker.identifier}",
         "fields": f"attitudes by study.sampling: {scenario.study.sampling}",
     }

@@ -15,7 +15,7 @@ from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner, trial_tasks
 
-__all__ = ["Limit", "acquisition", "bracket", "rates", "tracking"]
+__all__ = ["Limit", "acquisition", "bracket", "exclusion", "rates", "tracking"]
 
 RATES_DEG_S = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 """Angular rates across the boresight at which errors are stated."""
@@ -25,6 +25,9 @@ LEAST_SHARE = 0.95
 
 ACQUIRED = 0.997
 """Probability of an attitude after the stated number of frames."""
+
+FIRST_ANGLE_DEG, SMALLEST_ANGLE_DEG = 16.0, 1.0
+"""First and smallest angle from a body that is tried."""
 
 FIRST_SHARE = 0.25
 """First acceleration tried, as a fraction of the greatest one that frames at the scenario's interval can follow."""
@@ -136,6 +139,36 @@ def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[Qua
     limit = bracket(lambda rate: float(np.mean(at(rate)["right"])) >= LEAST_SHARE, 2.0, amounts.bisections, 90.0)
     method = f"at least {100 * LEAST_SHARE:g} % of {count} frames correct; bracket of the bisection"
     return Quantity("greatest_rate", "Greatest angular rate", limit.estimate, "deg/s", method=method), points
+
+
+def exclusion(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[Quantity]:
+    """Smallest angles of the boresight from Sun, Moon and Earth at which frames are solved, by bisection."""
+    quantities = []
+    for body in ("sun", "moon", "earth"):
+        if body == "moon" and not scenario.sky.planets:
+            continue
+        # without the Earth, which would cover some of the fields near the Sun and the Moon
+        case = scenario.changed({"sky.earth": scenario.sky.earth and body == "earth"})
+
+        def passes(inverse: float, case: Scenario = case, body: str = body) -> bool:
+            found = runner.run([Task(case, "near_body", (0, amounts.per_rate, body, 1.0 / inverse))])[0]
+            return bool(np.mean(found["right"]) >= LEAST_SHARE)
+
+        passed, failed = bracket(passes, 1.0 / FIRST_ANGLE_DEG, amounts.bisections, 1.0 / SMALLEST_ANGLE_DEG)
+        value = None if passed is None else 1.0 / passed
+        limb = " of its limb" if body == "earth" else ""
+        quantities.append(
+            Quantity(
+                f"smallest_angle_{body}",
+                f"Smallest angle from the {body.title()}",
+                Estimate(value, None if failed is None else 1.0 / failed, value),
+                "deg",
+                interpretation="ensemble",
+                method=f"boresight{limb}: at least {100 * LEAST_SHARE:g} % of {amounts.per_rate} frames correct; "
+                "bracket of the bisection",
+            )
+        )
+    return quantities
 
 
 def tracking(scenario: Scenario, runner: TaskRunner, amounts: Amounts, rate_deg_s: float | None) -> list[Quantity]:

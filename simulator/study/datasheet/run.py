@@ -11,16 +11,17 @@ from typing import Any
 from simulator.scenario import Scenario
 from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
-from simulator.study.datasheet.performance import acquisition, rates, tracking
+from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.plan import FULL, QUICK, Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
 from simulator.study.datasheet.tasks import PARTS_FOLDER, TaskRunner
 from simulator.study.datasheet.timing import computing_time, timing
-from simulator.study.datasheet.verdicts import verdicts
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD, TERMS
 from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256
+from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.verdicts import Judgement
 from startracker._version import __version__
 
 __all__ = ["RESULT_FILES", "Column", "Datasheet", "datasheet", "measure"]
@@ -46,8 +47,8 @@ class Column:
     """Points of the plots: rates, orbit, year, stars."""
     accuracy: Accuracy
     """Classes, with their spectra."""
-    verdict: dict[str, Any]
-    """Verdict on the specification."""
+    judgement: Judgement
+    """Verdict on the specification, from the trials."""
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``datasheet.json``."""
@@ -55,7 +56,8 @@ class Column:
         return {
             "life": self.life,
             "scenario_sha256": scenario_sha256(self.scenario),
-            "specification": self.verdict,
+            "specification": self.judgement.by_name(),
+            "verdict": self.judgement.to_dict(),
             "sections": {name: [q.to_dict() for q in group] for name, group in self.sections.items()},
             "series": {series.name: series.points for series in self.series} | self.points,
             "scan": {
@@ -109,11 +111,11 @@ def measure(life: str, scenario: Scenario, runner: TaskRunner, amounts: Amounts)
         "rate_limit": [greatest],
         "acquisition": acquisition(scenario, runner, amounts),
         "tracking": tracking(scenario, runner, amounts, greatest.estimate.value),
-        "sky": sky_coverage(scenario, amounts),
+        "sky": sky_coverage(scenario, amounts) + exclusion(scenario, runner, amounts),
         "timing": timing(scenario),
     }
     points = {"rates": rate_points} | availability(accuracy.trials)
-    return Column(life, scenario, sections, conditions, points, accuracy, verdicts(scenario, accuracy.trials))
+    return Column(life, scenario, sections, conditions, points, accuracy, judge_frames(scenario, accuracy.trials))
 
 
 def datasheet(
@@ -131,9 +133,10 @@ def datasheet(
     Parameters
     ----------
     scenario : Scenario
-        The camera and its mission, at the beginning of life.
+        The camera and its mission.
     end_of_life : Scenario, optional
-        The same at the end of life; without it there is no such column.
+        The same at the end of life. By default an end of life is stated if the scenario's camera is aged by its
+        environment (``environment.age_years``): the beginning of life is then the scenario at the age of zero.
     quick : bool
         A first look with fewer frames.
     workers : int
@@ -153,9 +156,7 @@ def datasheet(
         After Ctrl-C; finished tasks in `out` are used by the next call.
     """
     amounts = QUICK if quick else FULL
-    stages = [("BOL", scenario)]
-    if end_of_life is not None:
-        stages.append(("EOL", end_of_life))
+    stages = stages_of(scenario, end_of_life)
     sha256 = scenario_sha256(scenario, datasheet=True, stages=[scenario_sha256(stage) for _, stage in stages])
     identity = Identity("datasheet", scenario.name, scenario.seed, sha256, {"trials": amounts.trials})
     if out is None:
@@ -164,6 +165,15 @@ def datasheet(
         sheet = _measured(stages, amounts, identity, workers, folder / PARTS_FOLDER, progress)
         _write(sheet, folder)
     return sheet
+
+
+def stages_of(scenario: Scenario, end_of_life: Scenario | None = None) -> list[tuple[str, Scenario]]:
+    """Beginning of life, and end of life if it is given or if the environment has aged the camera."""
+    if end_of_life is not None:
+        return [("BOL", scenario), ("EOL", end_of_life)]
+    if scenario.environment.has_damage:
+        return [("BOL", scenario.changed({"environment.age_years": 0.0})), ("EOL", scenario)]
+    return [("BOL", scenario)]
 
 
 def _measured(

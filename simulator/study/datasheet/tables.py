@@ -25,7 +25,7 @@ __all__ = [
     "terms_table",
 ]
 
-UNITS = {"arcsec": "″", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
+UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
 AXIS_NAMES = {"cross_x": "x", "cross_y": "y", "about_boresight": "about"}
 """Short names of the camera's axes."""
 

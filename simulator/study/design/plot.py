@@ -69,7 +69,7 @@ def _answer(verified: Verified) -> str:
         return (
             f"{predicted}; contradicted by trials, and no value up to {verified.runs[-1].value:.4g} {unit} is confirmed"
         )
-    return f"{predicted}; confirmed by {verified.answer.trials} trials: {verified.answer.value:.4g} {unit}"
+    return f"{predicted}; {verified.confirmed} by {verified.answer.trials} trials: {verified.answer.value:.4g} {unit}"
 
 
 def _accuracy(ax: Axes, verified: Verified, possible: list[Any], value: Any) -> None:
@@ -84,9 +84,11 @@ def _accuracy(ax: Axes, verified: Verified, possible: list[Any], value: Any) -> 
             judged = next(v for v in run.judgement.verdicts if v.requirement == each)
             _measured(ax, run.value, judged, (colour, marker), f"{title}, measured" if k == 0 else "")
         drawn.setdefault(each.limit, []).append(each.title)
+    looks = dict(zip((each.limit for each in errors), itertools.cycle(_LOOKS), strict=False))
     for limit, titles in drawn.items():
+        colour = looks[limit][0] if len(titles) == 1 else "black"
         label = f"{', '.join(dict.fromkeys(titles))} specified"
-        ax.axhline(limit * 3600.0, color="black", lw=1.1, linestyle=(0, (6, 2)), label=label)
+        ax.axhline(limit * 3600.0, color=colour, lw=1.1, linestyle=(0, (6, 2)), label=label)
     ax.set_yscale("log")
     ax.set_ylabel("error at its percentile [arcsec]")
 

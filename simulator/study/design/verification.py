@@ -14,7 +14,7 @@ from simulator.scenario import Scenario
 from simulator.study.design.search import Design, Point, Search, Trade, changed, design
 from simulator.study.run import run
 from simulator.study.specification.requirements import specification_of
-from simulator.study.specification.verdicts import NOT_MET, UNDECIDED, Judgement, frames_needed
+from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement, frames_needed
 from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
@@ -28,8 +28,8 @@ MOST_RUNS = 8
 _LARGEST_STEP = 1.5
 _SMALLEST_STEP = 1.03
 _STEP = 1.15
-"""Ratio of successive values: limits, and the step where no error tells it. A few outliers can make a factor of ten
-that a slightly larger value does not have."""
+"""Ratio of successive values: its limits, and its value if it cannot be derived from the errors. A few outliers can
+cause a factor of ten that disappears at a slightly larger value."""
 _TRIALS_FACTOR = 1.6
 _CLOSE_ENOUGH = 1.05
 """Ratio of the smallest value confirmed to the largest one contradicted at which the search ends."""
@@ -88,6 +88,12 @@ class Verified:
     def answer(self) -> Verification | None:
         """The run of the smallest confirmed value; None if there is none."""
         return min((run for run in self.runs if run.accepted), key=lambda run: run.value, default=None)
+
+    @property
+    def confirmed(self) -> str:
+        """What the runs say of the answer: ``confirmed`` if it meets the specification, or ``not contradicted`` if they
+        have too few trials for that."""
+        return "confirmed" if self.answer and self.answer.judgement.state == MET else "not contradicted"
 
     @property
     def contradicted(self) -> bool:

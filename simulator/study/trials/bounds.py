@@ -330,6 +330,12 @@ def mean_dark_e(detector: DetectorParameters, exposure_s: float) -> float:
     return detector.dark_current_e_s * exposure_s * factor
 
 
+def mean_displacement_e(detector: DetectorParameters, exposure_s: float) -> float:
+    """Mean electrons of displacement damage in a pixel over the exposure."""
+    factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
+    return detector.displacement.mean_e_s * exposure_s * factor
+
+
 def _wells(pattern: FixedPattern, detector: DetectorParameters, exposure_s: float) -> Wells:
     """`Wells` of a device."""
     dark_e_s = pattern.dark_e_s
