@@ -19,7 +19,7 @@ from simulator.mission import forces, frames
 from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.forces import acceleration
-from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of
+from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of, periapsis_km
 from simulator.mission.mean_elements import read_tle
 from simulator.mission.numerical import NumericalOrbit
 from simulator.mission.orbit import build_orbit
@@ -71,6 +71,14 @@ def test_forty_minutes_of_vallado_2_4():
         r, v = orbit.state(2400.0)
         np.testing.assert_allclose(r, expected[0], rtol=0, atol=0.5e-4)
         np.testing.assert_allclose(v, expected[1], rtol=0, atol=0.5e-6)
+
+
+def test_periapsis_of_any_conic():
+    elements = Elements(26_600.0, 0.74, 1.1, 2.2, 3.3, 4.4)
+    orbit = EllipticOrbit(elements, Clock(EPOCH), frame="icrf", j2=False)
+    assert periapsis_km(*orbit.state(1e4), EARTH_GM_KM3_S2) == pytest.approx(26_600.0 * 0.26, rel=1e-13)
+    at_periapsis = [7000.0, 0.0, 0.0], [0.0, 12.0, 0.0]  # faster than escape, 10.7 km/s
+    assert periapsis_km(*at_periapsis, EARTH_GM_KM3_S2) == pytest.approx(7000.0, rel=1e-13)
 
 
 @pytest.mark.parametrize("eccentricity", [0.0, 1e-3, 0.3, 0.74])
