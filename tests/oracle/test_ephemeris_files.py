@@ -22,7 +22,7 @@ from simulator import Scenario
 from simulator.build import build_orbit
 from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
-from simulator.mission.epochs import tdb_seconds
+from simulator.mission.epochs import elapsed_s, tdb_seconds
 from simulator.mission.frames import states_to_gcrs, to_frame
 from simulator.mission.interpolation import StateTable
 from simulator.mission.kepler import Elements
@@ -191,7 +191,29 @@ def test_interpolation_converges_at_its_order(method, nodes, order):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
-# ---------------------------------------------------------------- frames
+# ---------------------------------------------------------------- epochs and frames
+@pytest.mark.parametrize("scale", ["UTC", "TAI", "TT", "TDT", "TDB", "GPS"])
+def test_epochs_against_astropy(scale):
+    """Across the leap second at the end of 2016, by calendar and by day of year. Both use ERFA; 1 ns is the rounding of
+    seconds in a float of some years."""
+    texts = [
+        "2016-12-31T23:59:59.5",
+        "2017-01-01T00:00:00.25",
+        "2024-060T12:00:01.125",
+        "2026-03-21T12:00:00.000000001",
+    ]
+    if scale == "UTC":
+        texts.append("2016-12-31T23:59:60.75")
+    clock = Clock(datetime(2016, 12, 31, 12, tzinfo=UTC))
+    found = elapsed_s(clock, texts, scale, ["f:1"] * len(texts))
+    calendar = [text.replace("2024-060", "2024-02-29") for text in texts]
+    offset_s = 19.0 if scale == "GPS" else 0.0
+    name = {"TDT": "tt", "GPS": "tai"}.get(scale, scale.lower())
+    times = Time(calendar, scale=name, format="isot").tt
+    start = Time("2016-12-31T12:00:00", scale="utc").tt
+    np.testing.assert_allclose(found, (times - start).sec + offset_s, rtol=0, atol=7e-8 if scale != "TDB" else 3e-6)
+
+
 def test_frames_of_files_against_skyfield():
     """1 mas is 4.85e-9 rad: 4.4e-5 km at 9000 km. ITRS by Skyfield with its own table of UT1, without polar motion; its
     velocities are those in the rotating frame."""

@@ -9,9 +9,12 @@ from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
+import ccsds_ndm
 import numpy as np
 import pytest
+import sgp4.omm
 from sgp4.api import WGS72, Satrec
+from sgp4.exporter import export_omm
 from skyfield.api import EarthSatellite, load
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_KM, EARTH_ZONALS
@@ -20,7 +23,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.forces import acceleration
 from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of, periapsis_km
-from simulator.mission.mean_elements import read_tle
+from simulator.mission.mean_elements import read_omm, read_tle
 from simulator.mission.numerical import NumericalOrbit
 from simulator.mission.orbit import build_orbit
 from simulator.mission.parameters import ForceModel, KeplerianElements, OrbitParameters, StateVector
@@ -229,7 +232,7 @@ def test_integration_forwards_and_back_and_in_any_order():
     np.testing.assert_array_equal(back.state(1e4), orbit.state(1e4))
 
 
-# ---------------------------------------------------------------- two-line elements
+# ---------------------------------------------------------------- mean elements
 def sets_of_verification():
     lines = [line for line in VERIFICATION.read_text().splitlines() if line[:2] in ("1 ", "2 ")]
     return [(first, second[:69]) for first, second in zip(lines[::2], lines[1::2], strict=True)]
@@ -291,3 +294,28 @@ def test_the_same_motion_from_two_centres(monkeypatch):
     with_planets = np.linalg.norm(relative_to_earth(), axis=1)
     assert with_planets.max() < 0.85
     assert 1.5 < without_planets.max() < 5.0
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_omm_against_python_sgp4(form, tmp_path):
+    """An OMM written from a published set: python-sgp4 reads its XML, ``ccsds-ndm-py`` writes that; ours reads both."""
+    lines = next(s for s in sets_of_verification() if s[0][2:7] == "08195")
+    satellite = Satrec.twoline2rv(*lines, WGS72)
+    fields = omm_fields(satellite)
+    text = "\n".join(["CCSDS_OMM_VERS = 2.0", *(f"{key} = {value}" for key, value in fields.items())]) + "\n"
+    path = tmp_path / "set.omm"
+    path.write_text(text if form == "kvn" else ccsds_ndm.from_str(text).to_str("xml"))
+    orbit = read_omm(path, Clock(datetime(2006, 6, 25, 9, tzinfo=UTC)), 8195, 30.0)
+    t_s = np.linspace(0.0, 3.0, 20) * DAY_S
+    record = Satrec()
+    sgp4.omm.initialize(record, fields)
+    jd1, jd2 = orbit.clock.utc_jd(t_s)
+    _, r_teme, _ = record.sgp4_array(np.asarray(jd1) + 0.0 * t_s, np.asarray(jd2) + 0.0 * t_s)
+    found = np.einsum("nij,nj->ni", frames.teme(orbit.clock, t_s), orbit.state(t_s)[0])
+    assert np.abs(found - r_teme).max() < 1e-6
+
+
+def omm_fields(satellite):
+    exported = {key: str(value) for key, value in export_omm(satellite, "MOLNIYA 2-14").items()}
+    head = {"CREATION_DATE": "2006-06-25T00:00:00", "ORIGINATOR": "TEST"}
+    return head | {key: value for key, value in exported.items() if key not in head}
