@@ -35,7 +35,6 @@ from startracker.estimation.pose import (
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, joined, matched_again, named
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
-from startracker.kernels import kernel
 from startracker.linalg import solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
@@ -368,7 +367,6 @@ def _refocused(
     return camera, matrix
 
 
-@kernel
 def _linearised(
     xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
