@@ -8,10 +8,10 @@ study = run(scenario, trials=1000, seed=1)
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # type checkers take the name as true; the import of typing takes longer than the rest
 if TYPE_CHECKING:
+    from typing import Any
+
     from simulator.frame import Frame, FrameTruth
     from simulator.renderer import Renderer, render
     from simulator.scenario import Scenario
@@ -34,6 +34,8 @@ def __getattr__(name: str) -> Any:
     """Load a public name on first use, which keeps the import fast."""
     if name not in _HOMES:
         raise AttributeError(f"module 'simulator' has no attribute '{name}'")
+    from importlib import import_module
+
     value = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value

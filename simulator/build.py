@@ -6,38 +6,52 @@ read.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import fields, replace
+from datetime import datetime
+from pathlib import Path
 
 from simulator.detector import Detector, build_fixed_pattern
-from simulator.detector.parameters import DetectorParameters
+from simulator.detector.parameters import DetectorParameters, DisplacementDamage
+from simulator.environment.damage import Damage, Pixel, damage
+from simulator.environment.dose import OrbitRadiation, dose, orbit_radiation
+from simulator.environment.parameters import Environment
+from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
-from simulator.mission.orbit import Orbit
-from simulator.mission.orbit import build_orbit as orbit_of_parameters
-from simulator.mission.parameters import SequenceMotion
+from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
-from simulator.optics.curves import load_curve
+from simulator.mission.trajectories import build_trajectory
+from simulator.mission.trajectory import Trajectory
+from simulator.optics.curves import Curve, load_curve
+from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
 from simulator.optics.psf import Lens
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
 from simulator.optics.thermal import true_camera
+from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
+from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
 __all__ = [
+    "aged_detector",
     "build_camera",
+    "build_damage",
     "build_detector",
     "build_focal_plane",
     "build_mounting",
     "build_orbit",
     "build_scenes",
+    "build_transients",
     "detector_parameters",
+    "orbit_radiation_of",
     "sequence_motion",
     "shutter_of",
 ]
@@ -69,10 +83,12 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         For names or files in the scenario that cannot be used.
     """
     optics, detector = scenario.optics, scenario.detector
-    camera, baffle, thermal = build_camera(scenario), optics.baffle, optics.thermal
+    camera, baffle = build_camera(scenario), optics.baffle
     response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
         detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
     )
+    if scenario.environment.has_damage:
+        response = Curve(response.wavelength_nm, build_damage(scenario).transmission * response.value)
     area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
     photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
     lens = Lens(
@@ -80,13 +96,17 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         detector.pitch_um,
         optics.obscuration,
         detector.charge_diffusion_um,
+        detector.intra_pixel.contrast,
     )
+    seen_by = _true_camera(scenario, camera)
     return FocalPlane(
         camera=camera,
-        true_camera=true_camera(camera, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c),
+        true_camera=seen_by,
+        displacement=_displacement(scenario, seen_by, photometer),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
+        faint_sky=_faint_sky(scenario),
         aperture_mm=optics.aperture_mm,
         pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,
         vignetting=optics.vignetting,
@@ -100,6 +120,30 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         ),
         tether=scenario.tether,
     )
+
+
+def _faint_sky(scenario: Scenario) -> FaintSky | None:
+    """Stars beyond the catalogue; None if there are none."""
+    sky = scenario.sky
+    if sky.faint_magnitude_limit is None or sky.faint_magnitude_limit <= sky.magnitude_limit:
+        return None
+    return FaintSky(scenario.seed, sky.magnitude_limit, sky.faint_magnitude_limit)
+
+
+def _true_camera(scenario: Scenario, calibrated: Camera) -> Camera:
+    """The camera at the temperature of its lens."""
+    thermal, pitch_um = scenario.optics.thermal, scenario.detector.pitch_um
+    moved = (thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1])
+    return true_camera(calibrated, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c, moved)
+
+
+def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer) -> Displacement:
+    """Displacement of star images against a camera's own."""
+    optics = scenario.optics
+    residual = draw_residual(camera, optics.calibration_residual, stream(scenario.seed, "calibration residual"))
+    reference_nm = float(photometer.effective_wavelength_nm(optics.lateral_colour.reference_b_v))
+    curve_px = scenario.detector.intra_pixel.centroid_curve_px
+    return Displacement.of(camera, residual, optics.lateral_colour, reference_nm, curve_px)
 
 
 def _without_earth(scenario: Scenario) -> bool:
@@ -126,9 +170,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     return SceneBuilder(parameters, build_orbit(scenario))
 
 
-def build_orbit(scenario: Scenario) -> Orbit:
-    """Orbit of a scenario."""
-    return orbit_of_parameters(scenario.orbit, scenario.epoch)
+def build_orbit(scenario: Scenario) -> Trajectory:
+    """Trajectory of a scenario's spacecraft; `InputError` for a file that cannot be used."""
+    return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:
@@ -137,8 +181,9 @@ def build_mounting(scenario: Scenario) -> Attitude:
 
 
 def build_detector(scenario: Scenario) -> Detector:
-    """Detector of a scenario with its fixed pattern, which enters frames in single precision."""
-    parameters = detector_parameters(scenario.detector)
+    """Detector of a scenario, aged by its environment, with its fixed pattern, which enters frames in single
+    precision."""
+    parameters = aged_detector(scenario)
     return Detector(parameters, build_fixed_pattern(parameters, scenario.seed).single())
 
 
@@ -146,6 +191,71 @@ def detector_parameters(section: DetectorSection) -> DetectorParameters:
     """A detector without its exposure."""
     names = {field.name for field in fields(DetectorParameters)} - {"pitch_um"}
     return DetectorParameters(**{name: getattr(section, name) for name in names}, pitch_um=section.pitch_um)
+
+
+def aged_detector(scenario: Scenario) -> DetectorParameters:
+    """The detector of a scenario with the damage of its environment added, and particles of a positive rate if the
+    environment provides those of each frame."""
+    parameters = detector_parameters(scenario.detector)
+    if scenario.environment.has_damage:
+        parameters = _with_damage(parameters, build_damage(scenario))
+    if scenario.environment.has_particles:
+        parameters = replace(parameters, cosmic_rays=replace(parameters.cosmic_rays, rate_cm2_s=1.0))
+    return parameters
+
+
+def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
+    """Sum of the damage and of what the scenario's detector already has."""
+    interactions = new.displacement.interactions_per_pixel + aged.displacement.interactions_per_pixel
+    dark_e_s = new.displacement.mean_e_s + aged.displacement.mean_e_s
+    return replace(
+        new,
+        dark_current_e_s=new.dark_current_e_s + aged.dark_current_e_s,
+        displacement=DisplacementDamage(interactions, dark_e_s / interactions if interactions > 0 else 0.0),
+        telegraph=aged.telegraph if new.telegraph.pixel_fraction == 0 else new.telegraph,
+        cti_parallel=new.cti_parallel + aged.cti_parallel,
+        cti_serial=new.cti_serial + aged.cti_serial,
+    )
+
+
+def build_damage(scenario: Scenario, environment: Environment | None = None) -> Damage:
+    """Damage of the camera by its environment, or by another one.
+
+    Raises
+    ------
+    InputError
+        If the package of the trapped particles is not installed.
+    """
+    environment, section = environment or scenario.environment, scenario.detector
+    radiation = orbit_radiation_of(scenario, environment)
+    pixel = Pixel(section.pitch_um[0] * section.pitch_um[1], section.dark_reference_c, section.kind != "cmos")
+    inner, outer = (
+        dose(radiation, environment, shield_mm, environment.age_years)
+        for shield_mm in (environment.shield_mm, environment.glass_shield_mm)
+    )
+    return damage(inner, outer, pixel, environment)
+
+
+def orbit_radiation_of(scenario: Scenario, environment: Environment) -> OrbitRadiation:
+    """Mean radiation along the orbit of a scenario, outside the spacecraft, in an environment."""
+    return _orbit_radiation(scenario.orbit, scenario.epoch, scenario.base_dir, environment.sources)
+
+
+@functools.lru_cache(maxsize=8)  # a second and a half; detector and lens ask for the same
+def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, folder: Path, sources: Environment) -> OrbitRadiation:
+    return orbit_radiation(build_trajectory(orbit, epoch, folder), sources)
+
+
+def build_transients(scenario: Scenario) -> Transients | None:
+    """Particles at the positions of frames; None if the environment provides none.
+
+    Raises
+    ------
+    InputError
+        If the package of the trapped particles is not installed.
+    """
+    environment = scenario.environment
+    return Transients(environment, build_orbit(scenario).clock) if environment.has_particles else None
 
 
 def shutter_of(section: DetectorSection) -> Shutter:

@@ -9,6 +9,9 @@ EARTH_GM_KM3_S2 = 398_600.4418
 EARTH_J2 = 1.08262668e-3
 """Second zonal harmonic, unnormalised; EGM96 / Vallado 2013, table D-5."""
 
+EARTH_ZONALS = (EARTH_J2, -2.532_656_49e-6, -1.619_621_59e-6, -2.272_960_83e-7, 5.406_812_39e-7)
+"""Zonal harmonics J2 to J6, unnormalised; EGM96 / Vallado 2013, table D-5."""
+
 PLANCK_J_S = 6.626_070_15e-34
 """Exact, SI 2019."""
 
@@ -17,3 +20,6 @@ BOLTZMANN_J_K = 1.380_649e-23
 
 ELEMENTARY_CHARGE_C = 1.602_176_634e-19
 """Exact, SI 2019."""
+
+SECONDS_PER_YEAR = 365.25 * 86_400.0
+"""Julian year."""

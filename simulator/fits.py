@@ -33,8 +33,9 @@ def write_fits(
 
     The header of the primary image (BUNIT adu) has the UTC of the exposure's beginning, middle and end (DATE-BEG,
     DATE-AVG and DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys
-    under HIERARCH), the observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system of
-    astrometric ICRS positions (without aberration) at mid-exposure (`startracker.wcs`).
+    under HIERARCH; for programs that estimate the field of view, FOCALLEN, APTDIA, XPIXSZ and YPIXSZ of SBFITSEXT), the
+    observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system of astrometric ICRS
+    positions (without aberration) at mid-exposure (`startracker.wcs`).
 
     The extension TRUTH is a table of the sources, with attitude and rate in its header. `x` and `y` are the positions
     for the true attitude at mid-exposure (of the middle row of a rolling shutter); `x_image` and `y_image` are the
@@ -89,6 +90,14 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
+    if "detector.pixel_pitch_um" in frame.parameters:  # a frame that was read from a file has no parameters
+        width_um = float(str(frame.parameters["detector.pixel_pitch_um"]).split()[0])
+        cards += [
+            ("FOCALLEN", camera.fx * width_um / 1000.0, "[mm] focal length"),
+            ("APTDIA", float(frame.parameters["optics.aperture_mm"]), "[mm] diameter of the aperture"),
+            ("XPIXSZ", width_um, "[um] pixel width"),
+            ("YPIXSZ", camera.fx * width_um / camera.fy, "[um] pixel height"),
+        ]
     if observer.velocity_km_s is not None:
         cards += [
             (f"OBS_V{a}", float(v), "[km/s] barycentric") for a, v in zip("XYZ", observer.velocity_km_s, strict=True)
@@ -169,6 +178,8 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
     for axis, value in zip("XYZ", truth.rate_camera_rad_s, strict=True):
         unit.header[f"RATE_{axis}"] = (float(value), "[rad/s] inertial rate, camera axes")
     unit.header["T_S"] = (truth.t_s, "[s] after the scenario's epoch")
+    if truth.time_tag_error_s:
+        unit.header["TAG_ERR"] = (truth.time_tag_error_s, "[s] stated minus true time of mid-exposure")
     return unit
 
 

@@ -15,9 +15,19 @@ from numpy.typing import NDArray
 
 from simulator.exposure import Exposure, Motion, Paths
 from simulator.frame import TrueSources
-from simulator.light import Light, body_light, body_rates_e_s, near_image, path_middles, star_light, star_rates_e_s
+from simulator.light import (
+    Light,
+    body_light,
+    body_rates_e_s,
+    hidden_stars,
+    near_image,
+    path_middles,
+    star_light,
+    star_rates_e_s,
+)
 from simulator.optics.bodies import LAW_OF_BODY, LAWS, LitDisk, draw_body
 from simulator.optics.disk import add_disk
+from simulator.optics.displacement import Displacement
 from simulator.optics.ghosts import Ghost, ghost_sources
 from simulator.optics.illumination import Vignetting, illumination_map, star_illumination
 from simulator.optics.psf_set import PsfSet
@@ -25,8 +35,11 @@ from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
 from simulator.scene import Scene
+from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import stray_sources, unhidden
+from simulator.sky.faint_stars import FaintSky
+from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
@@ -78,12 +91,16 @@ class FocalPlane:
     """The calibrated camera, as in the frame."""
     true_camera: Camera
     """The true camera, with which the sky is rendered."""
+    displacement: Displacement
+    """Displacement of star images from the positions of the true camera."""
     photometer: Photometer
     """Aperture, transmission and quantum efficiency."""
     psfs: PsfSet
     """Point-spread functions."""
     sky: Sky
     """Parameters of the sky."""
+    faint_sky: FaintSky | None
+    """Stars beyond the catalogue."""
     aperture_mm: float
     pixel_area_cm2: float
     """Diameter of the lens and area of a pixel."""
@@ -100,7 +117,8 @@ class FocalPlane:
         if exposure_s not in self._half_fields:
             camera = self.true_camera
             brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * exposure_s
-            reach_px = math.ceil(min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)) + 1
+            wing_px = min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)
+            reach_px = math.ceil(wing_px + self.displacement.most_px) + 1
             grown = replace(
                 camera,
                 width=camera.width + 2 * reach_px,
@@ -123,9 +141,13 @@ class FocalPlane:
         paths = exposure.paths(
             self.true_camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, margin_px
         )
-        self._draw(mean_e, light, seen.xy, paths)
-        sources = light.truth(seen.xy, path_middles(paths.xy, paths.weights, seen.xy), seen.electrons)
+        xy = self.displacement.moved(seen.xy, light.wavelength_nm)
+        paths = paths._replace(xy=self.displacement.moved(paths.xy, light.wavelength_nm))
+        self._draw(mean_e, light, xy, paths)
+        sources = light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
         self._draw_ghosts(mean_e, sources)
+        if self.faint_sky is not None:
+            self._draw_faint_stars(mean_e, self.faint_sky, scene, exposure)
         exposure.add_transfer_smear(mean_e)
         return Illumination(sources, mean_e, excluded)
 
@@ -135,7 +157,8 @@ class FocalPlane:
         camera, photometer, sky, bodies = self.true_camera, self.photometer, self.sky, scene.bodies
         rate_e_s = star_rates_e_s(scene, photometer, sky)
         seen = self._reaching(scene, scene.star_directions, rate_e_s, exposure, 0.0)
-        stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, self.psfs.coloured)
+        coloured = self.psfs.coloured or self.displacement.coloured
+        stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, coloured)
         off_axis = np.arccos(np.clip(bodies.direction @ scene.pointing.camera.boresight, -1.0, 1.0))
         reach = self.half_field_rad(exposure.duration_s) + scene.streak_rad + bodies.angular_radius_rad
         near = np.flatnonzero(off_axis < np.minimum(reach, camera.limit_rad))
@@ -162,6 +185,7 @@ class FocalPlane:
         electrons = exposure.electrons(self._vignetted(rate_e_s, in_camera))
         xy = camera.project(in_camera)
         extent_px = self.psfs.radius_px(electrons) + (radius_rad + scene.streak_rad) / camera.pixel_rad
+        extent_px += self.displacement.most_px
         rows = near_image(xy, extent_px, camera.width, camera.height)
         rows = rows[electrons[rows] > 0.0]
         return Reaching(rows, in_camera[rows], xy[rows], electrons[rows])
@@ -176,10 +200,7 @@ class FocalPlane:
         """Stars and small bodies through their PSFs, large bodies as disks."""
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
-        points = np.flatnonzero(~disk)
-        for members, share, psf in self.psfs.blends(light.wavelength_nm[points], positions[points]):
-            chosen = points[members]
-            add_stars(mean_e, np.ascontiguousarray(xy[chosen]), weights, electrons[chosen] * share, psf)
+        self._draw_points(mean_e, np.flatnonzero(~disk), light.wavelength_nm, positions, paths)
         for i in np.flatnonzero(disk):
             position = (float(positions[i, 0]), float(positions[i, 1]))
             body = LitDisk(
@@ -192,6 +213,32 @@ class FocalPlane:
             )
             psf = self.psfs.psf(float(light.b_v[i]), position)
             draw_body(mean_e, xy[i], weights, float(electrons[i]), body, psf)
+
+    def _draw_points(
+        self, mean_e: FloatArray, points: IntArray, wavelength_nm: FloatArray, positions: FloatArray, paths: Paths
+    ) -> None:
+        """A selection of sources through their PSFs."""
+        for members, share, psf in self.psfs.blends(wavelength_nm[points], positions[points]):
+            chosen = points[members]
+            xy = np.ascontiguousarray(paths.xy[chosen])
+            add_stars(mean_e, xy, paths.weights, paths.electrons[chosen] * share, psf)
+
+    def _draw_faint_stars(self, mean_e: FloatArray, sky: FaintSky, scene: Scene, exposure: Exposure) -> None:
+        """Stars beyond the catalogue, of the Sun's colour."""
+        camera, velocity = self.true_camera, scene.observer.velocity_km_s
+        reach_rad = self.half_field_rad(exposure.duration_s) + scene.streak_rad
+        shift_rad = largest_shift_rad(scene.observer)
+        direction, v_mag = sky.near(scene.pointing.camera.boresight, reach_rad, shift_rad)
+        if self.sky.aberration and velocity is not None:
+            direction = aberrated(direction, velocity)
+        rate_e_s = self.photometer.electrons_per_s(v_mag, SOLAR_B_V, 0.0)
+        rate_e_s[hidden_stars(scene, direction, self.sky)] = 0.0
+        seen = self._reaching(scene, direction, rate_e_s, exposure, 0.0)
+        motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
+        paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)
+        nm = np.full(len(seen.rows), float(self.photometer.effective_wavelength_nm(SOLAR_B_V, 0.0)))
+        paths = paths._replace(xy=self.displacement.moved(paths.xy, nm))
+        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths)
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         if self.ghosts:
@@ -208,12 +255,18 @@ class FocalPlane:
     @functools.cached_property
     def _s10_e_s(self) -> FloatArray:
         """Electrons per second of a uniform sky of 1 S10 in every pixel."""
-        return illumination_map(self.true_camera, self.vignetting) * self.s10_e_s_pixel
+        return self._uniform_rate_e_s()
 
     @functools.lru_cache(maxsize=1)  # noqa: B019 (one image, as long as the plane lives)
     def _even_rate_e_s(self, s10: float) -> FloatArray:
-        rate_e_s = self._s10_e_s * s10
+        rate_e_s = self._uniform_rate_e_s()  # of its own: an even sky needs no other map
+        rate_e_s *= s10
         rate_e_s.flags.writeable = False
+        return rate_e_s
+
+    def _uniform_rate_e_s(self) -> FloatArray:
+        rate_e_s = illumination_map(self.true_camera, self.vignetting)
+        rate_e_s *= self.s10_e_s_pixel
         return rate_e_s
 
     def background_rate_e_s(self, scene: Scene) -> tuple[FloatArray, tuple[str, ...]]:

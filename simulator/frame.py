@@ -32,7 +32,7 @@ class Frame:
     observer: Observer
     """Epoch of mid-exposure, barycentric position and velocity."""
     utc: str
-    """Mid-exposure, UTC, ISO 8601."""
+    """Mid-exposure as stated by the camera, UTC, ISO 8601."""
     exposure_s: float
     """Exposure time."""
     saturation_dn: float
@@ -134,6 +134,17 @@ class FrameTruth:
     """(height, width): Mean photo-electrons of sources and background, without noise and defects of the detector."""
     excluded: tuple[str, ...] = ()
     """Bodies within the baffle's exclusion angle."""
+    time_tag_error_s: float = 0.0
+    """Stated minus true time of mid-exposure."""
+
+    @property
+    def attitude_at_tag(self) -> Attitude:
+        """True attitude at the stated time, with a constant rate: that to which an attitude of this frame is
+        compared. Orbital motion and aberration during the error of the time are neglected (0.01″ in 1 s)."""
+        if self.time_tag_error_s == 0.0:
+            return self.attitude
+        turn = self.rate_camera_rad_s * self.time_tag_error_s
+        return Attitude.from_rotation_vector(turn, "camera", "camera") @ self.attitude
 
     def __repr__(self) -> str:
         rate = f"{np.degrees(np.linalg.norm(self.rate_camera_rad_s)):.3g}°/s"

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.build import build_detector, build_focal_plane, build_scenes, shutter_of
+from simulator.build import build_detector, build_focal_plane, build_scenes, build_transients, shutter_of
+from simulator.detector.chain import Moment
 from simulator.detector.excess_noise import bunch_e
+from simulator.detector.parameters import TimeTag
 from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
@@ -70,6 +72,7 @@ class Renderer:
         self.focal_plane = build_focal_plane(scenario)
         self.camera = self.focal_plane.camera
         self.detector = build_detector(scenario)
+        self.transients = build_transients(scenario)
         self.parameters = flat_parameters(scenario)
         device = self.detector.parameters
         self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
@@ -130,13 +133,17 @@ class Renderer:
             exposure_s=duration_s,
         )
         light = self.expose(scene, duration_s)
-        readout = self.detector.expose(light.mean_e, duration_s, self._streams(index), keep_charge=False)
+        moment = self._moment(scene, duration_s)
+        readout = self.detector.expose(light.mean_e, moment, self._streams(index), keep_charge=False)
+        tag, late_s = scenario.detector.time_tag, 0.0
+        if tag != TimeTag():
+            late_s = tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
 
         frame = Frame(
             image=readout.image,
             camera=self.camera,
             observer=scene.observer,
-            utc=self.scenes.clock.isot(scene.t_s),
+            utc=self.scenes.clock.isot(scene.t_s + late_s),
             exposure_s=duration_s,
             saturation_dn=readout.saturation_dn,
             gain_e_per_dn=readout.gain_e_per_dn,
@@ -157,8 +164,16 @@ class Renderer:
             sources=light.sources,
             mean_electrons=light.mean_e,
             excluded=light.excluded,
+            time_tag_error_s=late_s,
         )
         return frame, truth
+
+    def _moment(self, scene: Scene, exposure_s: float) -> Moment:
+        """Time of a frame and particles at its position."""
+        if self.transients is None:
+            return Moment(exposure_s, scene.t_s)
+        depth_um = self.detector.parameters.cosmic_rays.depth_um
+        return Moment(exposure_s, scene.t_s, self.transients.particles(scene.t_s, scene.r_km, depth_um))
 
     def _streams(self, index: int) -> Streams:
         return functools.partial(_stream_of_trial, self.scenario.seed, index)
@@ -178,7 +193,8 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
             flat[prefix] = value
 
     resolved = scenario.resolved()
-    walk("", {name: resolved[name] for name in ("orbit", "pointing", "sky", "tether", "optics", "detector")})
+    sections = ("orbit", "pointing", "sky", "tether", "optics", "detector", "environment")
+    walk("", {name: resolved[name] for name in sections})
     return flat
 
 

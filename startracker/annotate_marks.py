@@ -55,8 +55,8 @@ class FieldOfStars:
 
     def apparent(self, directions: FloatArray) -> FloatArray:
         """Directions (N, 3) with the aberration of the observer, if its velocity is known."""
-        known = self.observer is not None and self.observer.velocity_km_s is not None
-        return aberrate(directions, self.observer.velocity_km_s) if known else directions  # type: ignore[union-attr,arg-type]
+        velocity = None if self.observer is None else self.observer.velocity_km_s
+        return directions if velocity is None else aberrate(directions, velocity)
 
     def project(self, directions: FloatArray) -> FloatArray:
         """Pixels (N, 2) of directions; NaN farther from the boresight than the image's corners."""

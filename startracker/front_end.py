@@ -251,6 +251,8 @@ class _Looks:
         return self._found(stars, partial(Step, "detection", text), True)
 
     def _found(self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], trailed: bool) -> FoundStars:
+        if self.centroid.camera_model_px > 0.0:
+            stars = replace(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
         return FoundStars(
             stars.xy,
             stars.flux,

@@ -9,7 +9,11 @@ import numpy as np
 from startracker.errors import InputError
 from startracker.observer import Observer, observer_of
 
-__all__ = ["GivenImage", "given_image"]
+__all__ = ["GivenImage", "given_image", "prior_of"]
+
+
+STATED_PRIOR_DEG = 1.0
+"""Maximum error of a prior that is given without one."""
 
 
 class GivenImage(NamedTuple):
@@ -70,3 +74,21 @@ def given_image(
         getattr(image, "gain_e_per_dn", None) if gain_e_per_dn is None else gain_e_per_dn,
         getattr(image, "exposure_s", None),
     )
+
+
+def prior_of(image: Any, prior: Any, prior_deg: Any, lost_in_space: bool = False) -> tuple[Any, Any]:
+    """Prior attitude and its maximum error, degrees: those given, else those of the image's attributes.
+
+    Raises
+    ------
+    InputError
+        For a prior that is given although the image shall be solved lost in space.
+    """
+    if lost_in_space:
+        if prior is not None:
+            raise InputError("prior and lost_in_space=True exclude each other; omit one of them")
+        return None, STATED_PRIOR_DEG
+    if prior is None and not isinstance(image, np.ndarray):
+        prior = getattr(image, "prior", None)
+        prior_deg = getattr(image, "prior_deg", None) if prior_deg is None else prior_deg
+    return prior, STATED_PRIOR_DEG if prior_deg is None else prior_deg

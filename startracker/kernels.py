@@ -8,13 +8,14 @@ from __future__ import annotations
 import contextlib
 import gc
 import hashlib
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 with contextlib.suppress(ImportError):
     import fcntl
@@ -112,10 +113,10 @@ def _wait_for_lock(file: IO[bytes], byte: int) -> None:
 
 
 @cache
-def _lock_file(folder: Path) -> IO[bytes]:
-    """Lock file, open for the lifetime of the process, as closing it would release the locks."""
+def _lock_file(folder: Path) -> int:
+    """Descriptor of the lock file, open for the lifetime of the process, as closing it would release the locks."""
     folder.mkdir(parents=True, exist_ok=True)
-    return (folder / ".compiling").open("ab")
+    return os.open(folder / ".compiling", os.O_RDWR | os.O_CREAT)
 
 
 def clock() -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
+from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
 from startracker.interop import is_time, julian_year, plain
 
@@ -62,25 +63,31 @@ class Observer:
         self._check("position_au", _FARTHEST_AU, "au", "km")
 
     @classmethod
-    def on_earth(cls, time: Any, location: Any) -> Observer:
+    def on_earth(cls, time: Any, location: Any = None) -> Observer:
         """Observer on the ground, by ERFA's ``apco13``.
 
-        UT1 is taken as UTC, and the pole as fixed: errors of 5 cm/s and 0.5 km. No file is downloaded.
+        UT1 is taken as UTC, and the pole as fixed: errors of 5 cm/s and 0.5 km. No file is downloaded. Without a
+        location the observer moves with the Earth's centre (DE421): aberration to 0.3″, position unknown.
 
         Parameters
         ----------
         time : astropy Time
             Middle of the exposure.
-        location : astropy EarthLocation
+        location : astropy EarthLocation, optional
             For example ``EarthLocation.from_geodetic(lon=18.9 * u.deg, lat=-33.9 * u.deg, height=120 * u.m)``.
 
         Raises
         ------
         InputError
-            For anything but one time and one location.
+            For anything but one time and at most one location, or, without one, a date outside DE421.
         """
-        if not (is_time(time) and hasattr(location, "geodetic") and time.isscalar and location.isscalar):
-            raise InputError("an observer on the Earth needs one astropy Time and one astropy EarthLocation")
+        sited = location is None or (hasattr(location, "geodetic") and location.isscalar)
+        if not (is_time(time) and time.isscalar and sited):
+            raise InputError(
+                "an observer on the Earth needs one astropy Time and one astropy EarthLocation, or no location"
+            )
+        if location is None:
+            return cls(time, barycentric("Earth", timescale().from_astropy(time)).velocity.km_per_s)
         import erfa
 
         geodetic = location.geodetic

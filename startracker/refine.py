@@ -35,7 +35,7 @@ from startracker.estimation.pose import (
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
-from startracker.linalg import solve, turned
+from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
 
@@ -52,7 +52,6 @@ NAMED_PX, BY_CHANCE = 3.0, 0.02
 have a centroid at this distance by chance."""
 _MISFITTING = 0.01
 """Probability that star images are as assumed, below which errors may depend on the sub-pixel position."""
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 RATE_SIGMA_RAD_S = math.radians(2.0)
 """Assumed standard deviation of an unknown body rate about each axis."""
 EPOCH_SIGMA_YR = 30.0
@@ -270,7 +269,7 @@ class _Field:
                     errors = ImageErrors(other.unknowns[theirs], other.unknowns_variance[theirs])
                     pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
         else:
-            scale = max(float(np.mean(residual**2)), UNKNOWN_FLOOR_PX**2)
+            scale = max(float(np.vdot(residual, residual)) / residual.size, UNKNOWN_FLOOR_PX**2)
             for _ in range(2):
                 pose = fit_pose(given._replace(covariance=given.covariance * scale), 0.0, first, models)
                 scale *= pose.factor
@@ -291,13 +290,12 @@ class _Field:
             columns += [slopes[:, :, k] * row_s[:, None] for k in range(3)]
             sigma += [RATE_SIGMA_RAD_S] * 3
         if self.observer is None:
-            here, motion = self.guide.directions[guides] @ matrix.T, self.guide.motion[guides] @ matrix.T
-            # θ = motion × v, with −θ × v = motion, for motion across v; `numpy.cross` takes ten times as long
-            turn = motion[:, _NEXT] * here[:, _LAST] - motion[:, _LAST] * here[:, _NEXT]
-            columns.append(np.einsum("nij,nj->ni", slopes, turn))
+            columns.append(_space_motion_px_yr(guides, self.guide.directions, self.guide.motion, matrix, slopes))
             sigma.append(EPOCH_SIGMA_YR)
         if not columns:
             return np.zeros((len(guides), 2, 0)), np.zeros(0)
+        if len(columns) == 1:
+            return columns[0][:, :, None], np.array(sigma)
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
 
     def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
@@ -375,3 +373,21 @@ def _linearised(
     vectors = reference @ matrix.T
     pixels: FloatArray = to_pixels(vectors, image)
     return xy - pixels, pixel_slopes(vectors, image), pixels
+
+
+@kernel
+def _space_motion_px_yr(
+    guides: IntArray, directions: FloatArray, motion: FloatArray, matrix: FloatArray, slopes: FloatArray
+) -> FloatArray:
+    """Displacement (M, 2) per year of guide stars by their space motion; derivatives (M, 2, 3) of their pixels."""
+    out = np.empty((len(guides), 2))
+    for n in range(len(guides)):
+        guide = guides[n]
+        # θ = motion × v, with −θ × v = motion, for motion across v
+        x, y, z = cross(motion[guide], directions[guide])
+        out[n] = 0.0
+        for k in range(3):
+            turn = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
+            for i in range(2):
+                out[n, i] += slopes[n, i, k] * turn
+    return out

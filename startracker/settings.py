@@ -45,8 +45,10 @@ class DetectionSettings:
     ----------
     threshold_sigma : float
         Threshold of star candidates above the background, in units of the noise.
-    min_pixels, max_pixels : int
-        Size limits of a candidate (Greyling 1995, section 4.2: 7 to 36).
+    min_pixels : int
+        Minimum size of a candidate (Greyling 1995, section 4.2: 7).
+    max_pixels : int
+        Maximum size of a candidate (Greyling 1995, section 4.2: 36).
     max_axis_ratio : float
         Ratio of the second moments along the two principal axes above which a candidate is classified as a streak or an
         edge. Greyling's 0.7 to 1.3 (1995, section 4.2) corresponds to 1.3. The default is larger because smear
@@ -125,6 +127,9 @@ class CentroidSettings:
         measured from the brightest stars of the frame.
     flat_field_error : float
         Residual relative standard deviation of the pixel responses; adds to the noise model of the fits.
+    camera_model_px : float
+        Standard error of the calibrated camera model on one axis, such as the residual of a calibration; adds to the
+        error of every centroid.
     """
 
     window_px: int = 5
@@ -132,9 +137,10 @@ class CentroidSettings:
     psf_sigma_px: float | None = None
     psf: str | None = None
     flat_field_error: float = 0.0
+    camera_model_px: float = 0.0
 
     def __post_init__(self) -> None:
-        check_settings(self, window_px=(3, 101), psf_sigma_px=POSITIVE, flat_field_error=FROM_0)
+        check_settings(self, window_px=(3, 101), psf_sigma_px=POSITIVE, flat_field_error=FROM_0, camera_model_px=FROM_0)
         if self.window_px % 2 == 0:
             raise InputError(f"window_px is {self.window_px}; it must be odd, so that a pixel is at its centre")
 

@@ -25,7 +25,7 @@ from startracker.explain import attitude_steps, hints, identification_steps, lis
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.given_centroids import clean_centroids, stated_variance
-from startracker.given_image import given_image
+from startracker.given_image import given_image, prior_of
 from startracker.identification.acceptance import is_beyond_doubt
 from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
@@ -121,7 +121,8 @@ class StarTracker:
         image: Any,
         *,
         prior: Attitude | None = None,
-        prior_deg: float = 1.0,
+        prior_deg: float | None = None,
+        lost_in_space: bool = False,
         observer: Observer | None = None,
         time: Any = None,
         saturation_dn: float | None = None,
@@ -133,11 +134,16 @@ class StarTracker:
         ----------
         image : array_like, shape (H, W), or an object with the attribute `image`
             Any unit (DN); H and W are the camera's. NaN marks bad pixels. Of an object (a frame of the simulator, a
-            `LoadedImage`) `observer`, `saturation_dn` and `gain_e_per_dn` are used as well, if they are not given here.
+            `LoadedImage`) `observer`, `saturation_dn`, `gain_e_per_dn`, and `prior` with `prior_deg` are used as well,
+            if they are not given here. A frame has a prior if its scenario says ``tracker.prior: true``.
         prior : Attitude or scipy Rotation, optional
-            ICRS to camera, from other sensors or the last frame.
-        prior_deg : float or astropy Quantity
-            Maximum error of the prior about each axis, degrees.
+            ICRS to camera, from other sensors or the last frame. For an astropy SkyCoord, which has no roll, use
+            ``Attitude.from_skycoord(coordinate, roll_deg)``.
+        prior_deg : float or astropy Quantity, optional
+            Maximum error of the prior about each axis, degrees; 1 if it is not stated. Unless the result within
+            the prior is beyond doubt, the whole sky is searched as well.
+        lost_in_space : bool
+            Do not use the prior of the frame.
         observer : Observer, optional
             Epoch, velocity and position, for space motion, aberration and parallax. Without it catalogue positions at
             the catalogue's epoch are used, and aberration (up to 26″) is not corrected: the covariance includes it.
@@ -167,7 +173,7 @@ class StarTracker:
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
-        hint = as_prior(prior, prior_deg)
+        hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         solution, found, steps = self._solve_looks(found, hint, given.observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"

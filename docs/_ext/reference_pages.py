@@ -114,7 +114,7 @@ def _inline(text: str) -> str:
 
 def commands() -> dict[str, Any]:
     """Every command by its words, ``study coverage`` for example, in the order of the help."""
-    from simulator.cli import app
+    from simulator.cli.application import app
 
     found: dict[str, Any] = {}
 

@@ -57,8 +57,8 @@ def whole_sky() -> None:
     axes.set_xticklabels([f"{h % 24} h" for h in (10, 8, 6, 4, 2, 0, 22, 20, 18, 16, 14)], fontsize=7, color="0.75")
     axes.tick_params(axis="y", labelsize=7)
     axes.grid(alpha=0.2)
-    figure.colorbar(drawn, label="stars of V = 10 a square degree (S10)", shrink=0.7, extend="max")
-    axes.set_title("Zodiacal light and undrawn starlight, Sun at the spring equinox (dotted: ecliptic)", fontsize=9)
+    figure.colorbar(drawn, label="stars of V = 10 per square degree (S10)", shrink=0.7, extend="max")
+    axes.set_title("Zodiacal light and unresolved starlight, Sun at the spring equinox (dotted: ecliptic)", fontsize=9)
     figure.savefig(IMAGES / "sky-background.png", dpi=100)
 
 

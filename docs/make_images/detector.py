@@ -87,7 +87,7 @@ rays = {"rate_cm2_s": 1100.0, "depth_um": 15.0}
 show(
     axes[0, 1],
     expose(sky, cosmic_rays=rays).image,
-    "TC211, 0.2 s in the South Atlantic Anomaly: 15\nprotons a frame, on average (circles; lower left)",
+    "TC211, 0.2 s, South Atlantic Anomaly:\nmean of 15 protons per frame (circles)",
     1500,
     (0, 132, 95, 165),
 )
@@ -100,7 +100,7 @@ sirius = star_field((165, 192), [(96.3, 82.4, 2.0e7), *field], sigma_px=1.0)
 show(
     axes[0, 2],
     expose(sirius, antiblooming=0.0).image,
-    "A star of 2·10⁷ e⁻ (Sirius, say) blooms\nover a full well of 150,000 e⁻, no drain",
+    "Blooming: a star of 2·10⁷ e⁻, such as Sirius,\nand a full well of 150,000 e⁻",
     15_500,
 )
 
@@ -149,7 +149,7 @@ axis.loglog(curve.signal_dn[curve.used], np.sqrt(curve.variance_dn2[curve.used])
 axis.loglog(curve.signal_dn[~curve.used], np.sqrt(curve.variance_dn2[~curve.used]), "o", mfc="none", label="saturated")
 s = np.geomspace(20, 2e4)
 axis.loglog(s, np.sqrt(s / gain.value + (noise.value / gain.value) ** 2), "k-", lw=1, label="fit")
-axis.loglog(s, 0.01 * s, ":", color="0.5", label="PRNU of 1 %, which the difference takes out")
+axis.loglog(s, 0.01 * s, ":", color="0.5", label="PRNU of 1 % (removed by the difference)")
 axis.set(xlabel="signal above the bias, DN", ylabel="noise, DN", ylim=(0.5, 1000))
 axis.set_title(
     f"Photon transfer: {gain.value:.3f} ± {gain.error:.3f} e⁻/DN (true 10),\n"

@@ -63,8 +63,8 @@ for label, section, colour, style in (
     ),
 ):
     ax.plot(degrees, relative_illumination(wide, section, np.radians(degrees)), style, color=colour, label=label)
-ax.plot(degrees, np.cos(np.radians(degrees)) ** 4, ":", color=GREEN, label="cos⁴: the even sky")
-ax.set(ylim=(0, 1.05), xlabel="angle off the axis [deg]", ylabel="light against the axis", title="vignetting")
+ax.plot(degrees, np.cos(np.radians(degrees)) ** 4, ":", color=GREEN, label="cos⁴: uniform sky")
+ax.set(ylim=(0, 1.05), xlabel="angle off the axis [deg]", ylabel="relative to the axis", title="vignetting")
 ax.legend()
 
 ax = axes[1, 0]

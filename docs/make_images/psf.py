@@ -22,7 +22,7 @@ from simulator.sky.spectra import blackbody
 F_NUMBER, PITCH_UM, SIZE = 8.0, 2.0, 41
 
 
-def weights_of(b_v: np.ndarray, edges_nm: np.ndarray) -> np.ndarray:
+def weights_of(b_v: np.ndarray, edges_nm: np.ndarray, giant: np.ndarray) -> np.ndarray:
     middles = (edges_nm[1:] + edges_nm[:-1]) / 2
     inside = (middles > 400) & (middles < 900)
     return np.asarray(blackbody(middles, b_v) * inside * np.diff(edges_nm))
@@ -72,7 +72,7 @@ def main() -> None:
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
-    figure.colorbar(shown, ax=axes, label="log₁₀ of the share of the brightest pixel", shrink=0.8)
+    figure.colorbar(shown, ax=axes, label="log₁₀ of the value relative to the brightest pixel", shrink=0.8)
     path = Path(__file__).parents[1] / "images" / "psf.png"
     figure.savefig(path, dpi=100)
 

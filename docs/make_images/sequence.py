@@ -8,7 +8,7 @@ from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
 
 OUT = Path(__file__).parents[1] / "images" / "sequence.png"
-SHOWN = 50
+SHOWN = 76
 
 if __name__ == "__main__":
     scenario = Scenario.load("slew")

@@ -79,7 +79,7 @@ def main() -> None:
     panels[1, 1].contour(exposed((0.0, 0.8, 0.0)), levels=[150.0], colors="tab:orange", linewidths=0.7)
     panels[1, 1].set_xlabel("orange: where a global shutter sees them", fontsize=8)
     smear = frame_transfer_smear(strong, EXPOSURE_S, 20e-6, "up", "after")
-    show(panels[1, 2], strong + smear, "frame transfer under light, 20 µs per line, upwards")
+    show(panels[1, 2], strong + smear, "frame transfer, 20 µs per line, upwards")
     OUTPUT.parent.mkdir(exist_ok=True)
     figure.savefig(OUTPUT, dpi=80)
 

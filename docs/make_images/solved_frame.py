@@ -1,4 +1,4 @@
-"""Draw docs/images/solved-frame.png: a frame of cubesat.yaml pointed at Orion, solved, with what is in the field.
+"""Draw docs/images/solved-frame.jpg: a frame of cubesat.yaml pointed at Orion, solved, with what is in the field.
 
 python docs/make_images/solved_frame.py
 """
@@ -31,7 +31,7 @@ def main() -> None:
     picture = annotated_picture(shown, solution, names=30, grid=True, constellations=True, observer=frame.observer)
     with Image.open(io.BytesIO(picture)) as large:
         small = large.convert("RGB").resize((900, round(900 * large.height / large.width)), Image.Resampling.LANCZOS)
-    small.quantize(56, dither=Image.Dither.NONE).save(IMAGES / "solved-frame.png", optimize=True)
+    small.save(IMAGES / "solved-frame.jpg", quality=90, subsampling=0, optimize=True)
 
 
 if __name__ == "__main__":

@@ -9,15 +9,14 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
+from simulator.cli.verdicts import print_judgement
 from simulator.study.run import RESULT_FILES, Study, run
-from simulator.study.statistics import AXES, BODY_AXES, deg_text
-from simulator.study.verdict import MET, NOT_MET, UNDECIDED, advice
+from simulator.study.statistics import AXES, BODY_AXES
+from simulator.study.texts import deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-_COLOURS = {MET: "green", NOT_MET: "red", UNDECIDED: "yellow"}
 
 
 def main(request: RunRequest) -> int:
@@ -53,10 +52,8 @@ def _refuse_unused(request: RunRequest) -> None:
         value, option = getattr(request, name), f"--{name.replace('_', '-')}"
         if value is not None and value is not False:
             if request.sequence:
-                raise InputError(
-                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
-                )
-            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
+                raise InputError(f"{option}: has no effect with --sequence; remove it")
+            raise InputError(f"{option}: requires --sequence")
 
 
 def _print(study: Study, folder: Path, console: Console) -> None:
@@ -69,23 +66,16 @@ def _print(study: Study, folder: Path, console: Console) -> None:
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
-        verdict = summary["specification"].get(axis)
         rows.append((
             axis_title(axis),
             *(deg_text(e[key]) for key in ("mean", "std", "rms", "p997")),
             " to ".join(map(deg_text, e["p997_interval95"])),
             deg_text(e["max"]),
-            deg_text(verdict["specified_deg"]) if verdict else "",
-            f"[{_COLOURS[verdict['verdict']]}]{verdict['verdict']}[/]" if verdict else "",
         ))  # fmt: skip
     title = f"{name}: attitude errors over {summary['solved']} solved frames"
-    headings = ("axis", "mean", "std", "rms", "99.7 % below", "95 % interval", "largest", "specified", "")
+    headings = ("axis", "mean", "std", "rms", "99.7 % below", "95 % interval", "largest")
     print_table(console, title, headings, rows, block=len(BODY_AXES))
-    if any(entry["verdict"] == UNDECIDED for entry in summary["specification"].values()):
-        console.print(
-            "undecided: the interval of the 99.7 % percentile does not lie on one side of what is specified; "
-            + advice(summary["solved"])
-        )
+    print_judgement(study.judgement, console)
     console.print(
         f"{summary['solved']} of {summary['trials']} frames solved, "
         + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")

@@ -9,9 +9,11 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.run_requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
+from simulator.cli.verdicts import print_judgement
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.run import Sequence, run_sequence
-from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from simulator.study.statistics import AXES, BODY_AXES
+from simulator.study.texts import deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,14 +56,15 @@ def _print(sequence: Sequence, console: Console) -> None:
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
-        row = [axis_title(axis), *(deg_text(e[key]) for key in ("mean", "rms", "three_sigma", "max"))]
+        row = [axis_title(axis), *(deg_text(e[key]) for key in ("mean", "rms", "p997", "max"))]
         if single:
             gain = single["gain"][axis]
             row += [deg_text(single["errors_deg"][axis]["rms"]), f"{gain:.2f} ×" if gain else "–"]
         rows.append(row)
     title = f"{summary['name']}: attitude errors over {summary['solved']} solved frames"
-    headings = ("axis", "mean", "rms", "3σ", "largest", *(("rms alone", "gain") if single else ()))
+    headings = ("axis", "mean", "rms", "99.7 % below", "largest", *(("rms alone", "gain") if single else ()))
     print_table(console, title, headings, rows, block=len(BODY_AXES))
+    print_judgement(sequence.judgement, console)
     console.print(
         f"An attitude for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
         + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")

@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import tempfile
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,6 @@ from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wc
 from simulator.fits import read_fits
 from simulator.frame import Frame
 from startracker.blind import solve_unknown_fov
-from startracker.bodies import earth_observer
 from startracker.camera import Camera
 from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
@@ -134,9 +134,7 @@ def _check(request: SolveRequest) -> None:
     if request.parity is not None and request.parity not in PARITIES:
         raise InputError(f"--parity: must be {', '.join(PARITIES)}, not '{request.parity}'")
     if request.annotate is None and (request.grid or request.constellations or request.colour):
-        raise InputError(
-            "--grid, --constellations and --colour: draw on the picture of --annotate OUT.png; give that too"
-        )
+        raise InputError("--grid, --constellations and --colour: require --annotate OUT.png")
     _points(request)
     if len(images) == 1 and not images[0].is_dir():
         if request.wcs is not None and not request.wcs.is_dir():
@@ -150,6 +148,15 @@ def _points(request: SolveRequest) -> NDArray[np.float64]:
     return np.array([parse_pixel(text) for text in request.pixels or ()]).reshape(-1, 2)
 
 
+def _observer_at(utc: str) -> Observer:
+    from astropy.time import Time
+    from erfa import ErfaWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ErfaWarning)  # of dates after the table of leap seconds
+        return Observer.on_earth(Time(utc_time("--time", utc)))
+
+
 class _Solver:
     """Loads and solves; trackers are kept, as building one costs more than a solve."""
 
@@ -158,7 +165,7 @@ class _Solver:
         self.camera = Camera.from_yaml(request.camera) if request.camera else None
         self.bad_pixels = read_image(request.bad_pixels).image != 0.0 if request.bad_pixels else None
         self.trackers: dict[Camera, StarTracker] = {}
-        self.observer = earth_observer(utc_time("--time", request.time)) if request.time else None
+        self.observer = _observer_at(request.time) if request.time else None
 
     def load(self, path: Path) -> _Job:
         if self.request.centroids is not None:
@@ -296,17 +303,9 @@ class _Solver:
         if job.xy is not None:
             return tracker.solve_centroids(job.xy, job.flux, observer=job.observer)
         assert job.image is not None
-        frame = job.frame
-        if frame is None:
+        if job.frame is None:
             return tracker.solve(job.image, saturation_dn=job.saturation_dn, observer=job.observer)
-        return tracker.solve(
-            frame.image,
-            prior=None if request.lost_in_space else frame.prior,
-            prior_deg=frame.prior_deg,
-            observer=frame.observer,
-            saturation_dn=frame.saturation_dn,
-            gain_e_per_dn=frame.gain_e_per_dn,
-        )
+        return tracker.solve(job.frame, lost_in_space=request.lost_in_space)
 
 
 def _after(tried: Solution, chosen: Solution, how: str) -> Solution:

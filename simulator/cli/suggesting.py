@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
-import sys
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -24,22 +25,33 @@ class SuggestingGroup(TyperGroup):
         order = [name for name in _ORDER if name in self.commands]
         self.commands = {name: self.commands[name] for name in (*order, *self.commands)}
 
+    def make_context(self, *arguments: Any, **more: Any) -> Any:
+        """Read the arguments."""
+        with _interrupt_as_abort():
+            return super().make_context(*arguments, **more)
+
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; Ctrl-C ends it with one line and status 130."""
-        try:
+        """Run the command."""
+        with _interrupt_as_abort():
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            print("boresight: interrupted", file=sys.stderr)
-            raise typer.Exit(130) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command of a name."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             close = difflib.get_close_matches(args[0], self.commands, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.commands)}"
+            hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(self.commands)}"
             kind = "command" if ctx.parent is None else "study"
-            ctx.fail(f"'{args[0]}' is no {kind}; {hint}")
+            ctx.fail(f"'{args[0]}' is not a {kind}; {hint}")
         return super().resolve_command(ctx, args)
+
+
+@contextlib.contextmanager
+def _interrupt_as_abort() -> Iterator[None]:
+    """Ctrl-C as `typer.Abort`, which reaches the caller; typer itself makes a silent exit of it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise typer.Abort from None
 
 
 def _plain_number(match: re.Match[str]) -> str:

@@ -13,6 +13,7 @@ from rich.console import Console
 from simulator.cli.checks import at_least, processes
 from simulator.cli.run_requests import SweepRequest
 from simulator.cli.terminal import WorkBar, open_console, print_table
+from simulator.cli.verdicts import coloured
 from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
@@ -86,10 +87,13 @@ def _print(sweep: Sweep, console: Console) -> None:
         values = [value_text(point["values"][path]) for path in paths]
         errors = [interval_text(statistics, axis) for axis in BODY_AXES]
         wrong = f"[red]{statistics['wrong']}[/]" if statistics["wrong"] else "0"
-        return [*values, percent_text(statistics).partition(" (")[0], *errors, wrong]
+        rate = percent_text(statistics).partition(" (")[0]
+        return [*values, rate, *errors, wrong, coloured(statistics["verdict"]) if "verdict" in statistics else "–"]
 
     title = f"{table['name']}: rms errors (95 % interval)"
-    print_table(console, title, (*keys, "identified", *BODY_AXES, "wrong"), map(row, done[:MOST_ROWS]), words=0)
+    print_table(
+        console, title, (*keys, "identified", *BODY_AXES, "wrong", "specification"), map(row, done[:MOST_ROWS]), words=0
+    )
     if len(done) > MOST_ROWS:
         console.print(f"… and {len(done) - MOST_ROWS} points more")
     for point in table["points"]:

@@ -9,21 +9,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.detector import blooming, cosmic_rays, intensifier, readout, steps, transfer, video
 from simulator.detector.fixed_pattern import FixedPattern
-from simulator.detector.parameters import DetectorParameters
+from simulator.detector.parameters import CosmicRays, DetectorParameters
 from simulator.detector.pixels import PixelPipeline
 from simulator.detector.steps import Step, of_map
 from simulator.randomness import Streams
 from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
-FrameEffect = Callable[[FloatArray, float, Streams], FloatArray]
+
+
+class Moment(NamedTuple):
+    """Time of an exposure, and the particles that cross the detector in it."""
+
+    exposure_s: float
+    t_s: float = 0.0
+    """Mid-exposure, seconds after the epoch; only random telegraph pixels depend on it."""
+    particles: tuple[CosmicRays, ...] | None = None
+    """Particles at the position of the frame, in place of those of the detector; None: the detector's."""
+
+
+FrameEffect = Callable[[FloatArray, Moment, Streams], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -35,13 +47,19 @@ class Effect:
     act: Callable[[DetectorParameters, FixedPattern], Step | FrameEffect]
 
 
-# d: detector; p: fixed pattern; t: exposure time, s; rng: random stream by name; s: signal (H, W), modified in place or
+def _telegraph(pattern: FixedPattern) -> FrameEffect:
+    pixels = pattern.telegraph
+    assert pixels is not None
+    return lambda s, t, rng: pixels.add_to(s, t.exposure_s, t.t_s)
+
+
+# d: detector; p: fixed pattern; t: exposure time and moment; rng: random stream by name; s: signal (H, W), modified or
 # new
 CHARGE: tuple[Effect, ...] = (
     Effect(
         "intensifier",  # mean photo-electrons of a photocathode → mean electrons of the detector
         lambda d, p: d.intensifier.gain > 0,
-        lambda d, p: lambda s, t, rng: intensifier.intensify(s, d, t, rng("intensifier")),
+        lambda d, p: lambda s, t, rng: intensifier.intensify(s, d, t.exposure_s, rng("intensifier")),
     ),
     Effect(
         "photo_response",  # mean photo-electrons × response of each pixel
@@ -54,6 +72,11 @@ CHARGE: tuple[Effect, ...] = (
         lambda d, p: of_map(steps.DARK_CURRENT, p.dark_e_s),
     ),
     Effect(
+        "random_telegraph",  # + mean dark electrons of the random telegraph pixels in their upper level
+        lambda d, p: p.telegraph is not None,
+        lambda d, p: _telegraph(p),
+    ),
+    Effect(
         "shot_noise",  # mean → Poisson-distributed electrons
         lambda d, p: d.shot_noise,
         lambda d, p: Step(steps.SHOT_NOISE, rng="shot_noise"),
@@ -61,7 +84,7 @@ CHARGE: tuple[Effect, ...] = (
     Effect(
         "cosmic_rays",  # + charge along the tracks of cosmic rays
         lambda d, p: d.cosmic_rays.rate_cm2_s > 0,
-        lambda d, p: lambda s, t, rng: cosmic_rays.add_cosmic_rays(s, d, t, rng("cosmic_rays")),
+        lambda d, p: lambda s, t, rng: cosmic_rays.add_cosmic_rays(s, d, t.exposure_s, rng("cosmic_rays"), t.particles),
     ),
     Effect(
         "full_well",  # the excess drains or blooms
@@ -186,22 +209,23 @@ class Detector:
         )
 
     def expose(
-        self, mean_photo_e: FloatArray, exposure_s: float, streams: Streams, *, keep_charge: bool = True
+        self, mean_photo_e: FloatArray, exposure: float | Moment, streams: Streams, *, keep_charge: bool = True
     ) -> Readout:
-        """One frame; parameters as in `detect`."""
+        """One frame; parameters as in `detect`, with an exposure time or a `Moment`."""
+        moment = exposure if isinstance(exposure, Moment) else Moment(exposure)
         self._check("mean_photo_e", np.shape(mean_photo_e))
         light = np.ascontiguousarray(mean_photo_e, dtype=np.float64)
         image: NDArray[Any] = np.empty(self._shape, dtype=np.float64 if self._top is None else np.uint16)
         electrons = saturated = None
         if keep_charge:
             electrons = np.empty(self._shape)
-            _run(light, self._charge, electrons, exposure_s, streams)
-            _run(electrons, self._read, image, exposure_s, streams)
+            _run(light, self._charge, electrons, moment, streams)
+            _run(electrons, self._read, image, moment, streams)
             saturated = electrons >= self._full_well_e
             if self._top is not None:
                 saturated |= image >= self._top
         else:
-            _run(light, self._both, image, exposure_s, streams)
+            _run(light, self._both, image, moment, streams)
         return Readout(image, electrons, saturated, self._saturation_dn, self._gain_e_per_dn)
 
     def _check(self, name: str, shape: tuple[int, ...]) -> None:
@@ -231,17 +255,17 @@ def _run(
     signal: FloatArray,
     stages: Sequence[PixelPipeline | FrameEffect],
     out: NDArray[Any],
-    exposure_s: float,
+    moment: Moment,
     streams: Streams,
 ) -> None:
     """Apply pipelines and effects on whole frames to an image (not modified), with the result in `out`."""
     for stage in stages[:-1]:
         if isinstance(stage, PixelPipeline):
             into = np.empty_like(signal)
-            stage.run(signal, into, streams, exposure_s)
+            stage.run(signal, into, streams, moment.exposure_s)
             signal = into
         else:
-            signal = stage(signal, exposure_s, streams)
+            signal = stage(signal, moment, streams)
     last = stages[-1]
     assert isinstance(last, PixelPipeline)
-    last.run(signal, out, streams, exposure_s)
+    last.run(signal, out, streams, moment.exposure_s)

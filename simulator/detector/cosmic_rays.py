@@ -16,12 +16,13 @@ of 100 MeV ionise about three times as much. Charge diffusion is not modelled.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.parameters import DetectorParameters
+from simulator.detector.parameters import CosmicRays, DetectorParameters
 from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
@@ -52,17 +53,20 @@ class CosmicRayTracks:
     """(N,): Electrons generated along the whole track, inside the detector or outside."""
 
 
-def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float) -> float:
-    """Mean number of particles through the surface of the detector in an exposure."""
+def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float, particles: CosmicRays | None = None) -> float:
+    """Mean number of particles through the surface of the detector in an exposure; by default those of the detector."""
     pitch_x, pitch_y = detector.pitch_um
     area_cm2 = detector.width * pitch_x * detector.height * pitch_y * 1e-8
-    return detector.cosmic_rays.rate_cm2_s * area_cm2 * exposure_s
+    return (particles or detector.cosmic_rays).rate_cm2_s * area_cm2 * exposure_s
 
 
-def draw_cosmic_rays(detector: DetectorParameters, exposure_s: float, rng: np.random.Generator) -> CosmicRayTracks:
-    """Random particles of one exposure that enter the layer, from either side, within the outline."""
-    rays = detector.cosmic_rays
-    n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s)))
+def draw_cosmic_rays(
+    detector: DetectorParameters, exposure_s: float, rng: np.random.Generator, particles: CosmicRays | None = None
+) -> CosmicRayTracks:
+    """Random particles of one exposure that enter the layer, from either side, within the outline; by default those of
+    the detector."""
+    rays = particles or detector.cosmic_rays
+    n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s, rays)))
     uniform = rng.random((n, 5))
     cos = np.sqrt(1.0 - uniform[:, 2])  # never 0
     azimuth = math.tau * uniform[:, 3]
@@ -76,11 +80,17 @@ def draw_cosmic_rays(detector: DetectorParameters, exposure_s: float, rng: np.ra
 
 
 def add_cosmic_rays(
-    electrons: FloatArray, detector: DetectorParameters, exposure_s: float, rng: np.random.Generator
+    electrons: FloatArray,
+    detector: DetectorParameters,
+    exposure_s: float,
+    rng: np.random.Generator,
+    particles: Sequence[CosmicRays] | None = None,
 ) -> FloatArray:
-    """Add the charge of cosmic rays, (H, W) electrons, in place; not integers."""
-    tracks = draw_cosmic_rays(detector, exposure_s, rng)
-    add_tracks(electrons, tracks.start_px, tracks.end_px, tracks.charge_e)
+    """Add the charge of cosmic rays, (H, W) electrons, in place; not integers. `particles` replaces the detector's own
+    kind."""
+    for rays in (detector.cosmic_rays,) if particles is None else particles:
+        tracks = draw_cosmic_rays(detector, exposure_s, rng, rays)
+        add_tracks(electrons, tracks.start_px, tracks.end_px, tracks.charge_e)
     return electrons
 
 

@@ -1,4 +1,4 @@
-"""Defects of a device: hot and dead pixels and columns."""
+"""Defects of a device: hot and dead pixels and columns, and dark current by displacement damage."""
 
 from __future__ import annotations
 
@@ -42,6 +42,24 @@ def hot_defects(
         dark[:, chosen] += rng.exponential(detector.hot_column_dark_e_s * dark_factor, size=chosen.size)
         where[:, chosen] = True
     return dark, where
+
+
+def displacement_dark(detector: DetectorParameters, dark_factor: float, seed: int) -> NDArray[np.float64] | None:
+    """Dark current by displacement damage, electrons per second, (H, W); None without any.
+
+    The number of interactions in a pixel has a Poisson distribution, and the sum of n exponentially distributed
+    dark currents a gamma distribution of shape n. Stream ``displacement`` of the device; parameters as in
+    `hot_defects`.
+    """
+    damage = detector.displacement
+    if not damage.mean_e_s > 0:
+        return None
+    rng = stream(seed, "displacement")
+    interactions = rng.poisson(damage.interactions_per_pixel, size=(detector.height, detector.width))
+    dark = np.zeros(interactions.shape)
+    struck = interactions > 0
+    dark[struck] = rng.standard_gamma(interactions[struck]) * (damage.dark_e_s * dark_factor)
+    return dark
 
 
 def dead_defects(detector: DetectorParameters, seed: int) -> NDArray[np.bool_] | None:

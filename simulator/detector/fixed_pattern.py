@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.detector.defects import dead_defects, hot_defects
+from simulator.detector.defects import dead_defects, displacement_dark, hot_defects
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.poisson import LARGEST_MEAN
+from simulator.detector.telegraph import TelegraphPixels, telegraph_pixels
 from simulator.randomness import stream
 from startracker.errors import InputError
 
@@ -29,6 +30,8 @@ class FixedPattern:
     """(H, W): Dead pixels and columns; None if there are none."""
     hot: NDArray[np.bool_] | None = None
     """(H, W): Hot pixels and columns with any additional dark current; None if there are none."""
+    telegraph: TelegraphPixels | None = None
+    """Random telegraph pixels; `dark_e_s` is that of their lower level. None if there are none."""
 
     def single(self) -> FixedPattern:
         """The same in single precision, which is used for frames: it halves the memory traffic, and no pixel is known
@@ -57,16 +60,17 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
     as in Greyling 1995, section 3.4.2.
 
     Hot pixels: a binomial number of random pixels, each with an exponentially distributed additional dark current. Hot
-    columns: a given number of random columns, each with one such current in all its pixels. Dead pixels (a binomial
-    number) and dead columns (a given number) collect neither light nor dark current and read the offset.
+    columns: a given number of random columns, each with one such current in all its pixels. Displacement damage: a
+    Poisson-distributed number of such currents in each pixel. Dead pixels (a binomial number) and dead columns (a given
+    number) collect neither light nor dark current and read the offset.
 
     Parameters
     ----------
     detector : DetectorParameters
         Its size, temperature and the keys of PRNU, dark current, DSNU and hot pixels.
     seed : int
-        Seed of the run; the streams ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``dead_pixels`` and
-        ``dead_columns`` of the device are independent.
+        Seed of the run; the streams ``prnu``, ``dsnu``, ``hot_pixels``, ``hot_columns``, ``displacement``,
+        ``telegraph``, ``dead_pixels`` and ``dead_columns`` of the device are independent.
 
     Raises
     ------
@@ -85,12 +89,18 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
     hot = hot_defects(detector, factor, seed)
     if hot is not None:
         dark = dark + hot[0]
+    damage = displacement_dark(detector, factor, seed)
+    if damage is not None:
+        dark = dark + damage
     _check_countable(float(np.max(dark)), detector)
     dead = dead_defects(detector, seed)
     if dead is not None:
         prnu = np.where(dead, 0.0, prnu)
         dark = np.where(dead, 0.0, dark) if np.any(np.asarray(dark) > 0) else dark
-    return FixedPattern(prnu, dark, dead, None if hot is None else hot[1])
+    telegraph = telegraph_pixels(detector, factor, seed)
+    if telegraph is not None and dead is not None:
+        telegraph = telegraph.without(dead)
+    return FixedPattern(prnu, dark, dead, None if hot is None else hot[1], telegraph)
 
 
 def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: float) -> float:

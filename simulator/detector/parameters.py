@@ -20,6 +20,41 @@ class CosmicRays:
 
 
 @dataclass(frozen=True)
+class DisplacementDamage:
+    """Dark current of displacement damage: interactions of particles with atoms of the depleted silicon, randomly
+    distributed over the pixels."""
+
+    interactions_per_pixel: float = 0.0
+    """Mean number of interactions in a pixel; 0: none."""
+    dark_e_s: float = 0.0
+    """Mean dark current of one interaction at `detector.dark_reference_c`, exponentially distributed."""
+
+    @property
+    def mean_e_s(self) -> float:
+        """Mean dark current of a pixel by displacement damage."""
+        return self.interactions_per_pixel * self.dark_e_s
+
+
+@dataclass(frozen=True)
+class RandomTelegraph:
+    """Random telegraph pixels, whose dark current switches between two levels at random times."""
+
+    pixel_fraction: float = 0.0
+    """Fraction of the pixels; 0: none."""
+    dark_e_s: float = 0.0
+    """Mean difference between the levels at `detector.dark_reference_c`, exponentially distributed over the pixels."""
+    low_s: float = 194.0
+    """Mean time in the lower level."""
+    high_s: float = 97.0
+    """Mean time in the upper level."""
+
+    @property
+    def high_share(self) -> float:
+        """Fraction of the time in the upper level."""
+        return self.high_s / (self.low_s + self.high_s)
+
+
+@dataclass(frozen=True)
 class Intensifier:
     """An image intensifier before the detector: photocathode, electron multiplier, phosphor screen."""
 
@@ -42,6 +77,16 @@ class Video:
     """Standard deviation of the noise; 0: none."""
     line_blur_px: float = 0.0
     """Standard deviation of the Gaussian blur of signal and noise along the lines by the bandwidth, pixels."""
+
+
+@dataclass(frozen=True)
+class TimeTag:
+    """Error of the time that the camera states for mid-exposure: stated minus true."""
+
+    offset_s: float = 0.0
+    """Constant error."""
+    jitter_s: float = 0.0
+    """Standard deviation of a Gaussian error of each frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +112,8 @@ class DetectorParameters:
     hot_column_dark_e_s: float = 0.0
     dead_pixel_fraction: float = 0.0
     dead_columns: int = 0
+    displacement: DisplacementDamage = DisplacementDamage()
+    telegraph: RandomTelegraph = RandomTelegraph()
     cosmic_rays: CosmicRays = CosmicRays()
     full_well_e: float = 30000.0
     antiblooming: float = 1.0

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import j0, j1
 
+from simulator.optics.pixel_response import transfer
+
 FloatArray = NDArray[np.float64]
 
 FIRST_RING = 1.2196698912665045
@@ -100,6 +102,7 @@ def pixel_integrals(
     aspect: float,
     obscuration: float = 0.0,
     diffusion_px: float = 0.0,
+    contrast: float = 0.0,
 ) -> FloatArray:
     """Fraction of the light in a pixel whose centre is (u, v) pixels from the star.
 
@@ -119,6 +122,8 @@ def pixel_integrals(
         Central obscuration, fraction of the diameter.
     diffusion_px : float
         Standard deviation of a Gaussian blur, pixels along columns.
+    contrast : float
+        Of the response across a pixel (`simulator.optics.pixel_response`).
 
     Returns
     -------
@@ -129,7 +134,8 @@ def pixel_integrals(
     period_x, period_y = 4.0 * reach_x + 40.0 * lambda_x + 32.0, 4.0 * reach_y + 40.0 * lambda_y + 32.0
     fx, fy = _frequencies(period_x, lambda_x), _frequencies(period_y, lambda_y)
     s = np.hypot(fx[None, :] * lambda_x, fy[:, None] * lambda_y)
-    spectrum = transfer_function(s, obscuration) * np.sinc(fx)[None, :] * np.sinc(fy)[:, None] / (period_x * period_y)
+    pixel = transfer(fx, contrast)[None, :] * transfer(fy, contrast)[:, None]
+    spectrum = transfer_function(s, obscuration) * pixel / (period_x * period_y)
     if diffusion_px > 0.0:
         across = (fx[None, :] * diffusion_px) ** 2 + (fy[:, None] * diffusion_px * aspect) ** 2
         spectrum = spectrum * np.exp(-2.0 * np.pi**2 * across)

@@ -98,6 +98,8 @@ class Images:
         Pitch along columns over pitch along rows.
     diffusion_px : float
         Standard deviation of the charge diffusion, pixels along columns.
+    contrast : float
+        Of the response across a pixel (`simulator.optics.pixel_response`).
     half_px : int
         Half width of the stamp, pixels (columns and rows).
     """
@@ -109,9 +111,10 @@ class Images:
         obscuration: float,
         aspect: float,
         diffusion_px: float,
+        contrast: float,
         half_px: int,
     ) -> None:
-        self.aspect, self.diffusion_px = aspect, diffusion_px
+        self.aspect, self.diffusion_px, self.contrast = aspect, diffusion_px, contrast
         self.finest = float(lambda_n_px.min())
         self.samples = sample_grid((half_px + 1.0) * max(1.0, 1.0 / aspect) + 4.0 * diffusion_px, self.finest)
         self.light = np.array(
@@ -127,11 +130,11 @@ class Images:
         """Matrices that integrate over pixels at these offsets from `origin_px` along columns and along rows; the
         geometric centroid is at (0, 0)."""
         x, y = (offsets_px + origin for origin in origin_px)
-        along_x = pixel_matrix(x, self.samples, self.finest, self.diffusion_px, 1.0)
+        along_x = pixel_matrix(x, self.samples, self.finest, self.diffusion_px, 1.0, self.contrast)
         if self.aspect == 1.0 and origin_px[0] == origin_px[1]:
             return along_x, along_x
         size = 1.0 / self.aspect  # of a row, in columns
-        return along_x, pixel_matrix(y * size, self.samples, self.finest, self.diffusion_px, size)
+        return along_x, pixel_matrix(y * size, self.samples, self.finest, self.diffusion_px, size, self.contrast)
 
     def shares(self, weights: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
         """Fraction of the light in pixels at the offsets of the matrices, (rows, columns), for a spectrum (K,)."""

@@ -13,6 +13,7 @@ from scipy.special import erfcinv
 
 from simulator.optics import airy, diffraction
 from simulator.optics.measured import measured_centroid
+from simulator.optics.pixel_response import gaussian_shares
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
 from startracker.display import fields_repr
@@ -52,6 +53,9 @@ MAX_HALF_PX = 64
 
 _WING_STEP_PX = 0.125
 
+_PHASES_PER_SIGMA, _MOST_PHASES = 8, 128
+"""Half the phases per standard deviation of a tabulated Gaussian, and their maximum."""
+
 _INTERPOLATION = 2e-4
 """Error of the interpolation between the phases of an aberrated image, relative to its peak."""
 
@@ -68,6 +72,8 @@ class Lens:
     """Diameter of the central obscuration over that of the aperture."""
     diffusion_um: float = 0.0
     """Standard deviation of the spreading of charge, µm."""
+    contrast: float = 0.0
+    """Contrast of the response across a pixel (`simulator.optics.pixel_response`)."""
 
     @property
     def aspect(self) -> float:
@@ -102,7 +108,7 @@ class Psf:
     `wing_step_px` (pixels along columns)."""
     drawn: FloatArray | None = None
     """(W,): Fraction of the light of a star rendered with wings to a radius, in steps of `wing_step_px`
-    (`simulator.optics.psf_table.join`)."""
+    (`simulator.optics.psf_table.join`); NaN if it depends on the sub-pixel position."""
     wing_step_px: float = _WING_STEP_PX
     """Step of these tables."""
     aspect: float = 1.0
@@ -201,7 +207,12 @@ def build_psf(
     InputError
         For an unknown model, or keys that contradict each other.
     """
-    return lookup("psfs", PSFS, psf_model.model)(psf_model, Lens(f_number, pitch_um, obscuration, diffusion_um))
+    return psf_of(psf_model, Lens(f_number, pitch_um, obscuration, diffusion_um))
+
+
+def psf_of(psf_model: PsfModel, lens: Lens) -> Psf:
+    """`build_psf` of a lens with its detector."""
+    return lookup("psfs", PSFS, psf_model.model)(psf_model, lens)
 
 
 def gaussian(psf_model: PsfModel, lens: Lens) -> Psf:
@@ -209,7 +220,8 @@ def gaussian(psf_model: PsfModel, lens: Lens) -> Psf:
 
     σ is `sigma_px`, or fits the core of an Airy pattern with the first dark ring `first_dark_ring_px` or, by default,
     that of a clear aperture: σ = 0.3523 r_ring (`SIGMA_PER_RING`); charge diffusion is added in quadrature. The image
-    is round on the detector: if pixels are not square, σ along rows is σ × pitch_x / pitch_y pixels.
+    is round on the detector: if pixels are not square, σ along rows is σ × pitch_x / pitch_y pixels. With a response
+    across the pixels (`Lens.contrast`) the image is a table.
     """
     if psf_model.sigma_px is not None and psf_model.first_dark_ring_px is not None:
         raise InputError("a PSF takes sigma_px or first_dark_ring_px, not both")
@@ -218,7 +230,23 @@ def gaussian(psf_model: PsfModel, lens: Lens) -> Psf:
     if lens.diffusion_um > 0.0:
         sigma = math.hypot(sigma, lens.diffusion_px)
     aspect = lens.aspect
+    if lens.contrast != 0.0:
+        return _tabulated_gaussian(sigma, aspect, lens.contrast)
     return Psf("gaussian", sigma, sigma * aspect, min(sigma, sigma * aspect), aspect=aspect)
+
+
+def _tabulated_gaussian(sigma: float, aspect: float, contrast: float) -> Psf:
+    """A Gaussian on pixels with a response, as a table: exact at its phases, 1e-6 of the peak between them."""
+    finest, widest = sigma * min(1.0, aspect), sigma * max(1.0, aspect)
+    half = min(math.ceil(_LEAST_SIGMAS * widest) + 1, MAX_HALF_PX)
+    phases = min(2 * math.ceil(_PHASES_PER_SIGMA / finest), _MOST_PHASES)
+    at = offsets(half, phases) / phases
+    fine = np.outer(gaussian_shares(at, sigma * aspect, contrast), gaussian_shares(at, sigma, contrast))
+    r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
+    wing = np.exp(-0.5 * (r / sigma) ** 2) / (2.0 * math.pi * sigma**2 * aspect)
+    core = polyphase(fine, half, phases)
+    wing, drawn = join(core, phases, wing, _WING_STEP_PX, aspect, even=False)
+    return Psf("gaussian", sigma, sigma * aspect, finest, core, phases, wing, drawn, aspect=aspect)
 
 
 def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
@@ -238,13 +266,14 @@ def airy_disk(psf_model: PsfModel, lens: Lens) -> Psf:
     finest, widest = lambda_n * min(1.0, aspect), lambda_n * max(1.0, aspect)
     phases = 2 * max(2, math.ceil(6.0 / finest))  # twelve per period of the highest spatial frequency of the optics
     wing = airy.annulus_share(np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX), lambda_n, aspect, hole)
-    peak = airy.pixel_integrals(np.zeros(1), np.zeros(1), lambda_n, aspect, hole, lens.diffusion_px)[0, 0]
+    blur = lens.diffusion_px, lens.contrast
+    peak = airy.pixel_integrals(np.zeros(1), np.zeros(1), lambda_n, aspect, hole, *blur)[0, 0]
     half = stamp_half_px(math.ceil(4.0 * widest) + 3, wing, float(peak), aspect)
     offset = offsets(half, phases)
     positive = offset[offset >= 0] / phases
-    quarter = airy.pixel_integrals(positive, positive, lambda_n, aspect, hole, lens.diffusion_px)
+    quarter = airy.pixel_integrals(positive, positive, lambda_n, aspect, hole, *blur)
     core = polyphase(quarter[np.abs(offset)[:, None], np.abs(offset)], half, phases)
-    wing, drawn = join(core, phases, wing, _WING_STEP_PX, aspect)
+    wing, drawn = join(core, phases, wing, _WING_STEP_PX, aspect, even=lens.contrast == 0.0)
     sigma = math.hypot(SIGMA_PER_RING * ring, lens.diffusion_px)
     return Psf("airy", sigma, sigma * aspect, finest / 2.0, core, phases, wing, drawn, aspect=aspect)
 
@@ -303,14 +332,14 @@ def aberrated(
     r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
     wings = weights @ np.array([airy.annulus_share(r, scale, aspect, hole) for scale in lambda_n])
     totals = weights @ np.array([float(airy.encircled_energy(r[-1] / scale, hole)) for scale in lambda_n])
-    at_half_px = partial(diffraction.Images, waves, lambda_n, hole, aspect, lens.diffusion_px)
+    at_half_px = partial(diffraction.Images, waves, lambda_n, hole, aspect, lens.diffusion_px, lens.contrast)
     images, centre, half = _sized(at_half_px, spread + margin, weights, wings, aspect)
     phases = 12 * max(1, math.ceil(1.0 / finest))
     matrices = images.matrices(offsets(half, phases, max(STRIDES)) / phases, centre)
     psfs = []
     for spectrum, wing, total in zip(weights, wings, totals, strict=True):
         core, coarse = _coarse_core(images.shares(spectrum, *matrices), half, phases)
-        joined, drawn = join(core, coarse, wing, _WING_STEP_PX, aspect, float(total))
+        joined, drawn = join(core, coarse, wing, _WING_STEP_PX, aspect, float(total), lens.contrast == 0.0)
         scale = float(spectrum @ lambda_n)
         sigma = math.hypot(SIGMA_PER_RING * airy.FIRST_RING * scale, lens.diffusion_px)
         feature = scale * min(1.0, aspect) / 2.0

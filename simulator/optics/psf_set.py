@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics import diffraction
-from simulator.optics.psf import Lens, Psf, aberrated, build_psf
+from simulator.optics.psf import Lens, Psf, aberrated, psf_of
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from startracker.errors import InputError
 
@@ -76,7 +76,7 @@ class PsfSet:
         if self._varies and psf_model.model != "diffraction":
             raise InputError(f"a PSF of model {psf_model.model} takes no field aberrations; set model: diffraction")
         if not (psf_model.polychromatic or self._varies):
-            single = build_psf(psf_model, lens.f_number, lens.pitch_um, lens.obscuration, lens.diffusion_um)
+            single = psf_of(psf_model, lens)
             self._psfs: dict[int, list[Psf]] = {0: [single]}
             self._colours, self._means_nm = np.array([DEFAULT_B_V]), np.array([psf_model.wavelength_nm])
             corner = single

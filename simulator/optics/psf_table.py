@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.optics import pupil
+from simulator.optics.pixel_response import transfer
 from startracker.kernels import kernel
 
 FloatArray = NDArray[np.float64]
@@ -35,12 +36,18 @@ def sample_grid(half_px: float, lambda_n_px: float) -> FloatArray:
 
 
 def pixel_matrix(
-    positions_px: FloatArray, samples_px: FloatArray, lambda_n_px: float, diffusion_px: float, size_px: float
+    positions_px: FloatArray,
+    samples_px: FloatArray,
+    lambda_n_px: float,
+    diffusion_px: float,
+    size_px: float,
+    contrast: float = 0.0,
 ) -> FloatArray:
     """Matrix (positions, samples) that integrates a sampled pattern over pixels along one axis.
 
     K(x) = h ∫ s sinc(sf) exp(−2π²σ²f²) w(f) exp(2πifx) df: band-limited interpolation of samples with spacing h,
-    convolved with a pixel (of size s) and a Gaussian of charge diffusion. w is 1 in the band of the pattern, to 1/λN,
+    convolved with a pixel (of size s, or with a response of some contrast, `simulator.optics.pixel_response`) and a
+    Gaussian of charge diffusion. w is 1 in the band of the pattern, to 1/λN,
     and falls to 0 before that of its aliases, at 1/h − 1/λN.
     """
     step = samples_px[1] - samples_px[0]
@@ -54,7 +61,7 @@ def pixel_matrix(
         stopped
         * weights
         * size_px
-        * np.sinc(size_px * f)
+        * transfer(size_px * f, contrast)
         * np.exp(-2.0 * (np.pi * diffusion_px * f) ** 2)
         * window
         * step
@@ -93,7 +100,13 @@ def coarsest(fine: FloatArray, phases: int, tolerance: float) -> int:
 
 
 def join(
-    core: FloatArray, phases: int, wing: FloatArray, step_px: float, aspect: float, total: float | None = None
+    core: FloatArray,
+    phases: int,
+    wing: FloatArray,
+    step_px: float,
+    aspect: float,
+    total: float | None = None,
+    even: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
     """Normalise stamps to the same light at every phase, and determine the total light of stamp and wings.
 
@@ -104,7 +117,7 @@ def join(
     Parameters
     ----------
     core : (P, P, M, M) array
-        Scaled in place.
+        Scaled in place, if `even`.
     phases : int
         Phases per pixel.
     wing : (W,) array
@@ -116,6 +129,8 @@ def join(
     total : float, optional
         Light of core and wings to the end of the wings' table; the wings are scaled by 1 + α/r² accordingly. By default
         they are not scaled.
+    even : bool
+        Whether the light of a star is the same at all phases; false for pixels with a response across them.
 
     Returns
     -------
@@ -123,11 +138,11 @@ def join(
         The wings.
     drawn : (W,) array
         Light of stamp and wings, with the taper, of a star rendered to a radius, in steps of `step_px`: the mean over
-        all phases; valid from `least_radius` on, below which no wings are rendered.
+        all phases; valid from `least_radius` on, below which no wings are rendered. NaN if not `even`.
     """
     half = core.shape[3] // 2
     radius = least_radius(half, aspect)
-    held = _even_sums(core, phases)
+    held = _even_sums(core, phases, even)
     r: FloatArray = np.arange(len(wing), dtype=np.float64) * step_px
     area = 2.0 * np.pi * r * aspect  # of rings, pixels per column
     knots, weights = pupil.legendre(_KNOTS)
@@ -148,18 +163,20 @@ def join(
     nodes, slopes = pupil.legendre(8)
     t = (nodes + 1.0) / 2.0
     rims = np.interp(np.append(r, radius)[:, None] + TAPER_PX * t, r, inside) @ (slopes * 3.0 * t * (1.0 - t))
-    return wing, held + beyond(wing) + rims[:-1] - rims[-1]
+    drawn = held + beyond(wing) + rims[:-1] - rims[-1]
+    return wing, drawn if even else np.full_like(drawn, math.nan)
 
 
-def _even_sums(core: FloatArray, phases: int) -> float:
-    """Scale the stamps in place to the same sum at every phase, the mean over a pixel, and return it."""
+def _even_sums(core: FloatArray, phases: int, even: bool) -> float:
+    """Mean of the stamps' sums over a pixel; if `even`, the stamps of all phases are scaled to it in place."""
     middle = core.shape[0] // 2
     sums = core.sum(axis=(2, 3))
     period = slice(middle - phases // 2, middle + phases // 2 + 1)
     mean = np.full(phases + 1, 1.0 / phases)  # both ends have half weight, so that mirrored tables are identical
     mean[[0, -1]] /= 2.0
     held = float(mean @ sums[period, period] @ mean)
-    core *= (held / sums)[:, :, None, None]
+    if even:
+        core *= (held / sums)[:, :, None, None]
     return held
 
 

@@ -114,7 +114,7 @@ class _Stars(NamedTuple):
     radius: FloatArray
     """Radius of each star (N,), pixels along columns."""
     whole: FloatArray
-    """Fraction of each star's light (N,) within that radius."""
+    """Fraction of each star's light (N,) within that radius; NaN if it depends on the sub-pixel position."""
 
 
 class _Work(NamedTuple):
@@ -135,7 +135,7 @@ def add_tabulated(
 
     For stars whose radius does not exceed the stamp only the stamp is rendered. Others get the fraction `whole` of
     their light at any sub-pixel position: the wings are summed while they are rendered, and the stamp is scaled (by
-    about 1e-5, at most 6e-5) to contain the rest.
+    about 1e-5, at most 6e-5) to contain the rest, unless that depends on the sub-pixel position.
     """
     height, width = image.shape
     xy, weights, electrons = stars.xy, stars.weights, stars.electrons  # not in the loops: each access counts references
@@ -197,7 +197,9 @@ def _add_pixel(
 ) -> None:
     """Add the light collected in one pixel: its wings, and the stamp scaled to the rest."""
     if radius > wings.half:
-        _fill(work.stamp, whole * work.moments[0] - add_wings(image, work.lines, work.moments, pixel, radius, wings))
+        outside = add_wings(image, work.lines, work.moments, pixel, radius, wings)
+        if not math.isnan(whole):
+            _fill(work.stamp, whole * work.moments[0] - outside)
     _add_stamp(image, work.stamp, pixel[0], pixel[1], wings.half)
 
 

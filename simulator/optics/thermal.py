@@ -1,10 +1,11 @@
-"""Thermal change of the focal length since calibration.
+"""Thermal change of the focal length and of the principal point since calibration.
 
-    f(T) = f(T_ref) · (1 + α (T − T_ref))
+    f(T) = f(T_ref) · (1 + α (T − T_ref)),   c(T) = c(T_ref) + d (T − T_ref) / pitch
 
 α is the total relative change of the focal length per kelvin, from expansion of the glass and the barrel and the change
 of the refractive index: tens of ppm/K uncorrected (an order of magnitude, not from a table), near 0 for athermal
-lenses. The principal point and the distortion, which acts on normalised coordinates, do not change.
+lenses. The distortion, which acts on normalised coordinates, does not change. d is the decentring of the lens against
+the detector, µm/K along columns and rows: the whole image is displaced, which turns the measured attitude by d/f.
 
 The sky is rendered with the true camera; the frame has the calibrated one, so that the tracker sees the error.
 
@@ -19,9 +20,34 @@ from dataclasses import replace
 from startracker.camera import Camera
 
 
-def true_camera(calibrated: Camera, expansion_ppm_k: float, warmer_k: float) -> Camera:
-    """Camera at a temperature `warmer_k` above that of its calibration; the same object if nothing changes."""
+def true_camera(
+    calibrated: Camera,
+    expansion_ppm_k: float,
+    warmer_k: float,
+    decentring_px_k: tuple[float, float] = (0.0, 0.0),
+) -> Camera:
+    """Camera at a temperature `warmer_k` above that of its calibration; the same object if nothing changes.
+
+    Parameters
+    ----------
+    calibrated : Camera
+        The camera at the temperature of its calibration.
+    expansion_ppm_k : float
+        Relative change of the focal length per kelvin, 1e-6.
+    warmer_k : float
+        Temperature above that of the calibration.
+    decentring_px_k : (float, float)
+        Motion of the principal point per kelvin, pixels along columns and rows.
+    """
     change = expansion_ppm_k * 1e-6 * warmer_k
-    if change == 0.0:
+    dx, dy = (per_k * warmer_k for per_k in decentring_px_k)
+    if change == dx == dy == 0.0:
         return calibrated
-    return replace(calibrated, fx=calibrated.fx * (1.0 + change), fy=calibrated.fy * (1.0 + change))
+    longer = 1.0 + change
+    return replace(
+        calibrated,
+        fx=calibrated.fx * longer,
+        fy=calibrated.fy * longer,
+        cx=calibrated.cx + dx,
+        cy=calibrated.cy + dy,
+    )

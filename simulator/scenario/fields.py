@@ -25,40 +25,13 @@ from pydantic.fields import FieldInfo
 
 from simulator.scenario.document import show_value
 from simulator.scenario.schema import LIMITS, ScenarioModel
+from simulator.units import UNITS, unit_suffix
 
 MISSING = dataclasses.MISSING
 
 NameChecks = Mapping[str, Callable[[Any, Mapping[str, Any]], str | None]]
 """Dotted path to a function of the key's value and of the valid values of all keys by dotted path: it returns the
 error, or None."""
-
-_UNITS = {
-    "deg_s": "degrees/s",
-    "deg_s2": "degrees/s²",
-    "deg_s_sqrt_s": "degrees/s/√s",
-    "deg_h": "degrees/h",
-    "deg_sqrt_h": "degrees/√h",
-    "e_s": "electrons/s",
-    "e_per_dn": "electrons/DN",
-    "deg": "degrees",
-    "km": "km",
-    "mm": "mm",
-    "um": "µm",
-    "nm": "nm",
-    "px": "pixels",
-    "h": "hours",
-    "hz": "Hz",
-    "us": "µs",
-    "arcsec": "arcseconds",
-    "ppm_k": "ppm/K",
-    "s": "s",
-    "c": "°C",
-    "ff": "fF",
-    "e": "electrons",
-    "dn": "DN",
-    "bits": "bits",
-    "s10": "10th-magnitude stars per square degree",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,14 +62,12 @@ class Key:
     @property
     def unit(self) -> str:
         """Unit, spelled out, from the suffix of the name; empty if there is none."""
-        return _UNITS.get(self.unit_suffix[1:], "")
+        return UNITS[ending].words if (ending := unit_suffix(self.name)) else ""
 
     @property
     def unit_suffix(self) -> str:
         """The suffix of the name that states the unit, including the underscore."""
-        ending = self.name.partition("_")[2]
-        while ending and ending not in _UNITS:
-            ending = ending.partition("_")[2]
+        ending = unit_suffix(self.name)
         return ending and f"_{ending}"
 
 

@@ -8,35 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from simulator.scenario.fields import Key
+from simulator.units import UNITS, unit_suffix
 from startracker.interop import is_time, plain
 
 __all__ = ["as_written"]
-
-_UNITS = {
-    "deg_s": "deg/s",
-    "deg_s2": "deg/s2",
-    "deg_h": "deg/h",
-    "deg_sqrt_h": "deg/h(1/2)",
-    "deg": "deg",
-    "arcsec": "arcsec",
-    "km": "km",
-    "mm": "mm",
-    "um": "um",
-    "nm": "nm",
-    "px": "pix",
-    "h": "h",
-    "hz": "Hz",
-    "us": "us",
-    "s": "s",
-    "c": "deg_C",
-    "ff": "fF",
-    "e": "electron",
-    "e_s": "electron/s",
-    "e_per_dn": "electron/adu",
-    "dn": "adu",
-    "bits": "bit",
-}
-"""Units of astropy by the ending of a key's name."""
 
 
 def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
@@ -57,7 +32,8 @@ def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
         For a quantity in another kind of unit.
     """
     if path in keys:
-        value = plain(value, _UNITS.get(keys[path].unit_suffix[1:], ""), path)
+        ending = unit_suffix(keys[path].name)
+        value = plain(value, (ending and UNITS[ending].astropy) or "", path)
     if is_time(value):
         return value.utc.to_datetime(timezone=UTC)
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy

@@ -11,17 +11,32 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, Video
-from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
+from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
+from simulator.environment.parameters import Environment
+from simulator.mission.parameters import (
+    ForceModel,
+    Gyro,
+    KeplerianElements,
+    OrbitParameters,
+    PointingParameters,
+    RatePoint,
+    Slew,
+    Spin,
+)
+from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
 from simulator.optics.jitter import Jitter
+from simulator.optics.pixel_response import IntraPixel
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
+from simulator.scenario.schema_specification import SpecificationSection
+from simulator.sky.catalogue_errors import CatalogueErrors
 from simulator.sky.parameters import Sky
+from simulator.sky.star_counts import FAINTEST_V
 from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
 
 __all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
@@ -55,6 +70,8 @@ class TrackerSection(Section):
     """Settings of the centroiding."""
     identification: AnyIdentificationSettings = AnyIdentificationSettings()
     """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
+    catalogue_errors: CatalogueErrors = CatalogueErrors()
+    """Errors of the tracker's catalogue against the sky."""
 
 
 class StudySection(Section):
@@ -62,23 +79,12 @@ class StudySection(Section):
 
     trials: Count = 500
     """Number of frames."""
-    sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
+    sampling: Literal["mission_year", "orbit", "span", "sky"] = "mission_year"
     """``mission_year``: times distributed over a year; ``orbit``: over one orbit, or one rotation of a spinning body;
-    ``sky``: random attitudes at the epoch."""
+    ``span``: from the epoch to the end of an ephemeris; ``sky``: random attitudes at the epoch."""
     sky_without_earth: bool = True
     """With `sampling: sky` and no `pointing.target`: omit the Earth, which would occult a third of the sky; it then
     neither occults stars nor emits light. False: as set by `sky.earth`."""
-
-
-class SpecificationSection(Section):
-    """Required 3σ accuracy about the body axes."""
-
-    roll_deg: Positive = 0.025
-    """About X (roll)."""
-    yaw_deg: Positive = 0.025
-    """About Z (yaw)."""
-    pitch_deg: Positive = 0.286
-    """About Y (pitch)."""
 
 
 class ScenarioModel(Section):
@@ -104,6 +110,8 @@ class ScenarioModel(Section):
     """The lens."""
     detector: DetectorSection
     """The detector."""
+    environment: Environment = Environment()
+    """Radiation along the orbit, and ageing by it."""
     tracker: TrackerSection = TrackerSection()
     """The tracker."""
     study: StudySection = StudySection()
@@ -111,16 +119,23 @@ class ScenarioModel(Section):
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
     specification: SpecificationSection = SpecificationSection()
-    """Required accuracy."""
+    """Required performance."""
     allow_unphysical: bool = False
     """Permit unphysical values; the report lists them."""
 
 
 LIMITS: dict[type, dict[str, Any]] = {
+    KeplerianElements: {
+        "semi_major_axis_km": Positive | None,
+        "eccentricity": Annotated[float, Field(ge=0, lt=1)],
+        "inclination_deg": Annotated[float, Field(ge=0, le=180)],
+    },
+    ForceModel: {"zonal_degree": Annotated[int, Field(ge=0, le=6)]},
     OrbitParameters: {
         "inclination_deg": Annotated[float, Field(ge=0, le=180)] | Literal["auto"],
         "ltan_h": Annotated[float, Field(ge=0, lt=24)] | None,
-        "propagator": Literal["j2", "sgp4"],
+        "propagator": Literal["auto", "j2", "sgp4", "kepler", "numerical"],
+        "max_age_days": Positive,
     },
     Spin: {
         "axis_deg": tuple[float, Annotated[float, Field(ge=-90, le=90)]],
@@ -144,6 +159,7 @@ LIMITS: dict[type, dict[str, Any]] = {
         "scale_factor_ppm": Annotated[float, Field(ge=0, le=200_000)],
     },
     Sky: {
+        "faint_magnitude_limit": Annotated[FiniteFloat, Field(le=FAINTEST_V)] | None,
         "background_s10": NonNegative,
         "background_model": Literal["constant", "leinert1998"],
         "earth_albedo": Fraction,
@@ -154,13 +170,28 @@ LIMITS: dict[type, dict[str, Any]] = {
         "azimuths": Annotated[int, Field(ge=4, le=64)],
     },
     PsfModel: {"sigma_px": Positive | None, "first_dark_ring_px": Positive | None, "wavelength_nm": Positive},
+    CalibrationResidual: {"rms_px": NonNegative, "order": Annotated[int, Field(ge=2, le=16)]},
+    IntraPixel: {"contrast": Fraction},
     Vignetting: {
         "mechanical_start_deg": Annotated[float, Field(ge=0, lt=180)],
         "mechanical_end_deg": Annotated[float, Field(gt=0, lt=180)] | None,
     },
     Ghost: {"flux": Fraction, "radius_px": Positive},
     CosmicRays: {"rate_cm2_s": NonNegative, "depth_um": Positive, "charge_e_um": Positive},
+    DisplacementDamage: {"interactions_per_pixel": NonNegative, "dark_e_s": NonNegative},
+    RandomTelegraph: {"pixel_fraction": Fraction, "dark_e_s": NonNegative, "low_s": Positive, "high_s": Positive},
+    Environment: {
+        "shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+        "age_years": Annotated[FiniteFloat, Field(ge=0, le=100)],
+        "solar_proton_events": Annotated[FiniteFloat, Field(ge=0, le=20)],
+        "depletion_um": Annotated[FiniteFloat, Field(gt=0, le=1000)],
+        "dark_per_krad_e_s": NonNegative,
+        "glass_path_mm": NonNegative,
+        "glass_shield_mm": Annotated[FiniteFloat, Field(ge=0.1, le=100)],
+    },
     Intensifier: dict.fromkeys(("gain", "gain_variance", "phosphor_sigma_px", "dark_e_s"), NonNegative),
+    TimeTag: {"jitter_s": NonNegative},
+    CatalogueErrors: {"position_mas": NonNegative, "proper_motion_mas_yr": NonNegative},
     Video: {"noise_dn": NonNegative, "line_blur_px": NonNegative},
     DetectionSettings: {
         "threshold_sigma": Positive,

@@ -6,19 +6,23 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from simulator.detector.parameters import CosmicRays, Intensifier, Video
+from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
+from simulator.optics.displacement import CalibrationResidual, LateralColour
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
+from simulator.optics.pixel_response import IntraPixel
 from simulator.optics.psf_model import PsfModel
 from simulator.scenario.schema_base import Fraction, NonNegative, Positive, Section
 from startracker.distortion import Distortion
 
 
 class ThermalSection(Section):
-    """Change of the focal length since calibration."""
+    """Change of the lens since calibration, by temperature."""
 
     expansion_ppm_k: FiniteFloat = 0.0
     """Relative change of the focal length; 0: none."""
+    decentring_um_k: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    """Motion of the lens against the detector along columns and rows, which displaces the whole image; [0, 0]: none."""
     reference_c: FiniteFloat = 20.0
     """Temperature for which `focal_length_mm` is given and at which the tracker's camera was calibrated."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
@@ -59,6 +63,10 @@ class OpticsSection(Section):
     coefficients: ``equidistant``, r = f θ; ``equisolid``, r = 2 f sin(θ/2)."""
     principal_point_offset_px: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     """Principal point minus the centre of the detector."""
+    calibration_residual: CalibrationResidual = CalibrationResidual()
+    """Smooth error that the calibration of the camera left: the tracker does not know it."""
+    lateral_colour: LateralColour = LateralColour()
+    """Lateral chromatic aberration."""
     vignetting: Vignetting = Vignetting()
     """Vignetting."""
     thermal: ThermalSection = ThermalSection()
@@ -89,12 +97,16 @@ class DetectorSection(Section):
     """Delay from row to row, of a rolling shutter or of the transfer."""
     transfer_smear: Literal["both", "after"] = "both"
     """Transfer under light before (clearing) and after the exposure, or only after it."""
+    time_tag: TimeTag = TimeTag()
+    """Error of the time stated for mid-exposure: the attitude of a frame is that of another moment."""
     quantum_efficiency: str | Fraction = 0.5
     """A number, the name of an included detector, or a CSV file (wavelength_nm, qe)."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
     """Temperature of the detector."""
     charge_diffusion_um: NonNegative = 0.0
     """Standard deviation of the Gaussian spreading of charge in the silicon before collection."""
+    intra_pixel: IntraPixel = IntraPixel()
+    """Sensitivity across a pixel."""
     intensifier: Intensifier = Intensifier()
     """Image intensifier; none without a `gain`."""
     shot_noise: bool = True
@@ -122,6 +134,10 @@ class DetectorSection(Section):
     """Fraction of dead pixels, which collect neither light nor dark current."""
     dead_columns: Annotated[int, Field(ge=0)] = 0
     """Number of dead columns."""
+    displacement: DisplacementDamage = DisplacementDamage()
+    """Dark current by displacement damage."""
+    telegraph: RandomTelegraph = RandomTelegraph()
+    """Random telegraph pixels."""
     cosmic_rays: CosmicRays = CosmicRays()
     """Charged particles."""
     full_well_e: Positive = 30000.0

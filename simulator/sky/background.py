@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from simulator.sky.earth import earth_radiance_map
+from simulator.sky.star_counts import light_between_s10
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -32,6 +33,7 @@ __all__ = [
     "background_map",
     "diffuse_sky_s10",
     "sky_brightness_s10",
+    "star_contrast",
     "starlight_s10",
     "zodiacal_s10",
 ]
@@ -70,6 +72,11 @@ _LEAST_SHARE = 0.25
 """Minimum fraction of the measured light that remains diffuse for any number of rendered stars: the diffuse galactic
 light alone is 10 to 35 % (Leinert et al. 1998, table 39, after Toller 1981)."""
 
+STAR_CONTRAST = 0.8
+"""Power of the measured starlight to which the number of stars is proportional: Tycho-2 (to V = 11.5) has 150, 50 and
+25 stars in a square degree at galactic latitudes 0, ±30° and ±90° (Høg et al. 2000, A&A 355, L27), and the light varies
+by a factor of 9."""
+
 _GRID_PX = 32
 """Step of the grid on which `background_map` evaluates the sky."""
 
@@ -88,14 +95,15 @@ def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, sky: Sky
     sun_direction : array_like, shape (3,)
         Apparent direction of the Sun, ICRS.
     sky : Sky
-        Its `background`, `background_model`, `background_s10`, `catalog`, `magnitude_limit`.
+        Its `background`, `background_model`, `background_s10`, `catalog`, `magnitude_limit`, `faint_magnitude_limit`.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
     if not sky.background:
         return np.zeros(len(directions))
     if sky.background_model == "constant":
         return np.full(len(directions), sky.background_s10)
-    return zodiacal_s10(directions, sun_direction) + starlight_s10(directions, sky.catalog, sky.magnitude_limit)
+    rendered = sky.magnitude_limit, sky.faint_magnitude_limit
+    return zodiacal_s10(directions, sun_direction) + starlight_s10(directions, sky.catalog, *rendered)
 
 
 def diffuse_sky_s10(
@@ -213,7 +221,9 @@ def _near_sun(longitude_deg: float, latitude_deg: float) -> float:
 
 
 # ---------------------------------------------------------------------- starlight
-def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -> FloatArray:
+def starlight_s10(
+    directions: ArrayLike, catalog: str, magnitude_limit: float, faint_limit: float | None = None
+) -> FloatArray:
     """Starlight (N,), S10, that is not rendered as stars: fainter stars, diffuse galactic light, galaxies.
 
     The map measured by Pioneer 10 from beyond the zodiacal dust (Toller 1981, in Leinert et al. 1998) contains stars
@@ -229,6 +239,9 @@ def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -
         Name of the catalogue whose stars are rendered.
     magnitude_limit : float
         Faintest V rendered.
+    faint_limit : float, optional
+        Faintest V of the statistical stars that are rendered beyond it (`simulator.sky.faint_stars`), whose mean light
+        is subtracted as well.
 
     Notes
     -----
@@ -238,16 +251,41 @@ def starlight_s10(directions: ArrayLike, catalog: str, magnitude_limit: float) -
     anticentre.
     """
     ra, dec = direction_to_radec(np.atleast_2d(np.asarray(directions, dtype=float)))
-    nodes_ra, nodes_dec, table = _starlight_table(catalog, float(magnitude_limit))
+    nodes_ra, nodes_dec, table = _starlight_table(catalog, float(magnitude_limit), faint_limit)
     return _bilinear(nodes_ra, nodes_dec, table, np.degrees(ra), np.degrees(dec))
 
 
+def star_contrast(directions: ArrayLike) -> FloatArray:
+    """Number of faint stars (N,) in directions (N, 3) relative to its mean over the sky: the measured starlight to the
+    power of `STAR_CONTRAST`."""
+    ra, dec = direction_to_radec(np.atleast_2d(np.asarray(directions, dtype=float)))
+    return _bilinear(*_contrast_table(), np.degrees(ra), np.degrees(dec))
+
+
+@functools.cache
+def _contrast_table() -> tuple[FloatArray, FloatArray, FloatArray]:
+    ra, dec, measured = _pioneer()
+    ra, dec, table = _closed(ra, dec, measured**STAR_CONTRAST)
+    sines, longitudes = np.linspace(-1.0, 1.0, 361), np.arange(0.0, 360.0, 2.0)  # of equal areas
+    even = np.meshgrid(longitudes, np.degrees(np.arcsin(0.5 * (sines[1:] + sines[:-1]))))
+    return ra, dec, table / _bilinear(ra, dec, table, even[0].ravel(), even[1].ravel()).mean()
+
+
 @functools.lru_cache(maxsize=8)
-def _starlight_table(catalog: str, limit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The map minus the rendered stars, extended by the poles and by the first meridian at 360°."""
+def _starlight_table(catalog: str, limit: float, faint: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The map minus the rendered stars."""
     ra, dec, measured = _pioneer()
     drawn = _catalog_light(catalog, min(limit, PIONEER_LIMIT_V), max(limit, PIONEER_LIMIT_V), ra, dec)
-    table = np.maximum(measured - drawn, _LEAST_SHARE * measured) if limit > PIONEER_LIMIT_V else measured + drawn
+    if limit <= PIONEER_LIMIT_V:
+        drawn = -drawn
+    if faint is not None:
+        light = light_between_s10(max(limit, PIONEER_LIMIT_V), max(faint, PIONEER_LIMIT_V))
+        drawn = drawn + light * star_contrast(_node_directions(ra, dec)).reshape(drawn.shape)
+    return _closed(ra, dec, np.maximum(measured - drawn, _LEAST_SHARE * measured))
+
+
+def _closed(ra: FloatArray, dec: FloatArray, table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A map extended by the poles and by the first meridian at 360°."""
     ends = [np.full(len(ra), table[:, k].mean()) for k in (0, -1)]
     table = np.column_stack([ends[0], table, ends[1]])
     return np.append(ra, 360.0), np.concatenate([[-90.0], dec, [90.0]]), np.vstack([table, table[:1]])

@@ -1,91 +1,25 @@
-"""Barycentric positions of Sun, Moon and planets: Skyfield with the JPL ephemeris DE421 of ``skyfield-data``.
-
-Folkner, Williams & Boggs 2009, "The Planetary and Lunar Ephemeris DE 421", IPN Progress Report 42-178. Its axes are
-the ICRF to 1 mas; it covers 1899-07-29 to 2053-10-09. Skyfield's TDB is accurate to 10 µs, in which the Earth moves
-0.3 m.
-"""
+"""Barycentric positions of Sun, Moon and planets at the instants of a scenario."""
 
 from __future__ import annotations
 
-import functools
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.errors import InputError
+from startracker.ephemeris import barycentric, timescale
 
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
 
-__all__ = ["DE421_NAME", "barycentric", "barycentric_position_au", "de421", "sky_time"]
+__all__ = ["barycentric_position_au", "sky_time"]
 
 FloatArray = NDArray[np.float64]
-
-DE421_NAME = {
-    "Mercury": "mercury",
-    "Venus": "venus",
-    "Mars": "mars",
-    "Jupiter": "jupiter barycenter",
-    "Saturn": "saturn barycenter",
-    "Uranus": "uranus barycenter",
-    "Neptune": "neptune barycenter",
-    "Moon": "moon",
-    "Sun": "sun",
-    "Earth": "earth",
-}
-"""Name of each body in the ephemeris. Jupiter to Neptune: the barycentre with the moons, within 0.1″ of the planet."""
-
-
-@functools.cache
-def de421() -> Any:
-    """The ephemeris as Skyfield's ``SpiceKernel``; memory-mapped, so that only the pages in use are read.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged.
-    """
-    from skyfield.jpllib import SpiceKernel
-
-    path = files("skyfield_data") / "data" / "de421.bsp"
-    try:
-        return SpiceKernel(str(path))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: the ephemeris cannot be read ({error}); reinstall skyfield-data") from error
-
-
-@functools.cache
-def _timescale() -> Any:
-    from skyfield.api import load
-
-    return load.timescale(builtin=True)  # the tables included in Skyfield: nothing is downloaded
 
 
 def sky_time(clock: Clock, t_s: float | FloatArray) -> Any:
     """Skyfield's ``Time`` of seconds after the scenario's epoch, a number or an array (N,)."""
-    return _timescale().tt_jd(*clock.tt_jd(t_s))
-
-
-def barycentric(body: str, time: Any) -> Any:
-    """Skyfield's ``Barycentric`` position of a body of `DE421_NAME`.
-
-    Raises
-    ------
-    InputError
-        If a date is outside the ephemeris.
-    """
-    from skyfield.errors import EphemerisRangeError
-
-    try:
-        return de421()[DE421_NAME[body]].at(time)
-    except EphemerisRangeError:
-        farthest = max(np.atleast_1d(time.tdb), key=lambda jd: abs(jd - 2_451_545.0))
-        raise InputError(
-            f"the ephemeris DE421 covers the years 1899 to 2053; Julian date {farthest:.2f} (year "
-            f"{2000 + (farthest - 2451545) / 365.25:.1f}) is outside: choose an epoch within"
-        ) from None
+    return timescale().tt_jd(*clock.tt_jd(t_s))
 
 
 def barycentric_position_au(body: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:

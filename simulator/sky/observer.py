@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.sky.ephemeris import barycentric, de421, sky_time
+from simulator.sky.ephemeris import sky_time
 from startracker.constants import AU_KM
+from startracker.ephemeris import barycentric, de421
 from startracker.observer import Observer
 
 if TYPE_CHECKING:

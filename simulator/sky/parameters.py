@@ -14,7 +14,10 @@ class Sky:
     catalog: str = "hipparcos"
     """``hipparcos`` or ``bsc5``."""
     magnitude_limit: float = 9.0
-    """Faintest V that is rendered."""
+    """Faintest V of the catalogue that is rendered."""
+    faint_magnitude_limit: float | None = None
+    """Faintest V of statistical stars beyond the catalogue, rendered as a grainy background in addition to
+    `background_s10`; null: none. The noise of stars fainter than 12 to 13 is negligible."""
     spectrum: str = "colour_sequence"
     """Spectra of the stars: ``colour_sequence`` (library spectra with the colours of real stars) or ``blackbody``."""
     proper_motion: bool = True

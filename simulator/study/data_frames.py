@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from importlib.util import find_spec
 from typing import Any
 
 import pyarrow as pa
 
+from simulator.units import UNITS, unit_suffix
 from startracker.errors import InputError
 
-__all__ = ["UNITS", "Rows"]
-
-UNITS = {
-    "deg_s": "deg / s",
-    "arcsec": "arcsec",
-    "deg2": "deg2",
-    "deg": "deg",
-    "px": "pix",
-    "ms": "ms",
-    "mag": "mag",
-    "km": "km",
-    "dn": "adu",
-    "c": "deg_C",
-    "s": "s",
-}
-"""Units of astropy by the ending of a column's name."""
+__all__ = ["Rows"]
 
 
-class Rows:
+class Rows(ABC):
     """A result with one row per trial or frame, which becomes a table of pandas or astropy."""
 
+    @abstractmethod
     def _table(self) -> pa.Table:
-        raise NotImplementedError
+        """The rows."""
 
     def _meta(self) -> dict[str, Any]:
         """Origin of the table: name of the scenario, seed, version."""
@@ -44,10 +33,8 @@ class Rows:
         InputError
             If pandas is not installed.
         """
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            raise InputError("pandas is not installed: pip install pandas (to_astropy() works without it)") from None
+        if find_spec("pandas") is None:
+            raise InputError("pandas is not installed: pip install pandas (to_astropy() works without it)")
         frame = self._table().to_pandas()
         frame.attrs.update(self._meta())
         return frame
@@ -67,5 +54,6 @@ class Rows:
                 filler = "" if pa.types.is_string(rows.schema.field(name).type) else 0
                 values = MaskedColumn([filler if value is None else value for value in values], mask=missing)
             out[name] = values
-            out[name].unit = next((unit for ending, unit in UNITS.items() if name.endswith(f"_{ending}")), None)
+            ending = unit_suffix(name)
+            out[name].unit = UNITS[ending].astropy if ending else None
         return out

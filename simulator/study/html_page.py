@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement
 from simulator.study.style import Panel, inline_svg, style_variables
 
-__all__ = ["Table", "drawn", "provenance", "render_page"]
+__all__ = ["TONES", "Table", "drawn", "provenance", "render_page", "verdict_table"]
 
 _FOLDER = Path(__file__).parent
+
+TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}
+"""Style of each verdict."""
 
 DIGEST_DIGITS = 12
 """Number of hexadecimal digits of a digest that pages show."""
@@ -25,6 +29,29 @@ class Table:
     rows: tuple[tuple[str, ...], ...] = ()
     words: tuple[int, ...] = ()
     note: str = ""
+
+
+def verdict_table(judgement: Judgement) -> Table:
+    """Requirements with their values and verdicts."""
+    rows = [
+        (
+            verdict.requirement.title,
+            verdict.value_text,
+            verdict.interval_text or "–",
+            verdict.limit_text,
+            f"{verdict.margin:.3g} ×" if verdict.margin else "–",
+            verdict.verdict,
+        )
+        for verdict in judgement.verdicts
+    ]
+    needed = max((verdict.needed for verdict in judgement.verdicts), default=0)
+    return Table(
+        ("requirement", judgement.basis, "95 % interval", "specified", "margin", "verdict"),
+        tuple(rows),
+        note="A requirement is met if the whole interval is within its limit, and not met if all of it is outside; "
+        f"otherwise more {judgement.unit} are needed. A limit shown as – is beyond the largest error: upper limits "
+        f"need {needed} {judgement.unit}.",
+    )
 
 
 def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:

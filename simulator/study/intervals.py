@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft, rfft
 from scipy.special import bdtr, gammaincinv, ndtr, ndtri  # scipy.stats takes 17 MB and 0.2 s to load
 
 from simulator.randomness import stream
@@ -49,10 +50,11 @@ MOMENTS: dict[str, Moment] = {"mean": _mean, "std": _std, "rms": _rms}
 """Statistics by name as functions of Σx, Σx² and n."""
 
 
-def wilson_interval(successes: int, trials: int) -> Interval:
+def wilson_interval(successes: float, trials: float) -> Interval:
     """Wilson's score interval of a proportion (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) for no trials.
 
-    Valid near 0 and 1, where the normal approximation gives intervals of zero width.
+    Valid near 0 and 1, where the normal approximation gives intervals of zero width. Effective numbers of correlated
+    trials need not be whole.
     """
     if trials == 0:
         return 0.0, 1.0
@@ -171,7 +173,9 @@ def spread_interval(values: ArrayLike) -> Interval:
     return math.sqrt(m2 * freedom / high), math.sqrt(m2 * freedom / low)
 
 
-def percentile_interval(ordered: FloatArray, percent: float) -> tuple[float | None, float | None]:
+def percentile_interval(
+    ordered: FloatArray, percent: float, independent: float | None = None
+) -> tuple[float | None, float | None]:
     """Distribution-free 95 % interval of a percentile between two order statistics.
 
     P(x₍ₖ₎ ≤ q) = P(Bin(n, p) ≥ k): the bootstrap of a percentile needs no resampling, as the number of values below it
@@ -185,13 +189,41 @@ def percentile_interval(ordered: FloatArray, percent: float) -> tuple[float | No
         Values, ascending.
     percent : float
         Percentile, 0 to 100.
+    independent : float, optional
+        Effective number of independent values, if they are correlated (`effective_number`); at most their number. The
+        k-th of m independent values is taken as the (k − 1) n / m-th for the lower limit and the k n / m-th for the
+        upper one, so that the interval is rather too wide.
     """
     n, p, tail = len(ordered), percent / 100.0, _TAILS[0]
     if n == 0:
         return None, None
-    low = _binomial_quantile(tail, n, p)  # P(Bin < low) ≤ tail
-    high = _binomial_quantile(1.0 - tail, n, p) + 1  # P(Bin ≥ high) ≤ tail
-    return (float(ordered[low - 1]) if low >= 1 else None), (float(ordered[high - 1]) if high <= n else None)
+    m = n if independent is None else min(max(int(independent), 1), n)
+    low = _binomial_quantile(tail, m, p)  # P(Bin < low) ≤ tail
+    high = _binomial_quantile(1.0 - tail, m, p) + 1  # P(Bin ≥ high) ≤ tail
+    first, last = (low - 1) * n // m, -(-high * n // m) - 1  # their positions among all values
+    return (float(ordered[first]) if low >= 1 else None), (float(ordered[last]) if high <= m else None)
+
+
+def effective_number(values: FloatArray) -> float:
+    """Effective number of independent values of a correlated series, for its mean.
+
+    N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
+    7, 473: the initial positive sequence); between 1 and N.
+    """
+    n = len(values)
+    centred = values - values.mean() if n else values
+    power = float(centred @ centred)
+    if n < 4 or power <= 1e-24 * float(values @ values):  # a constant, to rounding
+        return float(n)
+    spectrum = rfft(centred, 2 * n)
+    correlation = irfft(np.abs(spectrum) ** 2, 2 * n)[:n] / power
+    total = 1.0
+    for k in range(1, n - 1, 2):
+        pair = float(correlation[k] + correlation[k + 1])
+        if pair <= 0.0:
+            break
+        total += 2.0 * pair
+    return float(np.clip(n / total, 1.0, n))
 
 
 def ratios_of_rms(errors: ArrayLike, bounds: ArrayLike, seed: int = 0) -> tuple[FloatArray, FloatArray | None]:

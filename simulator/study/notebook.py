@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.statistics import BODY_AXES
-from startracker.display import angle_text, html_card
+from startracker.display import html_card
 
 __all__ = ["study_card"]
 
@@ -25,24 +25,14 @@ def study_card(summary: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) 
     """HTML with the number of solved and wrong trials, each axis beside its specification, and the chart of errors."""
     trials, wrong = summary["trials"], summary["wrong"]
     rows = {"trials": f"{trials}, seed {summary['seed']}", "solved": f"{summary['solved']}, {wrong} wrong"}
-    for axis, judged in summary["specification"].items():
-        rows[axis] = f"{_percentile(judged)}; specified {_angle(judged['specified_deg'])}: {judged['verdict']}"
+    for judged in summary["specification"].values():
+        title, _, said = judged["text"].partition(": ")
+        rows[title] = said
+    rows["specification"] = summary["verdict"]["text"].partition(": ")[2]
     errors = {axis: np.abs(np.asarray(columns[f"error_{axis}_deg"], dtype=float)) for axis in BODY_AXES}
     finite = {axis: np.sort(values[np.isfinite(values) & (values > 0.0)]) for axis, values in errors.items()}
     chart = _distribution(finite) if all(len(values) > 1 for values in finite.values()) else ""
     return html_card(f"Study of {summary['name']}", rows, chart)
-
-
-def _percentile(judged: Mapping[str, Any]) -> str:
-    if judged["p997_deg"] is None:
-        return "no solved trial"
-    low, high = ("" if end is None else _angle(end) for end in judged["p997_interval95_deg"])
-    interval = f"{low} to {high}" if low and high else f"from {low}" if low else f"up to {high}"
-    return f"99.7 % below {_angle(judged['p997_deg'])} (95 % interval {interval})"
-
-
-def _angle(angle_deg: float) -> str:
-    return angle_text(math.radians(angle_deg))
 
 
 def _distribution(errors_deg: Mapping[str, FloatArray]) -> str:

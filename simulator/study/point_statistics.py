@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
+from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, axis_statistics, median
 
 TRIAL_COLUMNS = (
@@ -26,7 +27,9 @@ TIMINGS = ("median_render_ms", "median_solve_ms")
 """Timings, the only statistics that differ between runs of the same point."""
 
 
-def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str, Any]:
+def point_statistics(
+    columns: Mapping[str, NDArray[Any]], seed: int, judgement: Judgement | None = None
+) -> dict[str, Any]:
     """Rates and errors of a set of trials, by flat names suitable as column names.
 
     For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (99.7th percentile of the
@@ -39,6 +42,8 @@ def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str
         Those of `TRIAL_COLUMNS`.
     seed : int
         Seed of the bootstrap.
+    judgement : Judgement, optional
+        Verdicts on the specification of the trials: adds ``verdict``, and by requirement ``<name>_verdict``.
 
     Returns
     -------
@@ -72,4 +77,7 @@ def point_statistics(columns: Mapping[str, NDArray[Any]], seed: int) -> dict[str
             f"{axis}_three_sigma_deg": e["three_sigma"],
             f"{axis}_p997_deg": e["p997"],
         }
+    if judgement is not None:
+        found["verdict"] = judgement.state
+        found |= {f"{each.requirement.name}_verdict": each.verdict for each in judgement.verdicts}
     return found | {name: median(columns[name.removeprefix("median_")]) for name in TIMINGS}

@@ -28,6 +28,8 @@ FILES = {
     "coverage": "coverage.json",
     "design": "design.json",
     "budget": "budget.json",
+    "datasheet": "datasheet.json",
+    "environment": "environment.json",
 }
 """Kinds of results, and the file with their identity."""
 

@@ -18,6 +18,8 @@ from simulator.scenario import Scenario
 from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, now_utc, write_files
 from simulator.study.results_folder import results_folder, standing
+from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
@@ -65,6 +67,11 @@ class Study(Rows):
     def trials(self) -> pa.Table:
         """One row per trial, in memory."""
         return self.columns.table()
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """Verdicts on the scenario's specification."""
+        return judge_frames(self.scenario, self.columns)
 
     def _table(self) -> pa.Table:
         return self.trials
@@ -183,7 +190,6 @@ def _trials_standing(folder: Path) -> int:
 
 
 def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: float) -> dict[str, Any]:
-    specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
     return {
         "name": scenario.name,
         "seed": scenario.seed,
@@ -192,7 +198,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "identity": run_identity(scenario, done.finished).to_dict(),
         "requested": done.requested,
         "interrupted": done.interrupted,
-        **summarise(columns, specification, scenario.seed),
+        **summarise(columns, judge_frames(scenario, columns), scenario.seed),
         "unphysical": list(scenario.unphysical),
         "workers": done.workers,
         "elapsed_s": elapsed_s,

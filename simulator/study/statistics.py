@@ -19,7 +19,8 @@ from simulator.study.intervals import (
     spread_interval,
     wilson_interval,
 )
-from simulator.study.verdict import Verdict
+from simulator.study.specification.requirements import Specification
+from simulator.study.specification.verdicts import Judgement
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
@@ -33,7 +34,7 @@ WRONG_BOUNDS = 5.0
 """An error about an axis that is larger than this many Cramér–Rao bounds is not explained by noise."""
 
 BEYOND_FACTOR = 10.0
-"""An error about a body axis that exceeds the specification this many times is counted as beyond the specification."""
+"""An error that exceeds the specification this many times is counted as beyond the specification."""
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p997": 99.7}
 """Percentiles of an error's magnitude."""
@@ -105,9 +106,9 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     return bool(nees > WRONG_NEES and not explained.all())
 
 
-def beyond_specification(error_deg: Mapping[str, float], specification_deg: Mapping[str, float]) -> bool:
-    """Whether the error about a body axis exceeds `BEYOND_FACTOR` times the specification, both in degrees by axis."""
-    return any(abs(error_deg[axis]) > BEYOND_FACTOR * specification_deg[axis] for axis in BODY_AXES)
+def beyond_specification(error_deg: Mapping[str, float], specification: Specification) -> bool:
+    """Whether an error exceeds `BEYOND_FACTOR` times its specification; errors in degrees by axis."""
+    return bool(specification.worst_share(error_deg) > BEYOND_FACTOR)
 
 
 def error_intervals(errors_deg: dict[str, FloatArray], seed: int = 0) -> dict[str, dict[str, list[float | None]]]:
@@ -299,15 +300,15 @@ def _right(columns: Columns) -> NDArray[np.bool_]:
     return np.asarray(solved & ~np.asarray(columns["wrong"], dtype=bool))
 
 
-def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) -> dict[str, Any]:
+def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str, Any]:
     """Numbers of ``summary.json`` from the columns of the trials.
 
     Parameters
     ----------
     columns : mapping of arrays
         As in ``trials.parquet``.
-    specification : dict
-        Degrees for roll, pitch and yaw.
+    judgement : Judgement
+        Verdicts on the specification (`simulator.study.specification`).
     seed : int
         Seed of the bootstrap: that of the scenario.
     """
@@ -321,10 +322,6 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
     for status in columns["status"][~solved]:
         reasons[str(status)] = reasons.get(str(status), 0) + 1
     intervals = error_intervals(of_axis, seed)
-    verdicts = [
-        Verdict(axis, errors[axis]["p997"], intervals[axis]["p997_interval95"], specification[axis])
-        for axis in BODY_AXES
-    ]
     out = outliers(columns)
     return {
         "trials": n,
@@ -341,7 +338,8 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
         "availability_interval95": list(wilson_interval(int(solved.sum()), n)),
         "wrong_rate_interval95": list(wilson_interval(int(wrong.sum()), n)),
         "errors_deg": {axis: errors[axis] | intervals[axis] for axis in AXES},
-        "specification": {v.axis: v.to_dict(errors[v.axis]["three_sigma"]) for v in verdicts},
+        "specification": judgement.by_name({axis: errors[axis]["three_sigma"] for axis in AXES}),
+        "verdict": judgement.to_dict(),
         "bound_ratio": against_bound(columns, seed),
         "nees": consistency(columns),
         "outliers": out[:MOST_OUTLIERS_LISTED],
@@ -349,10 +347,3 @@ def summarise(columns: Columns, specification: dict[str, float], seed: int = 0) 
         "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
         "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
     }
-
-
-def deg_text(value_deg: float | None) -> str:
-    """Angle for display, in degrees, and in arcseconds for small values."""
-    if value_deg is None or not math.isfinite(value_deg):
-        return "–"
-    return f"{value_deg:.4f}°" if abs(value_deg) >= 0.1 else f"{value_deg * 3600:.2f}″"

@@ -48,8 +48,8 @@ def check_directions(
     if b.ndim != 2 or b.shape[1] != 3 or b.shape != r.shape:
         raise InputError(f"observed and reference directions must both be (M, 3); got {b.shape} and {r.shape}")
     sigma = np.ascontiguousarray(sigma_rad, dtype=np.float64)
-    if sigma.ndim == 0 or (sigma.shape == (1,) and np.ndim(sigma_rad) == 0):
-        sigma = np.full(len(b), float(sigma_rad))  # type: ignore[arg-type]  # a number, as just seen
+    if np.ndim(sigma_rad) == 0:
+        sigma = np.full(len(b), sigma.item())
     if sigma.shape != (len(b),):
         raise InputError(f"{len(b)} directions need as many standard deviations; got the shape {sigma.shape}")
     if len(sigma) and not 0.0 < sigma.min() <= sigma.max() < np.inf:

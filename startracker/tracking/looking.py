@@ -205,7 +205,7 @@ def look(
     # a star at the image border appears complete on the background of the mosaic
     room = float(tracker.centroid.window_px // 2)
     rows = first_of_each(xy, camera.width, camera.height, room, SAME_STAR_PX)
-    variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0
+    variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0 + tracker.centroid.camera_model_px**2
     stated = np.sqrt(variance + (tracker.guide.catalog.position_sigma_rad / camera.pixel_rad) ** 2)
     seen = Seen(
         xy[rows],

@@ -17,7 +17,7 @@ from startracker.trails.model import (
     ANGLE,
     FLUX,
     HALF,
-    PLACE,
+    POSITION,
     SHAPE,
     SIGMA,
     SKY,
@@ -94,7 +94,7 @@ def fit_trail(
     start : (7,)
         A flux that is not positive is estimated.
     size : int
-        How many parameters are fitted: `PLACE`, `SHAPE` or `LINE`.
+        How many parameters are fitted: `POSITION`, `SHAPE` or `LINE`.
     slack : float
         How far, in pixels, the window reaches beyond the trail.
     inverse_gain : float
@@ -116,7 +116,7 @@ def fit_trail(
         if not p[FLUX] > 0.0:
             return p, none, np.inf, 0
     chi2, count = np.inf, 0
-    for outlier, steps in ((np.inf, _FIRST_STEPS if size == PLACE else _STEPS), (_OUTLIER, _STEPS)):
+    for outlier, steps in ((np.inf, _FIRST_STEPS if size == POSITION else _STEPS), (_OUTLIER, _STEPS)):
         chi2, count = linearise(pixels, p, size, inverse_gain, outlier, work)
         normal_equations(work, size, normal, right)
         damping, done = 1e-3, False
@@ -212,13 +212,13 @@ def _first_fit(
     away = min(max(0.05 * length, 3.0), 6.0)
     total = light_along(residual, noise, first, math.ceil(first[HALF] + away))
     _shift(first, best_stretches(total, np.full(1, length))[1][0], 0.0)
-    p, covariance, chi2, freedom = fit_trail(residual, noise, first, PLACE, 2.0, inverse_gain)
+    p, covariance, chi2, freedom = fit_trail(residual, noise, first, POSITION, 2.0, inverse_gain)
     for side in (-1.0, 1.0):
         # a search of clipped light finds bright trails to within some widths only
         if chi2 > _GOOD_CHI2:
             aside = first.copy()
             _shift(aside, 0.0, side * _ASIDE_SIGMAS * first[SIGMA])
-            other = fit_trail(residual, noise, aside, PLACE, 2.0, inverse_gain)
+            other = fit_trail(residual, noise, aside, POSITION, 2.0, inverse_gain)
             if other[2] < chi2:
                 p, covariance, chi2, freedom = other
     strong = chi2 < np.inf and p[FLUX] >= threshold * math.sqrt(covariance[FLUX, FLUX])
@@ -299,7 +299,7 @@ def measure_trails(
             if not (crowded or (bright and sweep == 0)):
                 continue
             subtract_trail(residual, found[n], -1.0)
-            size = SHAPE if bright else PLACE
+            size = SHAPE if bright else POSITION
             p, covariance, chi2, freedom = fit_trail(residual, noise, found[n], size, 2.0, inverse_gain)
             if chi2 < np.inf:
                 found[n], covariances[n], chi2s[n], freedoms[n] = p, covariance[:3, :3], chi2, freedom

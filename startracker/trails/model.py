@@ -11,8 +11,26 @@ from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_with
 
-__all__ = ["ANGLE", "FLUX", "HALF", "LINE", "PLACE", "SHAPE", "SIGMA", "SKY", "TURNED", "X", "Y"]
-__all__ += ["is_near", "linearise", "residual_of", "set_light", "subtract_trail", "window_pixels"]
+__all__ = [
+    "ANGLE",
+    "FLUX",
+    "HALF",
+    "LINE",
+    "POSITION",
+    "SHAPE",
+    "SIGMA",
+    "SKY",
+    "TURNED",
+    "X",
+    "Y",
+    "is_near",
+    "linearise",
+    "normal_equations",
+    "residual_of",
+    "set_light",
+    "subtract_trail",
+    "window_pixels",
+]
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -20,7 +38,7 @@ IntArray = NDArray[np.int64]
 
 X, Y, FLUX, SKY, ANGLE, HALF, SIGMA = range(7)
 """Parameters of a trail: middle, px; light and level beside it, DN; direction, rad; half length and width, px."""
-PLACE, TURNED, SHAPE, LINE = 4, 5, 6, 7
+POSITION, TURNED, SHAPE, LINE = 4, 5, 6, 7
 """How many of them, from the first on, are fitted: of a faint trail; of a line of unknown length; of a bright trail; of
 one that gives the motion and the width."""
 _ACROSS_SIGMAS, _BEYOND_SIGMAS = 3.5, 5.0
@@ -156,7 +174,7 @@ def linearise(
         by_s, by_t = flux * across * (first[k] - last[k]) * narrow, -flux * share * t * narrow
         work[X, k], work[Y, k] = by_t * sin - by_s * cos, -by_s * sin - by_t * cos
         work[FLUX, k], work[SKY, k] = share, 1.0
-    if size > PLACE:
+    if size > POSITION:
         _by_form(pixels, p, work)
     return chi2, usable
 
@@ -199,9 +217,9 @@ def normal_equations(work: FloatArray, size: int, normal: FloatArray, right: Flo
 def set_light(pixels: FloatArray, p: FloatArray, work: FloatArray) -> None:
     """Set flux and sky to what suits the other parameters, in which the light is linear."""
     p[FLUX], p[SKY] = 1.0, 0.0
-    linearise(pixels, p, PLACE, 0.0, np.inf, work)
-    normal, right = np.empty((PLACE, PLACE)), np.empty(PLACE)
-    normal_equations(work, PLACE, normal, right)
+    linearise(pixels, p, POSITION, 0.0, np.inf, work)
+    normal, right = np.empty((POSITION, POSITION)), np.empty(POSITION)
+    normal_equations(work, POSITION, normal, right)
     determinant = normal[FLUX, FLUX] * normal[SKY, SKY] - normal[SKY, FLUX] ** 2
     more = (right[FLUX] * normal[SKY, SKY] - right[SKY] * normal[SKY, FLUX]) / determinant
     p[SKY] = (right[SKY] * normal[FLUX, FLUX] - right[FLUX] * normal[SKY, FLUX]) / determinant

@@ -95,6 +95,33 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
     assert again.returncode == 0, again.stderr
 
 
+_INTERRUPTED_IMPORT = """
+import signal, sys
+class Finder:
+    def find_spec(self, name, *more):
+        if name == "{module}":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+import simulator.cli
+simulator.cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["startracker.compilation", "typer", "simulator.cli.application", "numpy", "simulator.cli.run_command"]
+)
+def test_an_interrupt_during_the_imports_is_one_line(module, tmp_path):
+    """Of the entry point, whose own import loads nothing but `simulator`, and of a command."""
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED_IMPORT.format(module=module), "run", TC211, "--trials", "2"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False,
+    )  # fmt: skip
+    assert_one_clear_line(done, status=130)
+    assert done.stderr == "boresight: interrupted\n"
+    assert not done.stdout
+
+
 @pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(tmp_path, workers):
     command = [

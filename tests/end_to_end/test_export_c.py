@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.integer_lists import PATTERNS, Camera, pattern_list, scene
-from simulator.cli import app
+from simulator.cli.application import app
 from simulator.randomness import stream
 from simulator.study.exported_c.build import FLAGS, HOST, M68K, compile_export
 from simulator.study.exported_c.centroid_lists import KINDS, centroid_list, list_text

@@ -42,7 +42,8 @@ def test_coverage_says_which_angle_excludes_everything(tmp_path, capsys):
     earth = "excluded by the Earth, within 25° of its limb (optics.baffle.earth_exclusion_deg, the default)"
     assert f"100.00 % of the time {earth}" in printed
     assert "excluded by the Moon, within 20° of its centre (optics.baffle.moon_exclusion_deg, the default)" in printed
-    assert "everything is excluded; the options --sun-deg, --moon-deg and --earth-deg set other angles" in printed
+    others = "the options --sun-deg, --moon-deg and --earth-deg set other angles"
+    assert f"everything is excluded by optics.baffle.earth_exclusion_deg, the default; {others}" in printed
     angles = json.loads((tmp_path / "c" / "coverage.json").read_text())["exclusion_deg"]
     assert angles == {"sun": 35.0, "moon": 20.0, "earth": 25.0}
     more = ["--earth-deg", "10", "--set", "optics.baffle.moon_exclusion_deg=12"]
@@ -70,6 +71,8 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
         "2",
         "--availability",
         "0.5",
+        "--verify",
+        "0",
         "--set",
         "optics.focal_length_mm=8",
         "--set",
@@ -77,7 +80,7 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
     ]
     assert _run([*common, *asked, "--from", "1", "--to", "12", "--out", str(tmp_path / "d")]) == 0
     best = json.loads((tmp_path / "d" / "design.json").read_text())["best"]["value"]
-    assert f"Smallest aperture predicted to meet everything: {best:.4g} mm" in capsys.readouterr().out
+    assert f"Smallest aperture predicted to meet the specification: {best:.4g} mm" in capsys.readouterr().out
     assert _run([*common, *asked, "--from", "0.1", "--to", "0.2", "--out", str(tmp_path / "e")]) == 1
     assert "No aperture in this range" in capsys.readouterr().out
 
@@ -99,9 +102,12 @@ def test_a_design_that_its_verification_contradicts_fails(tmp_path, capsys, monk
     monkeypatch.setattr(TrialRunner, "run", off)
     assert _run([*command, "--out", str(tmp_path / "bad")]) == 1
     printed = " ".join(capsys.readouterr().out.split())
-    assert "The verification contradicts the prediction: at aperture 14 mm 3σ roll is" in printed
+    assert "The verification contradicts the prediction at aperture 14 mm: roll: 99.7 % below 0.4000°" in printed
+    assert "No aperture up to 18 mm is confirmed." in printed
     told = json.loads((tmp_path / "bad" / "design.json").read_text())["verification"]
     assert told["contradicted"] is True
+    assert told["verdict"]["verdict"] == "not met"
+    assert json.loads((tmp_path / "bad" / "design.json").read_text())["answer"] is None
     assert any("yaw" in reason for reason in told["contradictions"])
 
 
@@ -138,7 +144,7 @@ def test_a_mistake_is_one_clear_line_and_leaves_nothing(arguments, tmp_path, mon
 def test_results_of_another_study_are_not_replaced(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:1])
     small = ["cubesat", *SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]
-    over = ["--over", "optics.aperture_mm", "--from", "4", "--to", "8", "--steps", "2"]
+    over = ["--over", "optics.aperture_mm", "--from", "4", "--to", "8", "--steps", "2", "--verify", "0"]
     for name, options, amount, others in [
         ("coverage", ["--boresights", "40"], "40 boresights", [["--boresights", "30"], ["--snr", "9"]]),
         ("design", [*over, "--boresights", "40"], "40 boresights", [["--boresights", "30"], ["--stars", "2"]]),

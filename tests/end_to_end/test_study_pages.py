@@ -15,6 +15,9 @@ from simulator.checks import load_scenario
 from simulator.study.point_statistics import point_statistics
 from simulator.study.sequence.page import sequence_html
 from simulator.study.sequence.run import run_sequence
+from simulator.study.specification.measured import Measured
+from simulator.study.specification.requirements import Specification
+from simulator.study.specification.verdicts import judge
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare
 from simulator.study.sweep.compare_page import comparison_page
@@ -39,12 +42,18 @@ def trials(scale, n=40):
     return columns | {f"error_{axis}_deg": rng.normal(0, scale / 3600, n) for axis in AXES}
 
 
+def judged(scale):
+    """Verdicts on such trials."""
+    specification = Specification.of_limits({"roll": 0.025, "pitch": 0.286, "yaw": 0.025})
+    return judge(specification, Measured(trials(scale), specification))
+
+
 def sweep_table():
     """A full grid of two keys as in ``sweep.json``, with one unphysical point."""
     focal, exposure = [35.0, 45.0, 55.0], [0.1, 0.3]
     points = [
         {"point": k, "values": {"optics.focal_length_mm": f, "detector.exposure_s": e}, "status": "done", "reason": "",
-         "statistics": point_statistics(trials(2.0 + k), 1)}
+         "statistics": point_statistics(trials(2.0 + k), 1, judged(2.0 + k))}
         for k, (f, e) in enumerate((f, e) for f in focal for e in exposure)
     ]  # fmt: skip
     points[-1] = {**points[-1], "status": "refused", "reason": "the exposure is longer than " + "a very long time " * 9}
@@ -54,7 +63,7 @@ def sweep_table():
     return {
         "name": "made-up", "scenario_file": "made-up.yaml", **ORIGIN, "identity": {"sha256": DIGEST}, "kind": "grid",
         "trials_per_point": 40, "interrupted": False, "swept": swept, "points": points,
-        "specification_deg": {"roll": 0.025, "pitch": 0.286, "yaw": 0.025},
+        "specification_deg": {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}, "trials_needed": 1228,
     }  # fmt: skip
 
 
@@ -78,11 +87,11 @@ def files(tmp_path_factory):
     sweep = sweep_table()
     small = ["sequence.frames=8", "detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28"]
     sequence = run_sequence(load_scenario("slew", [*small, "optics.psf.sigma_px=0.7"]), single=True)
-    summary = sequence.summary | {"unphysical": ["a lens of f/0.3"]}
+    sequence.summary["unphysical"] = ["a lens of f/0.3"]
     pages = {
         "sweep": sweep_page(sweep, sweep_figures(sweep)),
         "compare": comparison_page(compare(list(compared_runs(folder)))),
-        "sequence": sequence_html(sequence.scenario, summary, sequence.columns),
+        "sequence": sequence_html(sequence),
     }
     for kind, text in pages.items():
         (folder / f"{kind}.html").write_text(text, encoding="utf-8")

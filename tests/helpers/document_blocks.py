@@ -23,7 +23,6 @@ import io
 import os
 import re
 import shlex
-import shutil
 import sys
 import tempfile
 import tomllib
@@ -87,7 +86,7 @@ _LESS = {
     "sequence": {"--frames": "4"},
     "sweep": {"--trials": "3", "--workers": "1"},
     "study coverage": {"--boresights": "200"},
-    "study design": {"--boresights": "200", "--steps": "3"},
+    "study design": {"--boresights": "200", "--steps": "3", "--verify": "2"},
     "study budget": {"--trials": "2", "--workers": "1"},
     "study greyling1995": {"--section": "path"},
     "study yee1999": {"--section": "databases"},
@@ -268,9 +267,8 @@ def check_scenario(text: str) -> None:
 
 @contextlib.contextmanager
 def workspace(folder: Path, *, photographs: bool = True):
-    """Work in a folder where the documents find what they name: the scenarios, a photograph, photographs for a fit."""
+    """Work in a folder where the documents find what they name: the scenarios, photographs, photographs for a fit."""
     (folder / "scenarios").symlink_to(ROOT / "scenarios")
-    shutil.copy(ROOT / "docs/tutorials/photograph/orion_belt.jpg", folder)
     before = Path.cwd()
     os.chdir(folder)
     try:

@@ -4,8 +4,6 @@ Tolerance: plan94 is good to 70″ (Mars, Jupiter, Saturn; Simon et al. 1994), a
 deflection: 0.03°.
 """
 
-from datetime import UTC
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from astropy.coordinates import get_body_barycentric, get_body_barycentric_posve
 from astropy.time import Time
 
 from startracker import InputError, Observer
-from startracker.bodies import body_directions, earth_observer
+from startracker.bodies import body_directions
 
 
 @pytest.mark.parametrize("year", [1997.25, 2015.1, 2026.5])
@@ -32,7 +30,7 @@ def test_directions(name, year):
 
 def test_the_observer_on_the_earth_moves_with_it():
     time = Time("2026-07-01T22:00:00", scale="utc")
-    observer = earth_observer(time.to_datetime(UTC))
+    observer = Observer.on_earth(time)
     assert observer.epoch_jyear == pytest.approx(time.tt.jyear, abs=1e-9)
     with solar_system_ephemeris.set("builtin"):
         velocity = get_body_barycentric_posvel("earth", time)[1].xyz.to_value(u.km / u.s)

@@ -4,6 +4,8 @@ The WCS was up to 0.07 px off while aberration was taken off at its centre alone
 1e-4, and bends wide fields by up to 2.8″ at 30° from the centre.
 """
 
+import math
+
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -11,6 +13,7 @@ from astropy.nddata import CCDData
 from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs import WCS
+from astropy.wcs.utils import proj_plane_pixel_scales
 
 from simulator.fits import read_fits, write_fits
 from simulator.renderer import Renderer
@@ -56,6 +59,20 @@ def test_catalogue_stars_fall_on_their_pixels(lens, tmp_path):
     table = Table.read(path, hdu="TRUTH")[inside][far]
     assert np.abs(np.degrees(ra) - table["ra"]).max() < 0.1 / 3600 / np.cos(dec).min()
     assert np.abs(np.degrees(dec) - table["dec"]).max() < 0.1 / 3600
+
+
+def test_cards_of_the_camera_give_the_scale_that_other_programs_compute(tmp_path):
+    """206.265 × pixel size / focal length, arcseconds per pixel, is that of the WCS as astropy reads it."""
+    frame, truth = frame_of("detector.pixel_pitch_um=[5.5, 6.25]")
+    write_fits(tmp_path / "frame.fits", frame, truth)
+    header = fits.getheader(tmp_path / "frame.fits")
+    assert (header["XPIXSZ"], header["APTDIA"]) == (5.5, 17.8)
+    assert header["YPIXSZ"] == pytest.approx(6.25, rel=1e-12)
+    scale = [math.degrees(header[f"{axis}PIXSZ"] / 1000.0 / header["FOCALLEN"]) for axis in "XY"]
+    # the WCS is astrometric: aberration changes its scale by up to v/c = 1e-4
+    assert proj_plane_pixel_scales(WCS(header)) == pytest.approx(scale, rel=1.05e-4)
+    write_fits(tmp_path / "again.fits", read_fits(tmp_path / "frame.fits"))
+    assert "FOCALLEN" not in fits.getheader(tmp_path / "again.fits")
 
 
 @pytest.mark.parametrize("velocity", [(30.0, 0.0, 0.0), (-10.0, 25.0, 15.0), (0.0, 0.0, 300.0)])

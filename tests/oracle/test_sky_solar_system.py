@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from simulator.mission.clock import Clock
-from simulator.sky.ephemeris import barycentric, sky_time
+from simulator.sky.ephemeris import sky_time
 from simulator.sky.magnitudes import SATURN_POLE, URANUS_AXES_SQUARED, URANUS_POLE, moon_v, planet_v, sun_v
 from simulator.sky.observer import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au
 from startracker.constants import ARCSEC_RAD, AU_KM, MAS_RAD
+from startracker.ephemeris import barycentric
 from startracker.errors import InputError
 
 DE421 = str(files("skyfield_data") / "data" / "de421.bsp")
@@ -278,7 +279,7 @@ def test_the_suns_place_and_the_switches():
 @pytest.mark.parametrize("year", [1890, 2060])
 def test_a_date_outside_the_ephemeris_is_one_clear_line(year):
     time = sky_time(Clock(EPOCHS[0]), (year - 1995) * 365.25 * 86_400.0)
-    with pytest.raises(InputError, match=rf"DE421 covers the years 1899 to 2053; .* \(year {year}.* outside"):
+    with pytest.raises(InputError, match=rf"DE421 covers 1899-07-29 to 2053-10-09; .* \(year {year}.* outside"):
         barycentric("Earth", time)
 
 
@@ -303,7 +304,7 @@ def test_tdb_against_the_almanacs_series():
 
 def test_every_body_has_all_its_columns():
     bodies = seen_from_the_geocentre(EPOCHS[0])
-    assert bodies.name.tolist() == list(RADIUS_KM)
+    assert bodies.name.tolist() == [name for name in RADIUS_KM if name != "Earth"]
     for column in (
         bodies.v_mag,
         bodies.b_v,

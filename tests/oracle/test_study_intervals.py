@@ -22,7 +22,15 @@ from simulator.study.intervals import (
     ratios_of_rms,
     spread_interval,
 )
+from simulator.study.specification.measured import Measured
+from simulator.study.specification.requirements import Specification
+from simulator.study.specification.verdicts import judge
 from simulator.study.statistics import summarise
+
+
+def summary_of(columns, limits_deg, seed=0):
+    specification = Specification.of_limits(limits_deg)
+    return summarise(columns, judge(specification, Measured(columns, specification)), seed)
 
 
 def rms(x, axis=-1):
@@ -136,7 +144,7 @@ def test_a_summary_finds_what_was_drawn_and_is_json():
         **{f"error_{axis}_deg": rng.normal(0, 1e-4, n) for axis in axes},
         **{f"bound_{axis}_deg": np.full(n, 1e-4) for axis in axes[3:]},
     }
-    found = summarise(columns, {"roll": 1.0, "pitch": 1.0, "yaw": 1.0}, seed=1)
+    found = summary_of(columns, {"roll": 1.0, "pitch": 1.0, "yaw": 1.0}, seed=1)
     json.dumps(found, allow_nan=False)
     # Σe²/n over 10,000: relative standard deviation √(2/n) / 2 = 0.007
     assert found["bound_ratio"]["cross_x"]["ratio"] == pytest.approx(1.0, abs=4 * 0.0071)

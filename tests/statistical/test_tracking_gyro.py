@@ -7,7 +7,7 @@ import pytest
 from scipy.special import chdtri
 from star_sequences import DT, LARGE, Session, motion, nees_of, stars
 
-from simulator.study.sequence.statistics import effective_number
+from simulator.study.intervals import effective_number
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.observer import EARTH_KM_S, Observer

@@ -57,6 +57,7 @@ def test_a_false_alarm_rate_lies_between_0_and_1(rate):
         (DetectionSettings, "background_tile_px", 1),
         (CentroidSettings, "window_px", 4),
         (CentroidSettings, "flat_field_error", -0.1),
+        (CentroidSettings, "camera_model_px", -0.1),
         (TrackingSettings, "false_rejection", 0.0),
         (TrackingSettings, "max_window_px", 0),
         (OperationSettings, "shorten", 1.0),

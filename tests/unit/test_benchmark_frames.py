@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cases import chosen
-from benchmarks.frames import CASES, HITS, Bench, FrameRow, table_row
+from benchmarks.frames import CASES, COSMIC_RAYS, Bench, FrameRow, table_row
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +47,10 @@ def test_jupiter_and_venus_share_a_field():
 
 
 def test_radiation_and_rates_reach_the_scenario():
-    scenario = CASES[f"{HITS} radiation hits"].scenario("match_groups")
+    scenario = CASES[f"{COSMIC_RAYS} cosmic rays"].scenario("match_groups")
     detector = scenario.detector
     area_cm2 = (detector.width * 5.5e-4) * (detector.height * 5.5e-4)
-    assert detector.cosmic_rays.rate_cm2_s * area_cm2 * detector.exposure_s == pytest.approx(HITS)
+    assert detector.cosmic_rays.rate_cm2_s * area_cm2 * detector.exposure_s == pytest.approx(COSMIC_RAYS)
     turning = CASES["10 deg/s"].scenario("match_groups").pointing.rate_deg_s
     assert np.linalg.norm(turning) == pytest.approx(10.0)
     assert turning[1] == 0.0  # the boresight
@@ -60,7 +60,7 @@ def test_radiation_and_rates_reach_the_scenario():
 def test_a_case_is_chosen_by_its_name_or_a_part_of_it():
     names = list(CASES)
     assert chosen(["0 deg/s"], names) == ["0 deg/s"]
-    assert chosen(["Moon", "radiation"], names) == ["Moon at the edge", f"{HITS} radiation hits"]
+    assert chosen(["Moon", "cosmic"], names) == ["Moon at the edge", f"{COSMIC_RAYS} cosmic rays"]
     assert chosen([], names) == names
 
 

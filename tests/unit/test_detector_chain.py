@@ -179,6 +179,7 @@ def test_order_of_the_effects():
         "intensifier",
         "photo_response",
         "dark_signal",
+        "random_telegraph",
         "shot_noise",
         "cosmic_rays",
         "full_well",

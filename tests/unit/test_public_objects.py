@@ -17,7 +17,17 @@ from PIL import Image
 
 import startracker
 from simulator import Renderer, Scenario, render, run
-from startracker import Camera, InputError, Observer, Solution, StarField, StarTracker, Status, TrackingSession
+from startracker import (
+    Attitude,
+    Camera,
+    InputError,
+    Observer,
+    Solution,
+    StarField,
+    StarTracker,
+    Status,
+    TrackingSession,
+)
 from startracker import calibrate as calibrate_camera
 from startracker.catalog import load_catalog
 
@@ -220,14 +230,29 @@ def test_packages_state_that_they_are_typed():
 
 def test_a_frame_brings_what_is_known_of_it(exposure, tracker, solution):
     frame, _ = exposure
-    by_hand = tracker.solve(
-        frame.image, observer=frame.observer, saturation_dn=frame.saturation_dn, gain_e_per_dn=frame.gain_e_per_dn
-    )
+    given = {"observer": frame.observer, "saturation_dn": frame.saturation_dn, "gain_e_per_dn": frame.gain_e_per_dn}
+    by_hand = tracker.solve(frame.image, prior=frame.prior, prior_deg=frame.prior_deg, **given)
     assert np.array_equal(solution.attitude.quat, by_hand.attitude.quat)
     assert np.array_equal(solution.covariance, by_hand.covariance)
     assert solution.observer is frame.observer
     other = Observer(2000.0)
     assert tracker.solve(frame, observer=other).observer is other
+    assert frame.prior is not None
+    blind = tracker.solve(frame.image, **given)
+    wrong = Attitude.from_radec_roll(frame.prior.ra_deg, -frame.prior.dec_deg, 0.0)
+    assert by_hand.log_false_alarm < blind.log_false_alarm  # fewer attitudes to choose from: the evidence differs
+    for made, same in (
+        (tracker.solve(frame), by_hand),
+        (tracker.solve(frame, prior_deg=frame.prior_deg), by_hand),
+        (tracker.solve(frame, lost_in_space=True), blind),
+        (tracker.solve(dataclasses.replace(frame, prior=None)), blind),
+    ):
+        assert np.array_equal(made.attitude.quat, same.attitude.quat)
+        assert made.log_false_alarm == same.log_false_alarm
+    assert tracker.solve(frame, prior=wrong).prior_contradicted
+    assert not tracker.solve(frame).prior_contradicted
+    with pytest.raises(InputError, match="exclude each other"):
+        tracker.solve(frame, prior=wrong, lost_in_space=True)
     session = TrackingSession(tracker)
     session.update(frame, 0.0)
     tracked = session.update(dataclasses.replace(frame, image=frame.image + np.uint16(1)), 0.1)

@@ -13,12 +13,14 @@ from simulator.study.report.frames import chosen_trials
 from simulator.study.report.page import build_report, html_of
 from simulator.study.report.pdf import pdf_of
 from simulator.study.run import run
+from simulator.study.specification.measured import Measured
+from simulator.study.specification.requirements import Specification
+from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, judge
 from simulator.study.statistics import AXES, BODY_AXES, summarise
 from simulator.study.trials.trial import TrialRunner
-from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
-SPECIFICATION = {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}
+SPECIFICATION = Specification.of_limits({"roll": 0.025, "pitch": 0.286, "yaw": 0.025})
 ARCSEC = 1 / 3600
 SMALL = ["detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28", "optics.psf.sigma_px=0.7"]
 
@@ -47,7 +49,7 @@ def trials(n=400, seed=3, **sigma_deg):
 
 
 def summary_of(columns, **more):
-    return summarise(columns, SPECIFICATION, 1) | {
+    return summarise(columns, judge(SPECIFICATION, Measured(columns, SPECIFICATION)), 1) | {
         "name": "t", "seed": 1, "version": "1", "requested": len(columns["index"]), "interrupted": False,
         "unphysical": [], "workers": 1, "elapsed_s": 1.0, "trials_per_second": 1.0,
         "median_ms": {"render": 1.0, "solve": None}, "versions": {"python": "3"},
@@ -63,7 +65,7 @@ def test_answer_of_a_study_that_meets_its_specification(scenario):
     columns = trials(n=4000)
     answer = content_of(scenario, summary_of(columns), columns).answer
     assert answer.state == MET
-    assert answer.verdict == "Yes: the specification is met about all three axes."
+    assert answer.verdict == f"Specification: met: smallest margin yaw, {answer.axes.rows[2][4]}."
     # 99.7 % of normal errors are below 2.968 sigma: 29.7, 296.8 and 59.4 arcsec of 90, 1029.6 and 90; yaw is the
     # tightest. That percentile of 4000 normal errors has a standard deviation of sqrt(pq / n) / (2 phi(2.968)) =
     # 0.089 sigma or 3 %: 4 of them are 0.12
@@ -87,10 +89,7 @@ def test_too_few_trials_are_undecided_however_small_their_errors(scenario):
     columns = trials(n=400)
     answer = content_of(scenario, summary_of(columns), columns).answer
     assert answer.state == UNDECIDED
-    assert answer.verdict == (
-        "Undecided: the specification may or may not be met about roll, pitch and yaw; "
-        "run at least 1228 trials to decide."
-    )
+    assert answer.verdict == ("Specification: undecided: roll, pitch, yaw; run at least 1228 trials to decide.")
     assert [row[5] for row in answer.axes.rows] == ["undecided"] * 3
 
 
@@ -101,7 +100,7 @@ def test_a_long_tail_is_judged_by_its_percentile_and_not_by_three_times_the_rms(
     summary = summary_of(columns)
     assert summary["specification"]["yaw"]["three_sigma_deg"] < 40 * ARCSEC
     answer = content_of(scenario, summary, columns).answer
-    assert answer.verdict == "No: the specification is not met about yaw."
+    assert answer.verdict == "Specification: not met: yaw 99.7 % below 120.00″ (specified 90.00″)."
     assert summary["specification"]["yaw"]["verdict"] == "not met"
     assert summary["specification"]["yaw"]["met"] is False
 
@@ -110,22 +109,24 @@ def test_answer_of_a_study_that_does_not(scenario):
     columns = trials(roll=60 * ARCSEC, yaw=45 * ARCSEC)
     answer = content_of(scenario, summary_of(columns), columns).answer
     assert answer.state == NOT_MET
-    assert answer.verdict == "No: the specification is not met about roll and yaw."
-    assert answer.margin.startswith("Worst axis: roll, the 99.7th percentile of the error is")
+    assert answer.verdict.startswith("Specification: not met: roll 99.7 % below ")
+    assert "; yaw 99.7 % below " in answer.verdict
+    assert "pitch" not in answer.verdict
+    assert answer.margin.startswith("Largest excess: roll, ")
 
 
 def test_a_wrong_attitude_spoils_the_answer(scenario):
     columns = trials(n=4000)
     columns["wrong"][7] = True
     content = content_of(scenario, summary_of(columns), columns)
-    assert content.answer.verdict == "No: the axes are within their specification, but 1 accepted attitude is wrong."
+    assert content.answer.verdict == "Specification: not met: 1 wrong attitude."
     assert content.outliers.rows[0][0] == "7"
 
 
 def test_trials_whose_interval_has_the_limit_in_it_are_undecided(scenario):
     columns = trials(n=2000, yaw=30 * ARCSEC)  # 99.7 % below 89 arcsec of 90, known to 4 %
     answer = content_of(scenario, summary_of(columns), columns).answer
-    assert answer.verdict.endswith("may or may not be met about yaw; run more trials to decide.")
+    assert answer.verdict == "Specification: undecided: yaw; run more trials to decide."
 
 
 def test_columns_of_an_older_run_are_enough(scenario):
@@ -140,7 +141,6 @@ def test_columns_of_an_older_run_are_enough(scenario):
     }
     content = content_of(scenario, old, columns)
     assert "Cramér" not in " ".join(content.answer.limits)
-    assert content.answer.axes.rows[0][2] == "–"
     assert [row[2] for row in content.outliers.rows] == ["no_stars"]
     found = panels(columns, SPECIFICATION, load_catalog("bsc5"))
     assert [panel.title for panel in found.trends] == ["Error against number of stars"]

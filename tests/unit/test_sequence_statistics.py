@@ -7,7 +7,8 @@ import pytest
 
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.parameters import Gyro
-from simulator.study.sequence.statistics import effective_number, longest_run, nees_test
+from simulator.study.intervals import effective_number
+from simulator.study.sequence.statistics import longest_run, nees_test
 
 
 @pytest.mark.parametrize(("text", "longest"), [("", 0), ("...", 0), ("##.#", 2), (".###", 3), ("#.####.##", 4)])

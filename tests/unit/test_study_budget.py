@@ -108,12 +108,15 @@ def test_one_outlier_is_named_and_belongs_to_no_effect(monkeypatch, wrong):
         for axis in ("cross_x", "cross_y", "about_boresight"):
             assert row.added_rms_deg(axis) == pytest.approx(before.added_rms_deg(axis), rel=0.05)
     assert found.rms_deg["cross_x"] * 3600 == pytest.approx(3.775, rel=0.1)
+    # with it: √(3.775² + 600²/2000) = 13.9″, set apart
+    assert found.rms_with_outliers_deg["cross_x"] * 3600 == pytest.approx(np.hypot(3.775, 600 / np.sqrt(N)), rel=0.02)
+    assert "outliers included" in found.table()
     assert found.solved == plain.solved - wrong
     assert found.effects[0].trials == plain.effects[0].trials - 1
     text = found.table()
     assert "trial 17" in text
     assert "600.000″ cross x" in text
-    assert "'all effects on'" in text
+    assert "in 1 of 6 runs; caused by 'shot noise' together with 'read noise'" in text
     entry = json.loads(json.dumps(found.to_dict(), allow_nan=False))["outliers"]
     assert [row["index"] for row in entry] == [17]
 
@@ -131,6 +134,42 @@ def test_outlier_of_the_scene_stays_in_every_run(monkeypatch):
     assert (outlier.index, outlier.axis) == (3, "about_boresight")
     assert len(outlier.runs) == outlier.of == 6
     assert "caused by the scene" in str(outlier)
+
+
+def test_outlier_is_attributed_to_the_effect_without_which_it_is_gone():
+    rng = np.random.default_rng(8)
+    all_right = [np.ones(50, bool)] * 5
+    names = ("all effects on", "shot noise", "cosmic rays", "temporal noise", "everything")
+    errors = [rng.normal(size=(50, 3)) / 3600] * 5
+    hit = [e.copy() for e in errors]
+    for run in (0, 1):  # gone without the cosmic rays, and without the class that contains them
+        hit[run][7, 0] = 90.0 / 3600
+    (outlier,) = find_outliers(names, hit, all_right, all_right, None, names[1:3])
+    assert (outlier.index, outlier.gone, outlier.cause) == (7, ("cosmic rays",), "caused by 'cosmic rays'")
+    many = ("all effects on", *(f"effect {k}" for k in range(7)), "everything")
+    hit = [errors[0].copy() for _ in many]
+    hit[0][7, 0] = 90.0 / 3600
+    (outlier,) = find_outliers(many, hit, [all_right[0]] * 9, [all_right[0]] * 9, None, many[1:-1])
+    assert outlier.cause == "gone whichever of 7 effects is off: at a threshold of the tracker"
+    hit = [errors[0].copy() for _ in many]
+    hit[3][7, 0] = 90.0 / 3600
+    (outlier,) = find_outliers(many, hit, [all_right[0]] * 9, [all_right[0]] * 9, None, many[1:-1])
+    assert outlier.cause == "only without 'effect 2'"
+
+
+def test_a_field_with_few_stars_is_no_outlier():
+    """Of 400 fields one in ten has ten times the bound: 3 sigma there are 30 of the others, but not an outlier."""
+    rng = np.random.default_rng(4)
+    bound = np.where(np.arange(400) % 10 == 0, 10.0, 1.0)[:, None] * np.ones(3) / 3600
+    errors, right = rng.normal(size=(400, 3)) * bound, np.ones(400, bool)
+    assert len(find_outliers(("on",), [errors], [right], [right])) > 5
+    assert find_outliers(("on",), [errors], [right], [right], bound) == ()
+    errors[3, 1] = 12.0 / 3600  # of a good field
+    bound[5] = np.nan
+    (outlier,) = find_outliers(("on",), [errors], [right], [right], bound)
+    assert outlier.index == 3
+    # the robust standard deviation of 400 normal values is known to 1.17/√(2 × 400) × ... some 6 %
+    assert outlier.sigmas == pytest.approx(12.0, rel=0.25)
 
 
 def test_bias_that_is_switched_off_makes_no_outliers():
@@ -173,13 +212,28 @@ def test_one_trial_is_no_budget():
 
 
 def test_every_effect_can_be_switched_off_in_every_shipped_scenario():
-    for name in ("cubesat", "sunsat"):
+    for name in ("cubesat", "cubesat_flight", "sunsat"):
         scenario = Scenario.load(name)
         for effect in EFFECTS:
             changes = effect.off(scenario)
             without = scenario.changed(changes)
             assert not effect.off(without), effect.name
             assert effect.kind in CLASSES
+
+
+def test_errors_of_the_camera_are_effects():
+    """Each is off in the cubesat and the thesis' satellite, and can be switched off alone in the flight camera."""
+    names = {
+        "calibration residual", "lateral colour", "decentring of the lens", "intra-pixel response", "time tag",
+        "unresolved faint stars", "catalogue errors",
+    }  # fmt: skip
+    known = {effect.name: effect for effect in EFFECTS}
+    flight = Scenario.load("cubesat_flight")
+    for name in names:
+        assert not known[name].off(Scenario.load("cubesat"))
+        assert not known[name].off(Scenario.load("sunsat")) or name == "catalogue errors"  # of bsc5
+        without = flight.changed(known[name].off(flight))
+        assert {other for other in names if known[other].off(without)} == names - {name}
 
 
 def test_smear_off_is_a_camera_that_stands_still():

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from simulator.study.specification.measured import Measured
+from simulator.study.specification.requirements import Requirement, Specification
+from simulator.study.specification.verdicts import Estimate, Verdict, judge
 from simulator.study.statistics import (
     AXES,
     axis_statistics,
@@ -16,7 +19,11 @@ from simulator.study.statistics import (
     summarise,
     wilson_interval,
 )
-from simulator.study.verdict import Verdict
+
+
+def summary_of(columns, limits_deg, seed=0):
+    specification = Specification.of_limits(limits_deg)
+    return summarise(columns, judge(specification, Measured(columns, specification)), seed)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +73,7 @@ def test_nothing_solved_is_null_and_not_met():
         "stars_misidentified": np.zeros(n, int),
         **{f"error_{axis}_deg": np.full(n, np.nan) for axis in AXES},
     }
-    summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})
+    summary = summary_of(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})
     assert summary["solved"] == 0
     assert summary["unsolved_by_status"] == {"no_match": 3}
     assert summary["errors_deg"]["roll"]["rms"] is None
@@ -84,7 +91,7 @@ def test_a_wrong_attitude_is_no_identification():
         "stars_misidentified": np.zeros(n, int),
         **{f"error_{axis}_deg": np.linspace(-1e-3, 1e-3, n) for axis in AXES},
     }
-    summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 1e-4})
+    summary = summary_of(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 1e-4})
     assert (summary["wrong"], summary["identification_rate"]) == (1, 0.9)
     verdicts = [summary["specification"][axis]["verdict"] for axis in ("roll", "pitch", "yaw")]
     assert verdicts == ["undecided", "undecided", "not met"]  # ten trials show no 99.7 %
@@ -111,7 +118,7 @@ def test_verdict_by_the_binomial_interval_of_the_percentile(n, beyond, expected)
     errors = np.linspace(0.0, 0.9, n)
     errors[n - beyond :] = 1.1
     columns = trials(n, **{f"error_{axis}_deg": errors for axis in ("roll", "pitch", "yaw")})
-    found = summarise(columns, {"roll": 1.0, "pitch": 1.0, "yaw": 1.0})["specification"]["yaw"]
+    found = summary_of(columns, {"roll": 1.0, "pitch": 1.0, "yaw": 1.0})["specification"]["yaw"]
     assert found["verdict"] == expected
     assert found["met"] == (expected == "met")
     assert found["p997_interval95_deg"] == list(percentile_interval(np.sort(errors), 99.7))
@@ -121,7 +128,8 @@ def test_verdicts_are_wrong_as_seldom_as_they_promise():
     """Of 2,000 runs of 3,000 trials with exactly 0.3 % of the errors beyond, at most 2.5 % each may be "met" or "not
     met": 50, and 4 sigma of the count, sqrt(2000 × 0.025 × 0.975) = 7, more."""
     beyond = np.random.default_rng(1).binomial(3000, 0.003, 2000)
-    found = [Verdict("roll", 0.5, percentile_interval(np.repeat([0.5, 2.0], [3000 - k, k]), 99.7), 1.0) for k in beyond]
+    ends = [percentile_interval(np.repeat([0.5, 2.0], [3000 - k, k]), 99.7) for k in beyond]
+    found = [Verdict(Requirement("roll", 1.0, 99.7, "roll"), Estimate(0.5, low, high, 3000)) for low, high in ends]
     counts = {verdict: sum(v.verdict == verdict for v in found) for verdict in ("met", "not met", "undecided")}
     assert counts["met"] <= 78
     assert counts["not met"] <= 78
@@ -153,7 +161,7 @@ def test_outliers_are_listed_with_their_trial():
     assert "cross_y error" in found[0]["why"]
     assert found[0]["errors_deg"]["cross_y"] == 8e-4
     assert [entry["why"] for entry in found[1:]] == ["wrong attitude", "misidentified stars: 2"]
-    summary = summarise(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})
+    summary = summary_of(columns, {"roll": 0.1, "pitch": 0.1, "yaw": 0.1})
     assert summary["outliers_count"] == 3
     json.dumps(summary, allow_nan=False)
 
@@ -186,7 +194,7 @@ def test_consistency_needs_solved_trials_and_tells_the_side():
 
 
 def test_intervals_stand_beside_their_statistics():
-    found = summarise(trials(300), {"roll": 0.1, "pitch": 0.1, "yaw": 0.1}, seed=3)["errors_deg"]["cross_x"]
+    found = summary_of(trials(300), {"roll": 0.1, "pitch": 0.1, "yaw": 0.1}, seed=3)["errors_deg"]["cross_x"]
     for name in ("mean", "std", "rms", "three_sigma", "p50", "p95"):
         low, high = found[f"{name}_interval95"]
         assert low < found[name] < high

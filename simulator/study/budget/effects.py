@@ -49,6 +49,17 @@ def _even_gain(scenario: Scenario) -> Changes:
     return {"detector.intensifier.gain_variance": 0.0} if scenario.detector.intensifier.gain else {}
 
 
+def _no_particles(scenario: Scenario) -> Changes:
+    if scenario.environment.has_particles:
+        return {"environment.transients": False, "detector.cosmic_rays.rate_cm2_s": 0.0}
+    return {"detector.cosmic_rays.rate_cm2_s": 0.0}
+
+
+def _as_new(scenario: Scenario) -> Changes:
+    changes: Changes = {"detector.displacement.interactions_per_pixel": 0.0, "detector.telegraph.pixel_fraction": 0.0}
+    return changes | ({"environment.age_years": 0.0} if scenario.environment.has_damage else {})
+
+
 def _no_rate(scenario: Scenario) -> Changes:
     """Body rate that cancels the rotation of the local level, 2π per period about −Y (`simulator.mission.pointing`), or
     a spin about +Z."""
@@ -61,11 +72,16 @@ def _no_rate(scenario: Scenario) -> Changes:
 
 
 def _no_faint_stars(scenario: Scenario) -> Changes:
-    return {"sky.magnitude_limit": min(scenario.sky.magnitude_limit, scenario.tracker.magnitude_limit)}
+    limit = min(scenario.sky.magnitude_limit, scenario.tracker.magnitude_limit)
+    return {"sky.magnitude_limit": limit, "sky.faint_magnitude_limit": None}
 
 
 def _perfect_catalogue(scenario: Scenario) -> Changes:
-    return {"sky.catalog": scenario.tracker.catalog}
+    return {
+        "sky.catalog": scenario.tracker.catalog,
+        "tracker.catalogue_errors.position_mas": 0.0,
+        "tracker.catalogue_errors.proper_motion_mas_yr": 0.0,
+    }
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -74,7 +90,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("gain of the intensifier", "temporal", _even_gain),
     Effect("video noise", "temporal", {"detector.video.noise_dn": 0.0}),
     Effect("quantisation", "temporal", _no_converter),
-    Effect("cosmic rays", "temporal", {"detector.cosmic_rays.rate_cm2_s": 0.0}),
+    Effect("cosmic rays", "temporal", _no_particles),
     Effect("sky background", "temporal", {"sky.background": False}),
     Effect("stray light", "temporal", {"optics.baffle.pst": None}),
     Effect("dark current", "temporal", {"detector.dark_current_e_s": 0.0, "detector.intensifier.dark_e_s": 0.0}),
@@ -89,10 +105,17 @@ EFFECTS: tuple[Effect, ...] = (
             "detector.dead_columns": 0,
         },
     ),
+    Effect("radiation damage", "pixel_spatial", _as_new),
     Effect("response non-uniformity", "pixel_spatial", {"detector.prnu": 0.0}),
+    Effect(
+        "intra-pixel response",
+        "pixel_spatial",
+        {"detector.intra_pixel.contrast": 0.0, "detector.intra_pixel.centroid_curve_px": 0.0},
+    ),
     Effect("charge transfer", "pixel_spatial", {"detector.cti_parallel": 0.0, "detector.cti_serial": 0.0}),
     Effect("non-linearity", "pixel_spatial", {"detector.nonlinearity": (0.0, 0.0)}),
     Effect("faint neighbours", "fov_spatial", _no_faint_stars),
+    Effect("unresolved faint stars", "fov_spatial", {"sky.faint_magnitude_limit": None}),
     Effect("catalogue errors", "fov_spatial", _perfect_catalogue),
     Effect(
         "field aberrations",
@@ -103,13 +126,17 @@ EFFECTS: tuple[Effect, ...] = (
             "optics.psf.field.curvature_waves": 0.0,
         },
     ),
+    Effect("calibration residual", "fov_spatial", {"optics.calibration_residual.rms_px": 0.0}),
+    Effect("lateral colour", "fov_spatial", {"optics.lateral_colour.corner_px": 0.0}),
     Effect("colour of the image", "fov_spatial", {"optics.psf.polychromatic": False}),
     Effect("ghosts", "fov_spatial", {"optics.ghosts": ()}),
     Effect("tether", "fov_spatial", {"tether.diameter_mm": 0.0}),
     Effect("planets and Moon", "fov_spatial", {"sky.planets": False}),
     Effect("thermal focal length", "bias", {"optics.thermal.expansion_ppm_k": 0.0}),
+    Effect("decentring of the lens", "bias", {"optics.thermal.decentring_um_k": (0.0, 0.0)}),
     Effect("light deflection", "bias", {"sky.light_deflection": False}),
     Effect("smear by rates", "rate", _no_rate),
+    Effect("time tag", "rate", {"detector.time_tag.offset_s": 0.0, "detector.time_tag.jitter_s": 0.0}),
     Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0)}),
 )
 """Effects that can be switched off; the tracker is not changed. Aberration, proper motion, parallax and lens distortion

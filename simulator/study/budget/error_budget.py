@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
-from simulator.study.budget.outliers import Outlier, find_outliers, lines_of
+from simulator.study.budget.outliers import ALL_ON, Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.engine import Progress, run_trials
@@ -71,6 +71,8 @@ class Budget:
     effect."""
     outliers: tuple[Outlier, ...] = ()
     """Outliers, which are excluded from all other values."""
+    rms_with_outliers_deg: dict[str, float] | None = None
+    """Rms error with all effects on over all solved trials, outliers and wrong attitudes included; None without any."""
     interrupted: bool = False
     """Whether it was interrupted before all runs were finished; the values present are complete."""
 
@@ -97,6 +99,9 @@ class Budget:
             "the error is larger without the effect. Contributions need not add up, as weights and star counts change."
         )
         lines += lines_of(self.outliers)
+        if self.rms_with_outliers_deg:
+            whole = "".join(f"{self.rms_with_outliers_deg[axis] * 3600:>26.3f}" for axis in CAMERA_AXES)
+            lines.append(f"{'all effects on, outliers included':34}{whole}")
         if self.interrupted:
             lines.append("Interrupted: effects that are not listed were not computed.")
         return "\n".join(lines)
@@ -114,6 +119,7 @@ class Budget:
             "effects": [_entry(row) for row in self.effects],
             "classes": [_entry(row) for row in self.classes],
             "remainder": None if self.remainder is None else _entry(self.remainder),
+            "rms_with_outliers_deg": self.rms_with_outliers_deg,
             "outliers": [outlier.to_dict() for outlier in self.outliers],
             "interrupted": self.interrupted,
         }
@@ -148,7 +154,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     effects = [(effect, changes) for effect in EFFECTS if (changes := effect.off(scenario))]
     groups = {kind: [pair for pair in effects if pair[0].kind == kind] for kind in CLASSES}
     groups = {kind: members for kind, members in groups.items() if members}
-    runs: list[tuple[str, str, Changes]] = [("all effects on", "", {})]
+    runs: list[tuple[str, str, Changes]] = [(ALL_ON, "", {})]
     runs += [(effect.name, effect.kind, changes) for effect, changes in effects]
     runs += [(CLASSES[kind], kind, _joined(members)) for kind, members in groups.items() if len(members) > 1]
     if effects:
@@ -157,7 +163,10 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
     done = _errors_of_runs(scenario, [changes for _, _, changes in runs], trials, workers, progress)
     if len(done) < min(2, len(runs)):
         raise BoresightError("interrupted before the first effect was computed: no results")
-    outliers = find_outliers([name for name, _, _ in runs][: len(done)], *zip(*done, strict=True))
+    names = [name for name, _, _ in runs][: len(done)]
+    singles_run = [effect.name for effect, _ in effects]
+    errors_of, right_of, solved_of, bounds = zip(*done, strict=True)
+    outliers = find_outliers(names, errors_of, right_of, solved_of, bounds[0], singles_run)
     kept = np.ones(trials, np.bool_)
     kept[[outlier.index for outlier in outliers]] = False
     base, right = done[0].errors, done[0].right & kept
@@ -182,6 +191,7 @@ def budget(scenario: Scenario, trials: int, workers: int = 1, progress: Progress
         tuple(replace(of_class[kind], name=CLASSES[kind]) for kind in CLASSES if kind in of_class),
         rows[-1] if effects and len(done) == len(runs) else None,
         outliers,
+        _by_axis(np.sqrt(np.mean(base[done[0].solved] ** 2, axis=0))) if outliers else None,
         interrupted=len(done) < len(runs),
     )
 
@@ -212,17 +222,22 @@ def _joined(members: list[tuple[Effect, Changes]]) -> Changes:
 
 
 class _Run(NamedTuple):
-    """Errors (n, 3) about the camera's axes, degrees, and which trials are solved and not wrong, and solved."""
+    """Errors (n, 3) about the camera's axes, degrees, which trials are solved and not wrong, and solved, and the
+    Cramér–Rao bounds (n, 3), degrees."""
 
     errors: FloatArray
     right: NDArray[np.bool_]
     solved: NDArray[np.bool_]
+    bound: FloatArray
 
 
 def _errors(table: Any) -> _Run:
     errors = np.stack([table[f"error_{axis}_deg"].to_numpy() for axis in CAMERA_AXES], axis=1)
     solved = np.array([status == "solved" for status in table["status"].to_pylist()], dtype=bool)
-    return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved)
+    names = [f"bound_{axis}_deg" for axis in CAMERA_AXES]
+    known = all(name in table.column_names for name in names)
+    bound = np.stack([table[name].to_numpy() for name in names], axis=1) if known else np.full_like(errors, math.nan)
+    return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved, bound)
 
 
 def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:

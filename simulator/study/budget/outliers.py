@@ -21,10 +21,13 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 LIMIT_SIGMAS = 8.0
-"""Limit in robust standard deviations of the errors with all effects. A Gaussian exceeds it with probability 1e-15;
-errors of fields with few stars, which may have three times the uncertainty, with 1 %."""
+"""Limit in robust standard deviations of the errors with all effects, each relative to the Cramér–Rao bound of its own
+stars, so that fields with few stars do not count as outliers. A Gaussian exceeds it with probability 1e-15."""
 _MAD_TO_SIGMA = 1.4826
 _FEWEST = 20
+_FEW_EFFECTS = 3
+"""Most effects that are named as the cause of an outlier."""
+ALL_ON = "all effects on"
 """Minimum number of trials for a standard deviation."""
 _MOST_LISTED = 10
 
@@ -45,16 +48,28 @@ class Outlier:
     """Whether the attitude is wrong in a run, not only inaccurate."""
     runs: tuple[str, ...]
     """Runs in which it is an outlier: ``all effects on``, or the effect that is off."""
+    gone: tuple[str, ...]
+    """Effects without which it is none."""
     of: int
     """Number of runs."""
 
+    @property
+    def cause(self) -> str:
+        """What the runs say about its cause."""
+        if ALL_ON not in self.runs:
+            off = ", ".join(f"'{name}'" for name in self.runs[:3])
+            return f"only without {off}" + (" and others" if len(self.runs) > 3 else "")
+        if self.of <= 2 * len(self.runs):
+            return "caused by the scene, independent of the effects"
+        if len(self.gone) <= _FEW_EFFECTS:
+            return "caused by " + " together with ".join(f"'{name}'" for name in self.gone)
+        return f"gone whichever of {len(self.gone)} effects is off: at a threshold of the tracker"
+
     def __str__(self) -> str:
         what = "wrong" if self.wrong else "off"
-        where = f"in {len(self.runs)} of {self.of} runs" if len(self.runs) > 1 else f"with '{self.runs[0]}'"
-        if 1 < self.of <= 2 * len(self.runs):
-            where += ": caused by the scene, independent of the effects"
         axis = self.axis.replace("_", " ")
-        return f"trial {self.index}: {what} by {self.error_deg * 3600:.3f}″ {axis}, {self.sigmas:.0f} sigma, {where}"
+        size = f"{what} by {self.error_deg * 3600:.3f}″ {axis}, {self.sigmas:.0f} sigma"
+        return f"trial {self.index}: {size}, in {len(self.runs)} of {self.of} runs; {self.cause}"
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``budget.json``."""
@@ -65,17 +80,23 @@ class Outlier:
             "sigmas": self.sigmas,
             "wrong": self.wrong,
             "runs": list(self.runs),
+            "cause": self.cause,
         }
 
 
 def find_outliers(
-    names: Sequence[str], errors: Sequence[FloatArray], right: Sequence[BoolArray], solved: Sequence[BoolArray]
+    names: Sequence[str],
+    errors: Sequence[FloatArray],
+    right: Sequence[BoolArray],
+    solved: Sequence[BoolArray],
+    bound: FloatArray | None = None,
+    effects: Sequence[str] = (),
 ) -> tuple[Outlier, ...]:
     """Outliers of several runs of the same trials, in order of their indices.
 
     A trial is an outlier if it is wrong in the first run, or if its error about an axis in any run exceeds
-    `LIMIT_SIGMAS` times 1.4826 times the median magnitude of the errors of the first run. Magnitudes are measured from
-    zero, so that a bias that is switched off does not produce outliers.
+    `LIMIT_SIGMAS` times 1.4826 times the median magnitude of the errors of the first run, both relative to the bound of
+    the trial. Magnitudes are measured from zero, so that a bias that is switched off does not produce outliers.
 
     Parameters
     ----------
@@ -85,10 +106,15 @@ def find_outliers(
         About the camera's axes, degrees.
     right, solved : sequence of (n,) arrays
         Whether a trial is solved and not wrong, and whether it is solved.
+    bound : (n, 3) array, optional
+        Cramér–Rao bounds with all effects on, degrees; trials without one (NaN) have the median.
+    effects : sequence of str
+        The names that are single effects.
     """
-    good = errors[0][right[0]]
+    scale = _scale(bound, np.shape(errors[0]))
+    good = (errors[0] / scale)[right[0]]
     sigma = _MAD_TO_SIGMA * np.median(np.abs(good), axis=0) if len(good) >= _FEWEST else np.full(3, np.inf)
-    off = np.abs(np.stack(errors)) / np.where(sigma > 0.0, sigma, np.inf)  # (runs, n, 3)
+    off = np.abs(np.stack(errors) / scale) / np.where(sigma > 0.0, sigma, np.inf)  # (runs, n, 3)
     off[~np.stack(solved)] = 0.0
     wrong = np.stack(solved) & ~np.stack(right)
     out: BoolArray = np.asarray((off > LIMIT_SIGMAS).any(axis=2), dtype=bool)
@@ -105,10 +131,21 @@ def find_outliers(
                 float(off[run, index, axis]),
                 bool(wrong[:, index].any()),
                 tuple(name for name, is_out in zip(names, out[:, index], strict=True) if is_out),
+                tuple(
+                    name for name, is_out in zip(names, out[:, index], strict=True) if not is_out and name in effects
+                ),
                 len(names),
             )
         )
     return tuple(found)
+
+
+def _scale(bound: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+    """Bounds without gaps; 1 if there are none."""
+    if bound is None or not np.isfinite(bound).any(axis=0).all():
+        return np.ones(shape)
+    known = np.where(np.isfinite(bound) & (bound > 0.0), bound, np.nan)
+    return np.where(np.isnan(known), np.nanmedian(known, axis=0), known)
 
 
 def lines_of(outliers: tuple[Outlier, ...]) -> list[str]:

@@ -16,13 +16,13 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import level_matrices, round_s
 from simulator.mission.sampling import trial_time_s
+from simulator.mission.trajectory import from_earth, geocentric
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState
-from simulator.sky.ephemeris import barycentric_position_au
+from simulator.study.body_angles import angle_from_deg
 from startracker.attitude import Attitude, direction_to_radec
-from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 
@@ -157,7 +157,8 @@ def whole_sky(
     nothing = Boresights("sky", matrices, np.zeros(n), np.zeros((n, 3)), np.full(n, NO_EARTH), {}, rolls)
     if scenario is None or exclusion is None:
         return nothing
-    r_km = np.broadcast_to(build_orbit(scenario).state(0.0)[0], (n, 3))
+    orbit = build_orbit(scenario)
+    r_km = np.broadcast_to(geocentric(orbit, nothing.t_s[:1]).r_km, (n, 3))
     excluded = _excluded(exclusion, Clock(scenario.epoch), nothing.t_s, r_km, directions)
     return Boresights("sky", matrices, nothing.t_s, nothing.nadir, nothing.limb_cosine, excluded, rolls)
 
@@ -175,15 +176,18 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
     _at_least_one("boresights", count)
     sampling = scenario.study.sampling
     if sampling == "sky" and scenario.pointing.target is None:
-        raise InputError("study.sampling: sky has no boresight path; omit --path, or set it to mission_year or orbit")
+        raise InputError(
+            "study.sampling: sky has no boresight path; omit --path, or set it to mission_year, orbit or span"
+        )
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
-    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
-    r_km, v_km_s = orbit.state(t_s)
+    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, orbit.span_s)
+    centred = orbit.state(t_s)
+    r_km = from_earth(orbit, t_s, *centred).r_km
     if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
         body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
         turn = (build_mounting(scenario) @ body).as_matrix()
-        matrices = turn @ level_matrices(r_km, v_km_s)
+        matrices = turn @ level_matrices(*centred)
     else:
         matrices = _of_scenes(scenario, t_s)
     distance = np.linalg.norm(r_km, axis=1)
@@ -218,21 +222,12 @@ def _excluded(
     exclusion: Exclusion, clock: Clock, t_s: FloatArray, r_km: FloatArray, directions: FloatArray
 ) -> dict[str, BoolArray]:
     """Attitudes that violate each exclusion angle that is set."""
-    out: dict[str, BoolArray] = {}
-    for name, body, limit in (("sun", "Sun", exclusion.sun_deg), ("moon", "Moon", exclusion.moon_deg)):
-        if limit > 0.0:
-            barycentric = (barycentric_position_au(each, clock, t_s) for each in (body, "Earth"))
-            off = _angle_deg(np.subtract(*barycentric) * AU_KM - r_km, directions)
-            out[name] = off < limit
-    if exclusion.earth_deg > 0.0:
-        limb = np.degrees(np.arcsin(np.minimum(EARTH_RADIUS_KM / np.linalg.norm(r_km, axis=1), 1.0)))
-        out["earth"] = _angle_deg(-r_km, directions) - limb < exclusion.earth_deg
-    return out
-
-
-def _angle_deg(vectors: FloatArray, directions: FloatArray) -> FloatArray:
-    cosine = np.sum(vectors * directions, axis=1) / np.linalg.norm(vectors, axis=1)
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    limits = {body: getattr(exclusion, f"{body}_deg") for body in ("sun", "moon", "earth")}
+    return {
+        body: angle_from_deg(body, clock, t_s, r_km, directions) < limit
+        for body, limit in limits.items()
+        if limit > 0.0
+    }
 
 
 def _east_north(directions: FloatArray) -> tuple[FloatArray, FloatArray]:

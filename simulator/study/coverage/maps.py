@@ -67,7 +67,8 @@ def coverage_map(result: Coverage) -> Figure:
     bar = figure.colorbar(shown, ax=ax, orientation="horizontal", shrink=0.6, pad=0.04, aspect=40, extend="max")
     bar.set_label("stars in the field")
     ax.set_title(f"{result.name}: stars to V = {result.magnitude_limit:.2f}, {what}", fontsize=10, pad=14)
-    figure.legend(fontsize=8, loc="outside lower center", ncols=5, frameon=False)
+    excluded = "\n".join(result.excluded_texts())
+    figure.legend(title=excluded, title_fontsize=8, fontsize=8, loc="outside lower center", ncols=5, frameon=False)
     return figure
 
 
@@ -77,6 +78,7 @@ def count_plot(result: Coverage) -> Figure:
     path = result.boresights.kind == "path"
     figure, grid = picture(2 if path else 1, 2, (10, 7.0 if path else 3.8))
     left, right = grid[0]
+    figure.supxlabel("\n".join(result.excluded_texts()), fontsize=8, color=GREY)
     what = "time" if path else "sky"
     if path:
         for ax in grid[1]:

@@ -7,7 +7,8 @@ which is the fraction of the sky or of the time with at least k stars.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,11 @@ from simulator.build import build_camera
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
 from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
+from simulator.study.coverage.exclusions import everything_excluded, exclusion_of, exclusion_text
 from simulator.study.coverage.field_counts import circle, count_by_level, outline, solid_angle_sr
+from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.coverage.sensitivity import build_sensitivity
+from simulator.study.specification.verdicts import Judgement, judge
 from startracker._version import __version__
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
@@ -30,7 +34,7 @@ from startracker.catalog.voxels import voxel_grid
 from startracker.display import fields_repr
 from startracker.errors import InputError
 
-__all__ = ["Coverage", "baffle_exclusion", "count_stars", "coverage"]
+__all__ = ["Coverage", "count_stars", "coverage"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -68,6 +72,13 @@ class Coverage:
     """Stars down to `magnitude_limit` over the whole sky."""
     exclusion: Exclusion = field(default_factory=Exclusion)
     """Exclusion angles."""
+    sources: dict[str, str] = field(default_factory=dict)
+    """Key or option of the exclusion angle of each body that has one."""
+    judgement: Judgement | None = None
+    """Predicted verdicts on the specification, where no exclusion angle is violated; None if the field or the stars are
+    not the camera's own."""
+    left_out: tuple[str, ...] = ()
+    """What the scenario contains and the prediction does not."""
 
     __repr__ = fields_repr
 
@@ -79,6 +90,15 @@ class Coverage:
     def availability(self, stars: int) -> float:
         """Fraction of the sky or of the time with at least this number of stars and no exclusion angle violated."""
         return float(np.mean((self.counts >= stars) & self.boresights.allowed))
+
+    def excluded_texts(self) -> list[str]:
+        """What excludes attitudes: fraction, body, angle and its source."""
+        what = "time" if self.boresights.kind == "path" else "sky"
+        return [
+            f"{100 * broken.mean():.2f} % of the {what} excluded by the {body.title()}, "
+            + exclusion_text(body, getattr(self.exclusion, f"{body}_deg"), self.sources.get(body, "as given"))
+            for body, broken in self.boresights.excluded.items()
+        ]
 
     def poorest(self) -> IntArray:
         """Attitudes with the fewest stars among those that violate no exclusion angle."""
@@ -106,8 +126,12 @@ class Coverage:
             "stars_over_sky": self.sky_stars,
             "stars_if_spread_evenly": self.sky_stars * area / (4.0 * math.pi),
             "exclusion_deg": {body: getattr(self.exclusion, f"{body}_deg") for body in ("sun", "moon", "earth")},
+            "exclusion_from": self.sources,
             "excluded_share": {body: float(np.mean(broken)) for body, broken in looks.excluded.items()},
             "excluded_share_any": float(np.mean(~looks.allowed)),
+            "specification": self.judgement.by_name() if self.judgement else {},
+            "verdict": self.judgement.to_dict() if self.judgement else None,
+            "left_out": list(self.left_out),
             "stars": {
                 "mean": float(counts.mean()) if some else None,
                 "std": float(counts.std(ddof=1)) if len(counts) > 1 else None,
@@ -194,6 +218,8 @@ def coverage(
     snr: float | None = None,
     circle_deg: float | None = None,
     exclusion: Exclusion | None = None,
+    sources: Mapping[str, str] | None = None,
+    least_stars: int = 5,
 ) -> Coverage:
     """Stars in a scenario's field over the sky or along its path.
 
@@ -215,7 +241,11 @@ def coverage(
     circle_deg : float, optional
         A circular field of this radius instead of the camera's.
     exclusion : Exclusion, optional
-        Exclusion angles; by default those of the scenario's baffle, if any.
+        Exclusion angles; by default those of the specification, otherwise of the scenario's baffle, if any.
+    sources : mapping, optional
+        Where the exclusion angles come from, by body, for display.
+    least_stars : int
+        Stars that an attitude needs, for the predicted verdict.
 
     Raises
     ------
@@ -227,8 +257,9 @@ def coverage(
     if magnitude_limit is not None and not math.isfinite(magnitude_limit):
         raise InputError(f"magnitude limit: must be a number, not {magnitude_limit}")
     camera = build_camera(scenario)
-    angles = exclusion or baffle_exclusion(scenario)
+    angles, origin = exclusion_of(scenario) if exclusion is None else (exclusion, dict(sources or {}))
     looks = along_path(scenario, count, angles) if path else whole_sky(count, rolls, scenario, angles)
+    own_stars = magnitude_limit is None and snr is None and circle_deg is None
     limit, reason = _limit(scenario, magnitude_limit, snr)
     every = load_catalog(scenario.tracker.catalog)
     top = _CURVE_STEP_MAG * math.ceil(max(limit + 1.0, 6.0) / _CURVE_STEP_MAG)
@@ -249,7 +280,16 @@ def coverage(
         curve=counts,
         sky_stars=len(stars.brighter_than(limit)),
         exclusion=angles,
+        sources=origin,
+        judgement=_predicted(scenario, looks, least_stars, origin) if own_stars else None,
+        left_out=left_out(scenario) if own_stars else (),
     )
+
+
+def _predicted(scenario: Scenario, looks: Boresights, least_stars: int, sources: Mapping[str, str]) -> Judgement:
+    evidence = predict(scenario, looks, least_stars).evidence
+    judged = judge(evidence.specification, evidence)
+    return judged if looks.allowed.any() else replace(judged, untested=(everything_excluded(looks, sources),))
 
 
 def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[float, str]:
@@ -261,14 +301,6 @@ def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[
     if detected < known:
         return detected, "the camera's detection limit"
     return known, f"tracker.magnitude_limit (the camera detects stars to V = {detected:.2f})"
-
-
-def baffle_exclusion(scenario: Scenario) -> Exclusion:
-    """Exclusion angles of the baffle; none without a baffle."""
-    baffle = scenario.optics.baffle
-    if baffle.pst is None:
-        return Exclusion()
-    return Exclusion(baffle.sun_exclusion_deg, baffle.moon_exclusion_deg, baffle.earth_exclusion_deg)
 
 
 def _curve_point(counts: IntArray) -> dict[str, float | int | None]:

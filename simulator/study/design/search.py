@@ -1,52 +1,38 @@
-"""Design search: the smallest aperture, field or exposure that meets a scenario's specification and availability.
+"""Design search: the smallest aperture, field or exposure predicted to meet a scenario's specification.
 
-Nothing is rendered: the light of each star gives its centroid error (`simulator.study.coverage.sensitivity`), and the
-stars of each field the attitude covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, at thousands of boresights. The resulting value
-can be verified by a Monte Carlo run.
+Nothing is rendered (`simulator.study.coverage.prediction`). `simulator.study.design.verification` runs trials of the
+value found, and searches on with them if they contradict the prediction.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
-from scipy.special import gammaincinv
 
-from simulator.build import build_mounting
-from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
-from simulator.sky.colours import spectral_coordinates
-from simulator.study.coverage.boresights import Boresights, along_path, whole_sky
-from simulator.study.coverage.field_counts import accumulate_information, outline
-from simulator.study.coverage.sensitivity import build_sensitivity
-from simulator.study.run import run
-from simulator.study.statistics import BODY_AXES, deg_text
-from simulator.study.verdict import NOT_MET
+from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
+from simulator.study.coverage.prediction import Prediction, left_out, predict
+from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification, specification_of
+from simulator.study.specification.verdicts import MET, judge
+from simulator.study.statistics import BODY_AXES
 from startracker._version import __version__
-from startracker.catalog import load_catalog
-from startracker.catalog.doubles import merge_doubles
-from startracker.catalog.guide import RESOLVED_PX
-from startracker.catalog.voxels import voxel_grid
 from startracker.errors import InputError
 
-__all__ = ["PARAMETERS", "Design", "Point", "Trade", "Verification", "design", "predict", "verify"]
-
-FloatArray = NDArray[np.float64]
+__all__ = ["DEFAULT_AVAILABILITY", "PARAMETERS", "Design", "Point", "Search", "Trade", "changed", "design"]
 
 Progress = Callable[[int], None]
 """Called with the number of values computed."""
 
+DEFAULT_AVAILABILITY = 0.999
+"""Fraction of the attitudes with enough stars if neither the specification nor the trade requires one."""
+
 _TOLERANCE = 0.005
 """Relative accuracy of the resulting value."""
-
-_BLEND_MAG = 0.8
-_LEAST_STARS = 2
-"""Minimum number of stars of an attitude."""
 
 
 def _focal_length(scenario: Scenario, field_deg: float) -> dict[str, Any]:
@@ -84,109 +70,22 @@ class Point:
     availability: float | None = None
     """Fraction of the attitudes with enough stars."""
     three_sigma_deg: dict[str, float | None] = field(default_factory=dict)
-    """Predicted 3σ about roll, pitch and yaw: three times the root mean square over the attitudes with enough stars, as
-    in ``boresight run``."""
+    """Three times the predicted rms error about roll, pitch and yaw over the attitudes with enough stars."""
+    specification: dict[str, Any] = field(default_factory=dict)
+    """Predicted value of each requirement, its limit and verdict, as in ``summary.json``."""
     met: bool = False
-    """Whether specification and availability are met."""
+    """Whether all requirements that can be predicted are met."""
 
-
-@dataclass(frozen=True)
-class Verification:
-    """Monte Carlo run of the resulting value, compared with its prediction; angles in degrees."""
-
-    trials: int
-    solved: int
-    wrong: int
-    """Frames, solved frames, and frames with a wrong attitude."""
-    three_sigma_deg: dict[str, float | None]
-    predicted_deg: dict[str, float | None]
-    """Three times the rms error about each body axis, measured and predicted."""
-    p997_deg: dict[str, float | None] = field(default_factory=dict)
-    """99.7th percentile of the measured errors."""
-    contradictions: tuple[str, ...] = ()
-    """Contradictions between the run and the prediction that the requirements are met; empty if there are none."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in ``design.json``."""
-        return asdict(self) | {"contradicted": bool(self.contradictions)}
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """Trade-off of one parameter."""
-
-    name: str
-    """Of the scenario."""
-    parameter: str
-    """A key of `PARAMETERS`."""
-    over: str
-    """``sky`` or ``path``."""
-    attitudes: int
-    """Number of boresights."""
-    least_stars: int
-    """Minimum number of stars for an attitude."""
-    least_availability: float
-    """Required fraction of the attitudes with this number."""
-    specification_deg: dict[str, float]
-    """Specified 3σ about each body axis."""
-    points: tuple[Point, ...]
-    """In ascending order of value."""
-    best: Point | None
-    """The smallest value that meets the requirements; None if none does."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``design.json`` holds."""
-        return {**asdict(self), "version": __version__}
-
-
-def changed(scenario: Scenario, parameter: str, value: float) -> Scenario:
-    """The scenario with another value of a parameter; `InputError` if no such camera is possible."""
-    return _with(scenario, PARAMETERS[parameter][2](scenario, value))
-
-
-def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Point:
-    """Stars and accuracy of a scenario's camera at the given attitudes; `value` is 0.
-
-    Stars are counted if they are in the tracker's catalogue and detected by the camera; the brightest up to the
-    tracker's maximum (`tracker.detection.max_stars`).
-    """
-    sensitivity = build_sensitivity(scenario)
-    camera = sensitivity.camera
-    known = scenario.tracker.magnitude_limit
-    every = load_catalog(scenario.tracker.catalog).brighter_than(known + _BLEND_MAG)
-    if len(every) == 0:
-        return Point(0.0, impossible=f"no star of the catalogue is brighter than {known:g}")
-    stars = merge_doubles(every, min(RESOLVED_PX * camera.pixel_rad, 0.1)).brighter_than(known)
-    b_v, giant = spectral_coordinates(stars.b_v, stars.spectral_type)
-    electrons = sensitivity.electrons_of(stars.v_mag, b_v, giant)
-    rows = np.argsort(-electrons, kind="stable")
-    rows = rows[electrons[rows] >= sensitivity.least_electrons]
-    directions = stars.directions(float(Clock(scenario.epoch).jyear(0.0)))[rows]
-    counts, information = accumulate_information(
-        looks.matrices,
-        directions,
-        voxel_grid(directions),
-        outline(camera),
-        1.0 / sensitivity.sigma_rad(electrons[rows]) ** 2,
-        scenario.tracker.detection.max_stars,
-        np.ascontiguousarray(looks.nadir),
-        looks.limb_cosine,
-    )
-    enough = (counts >= max(least_stars, _LEAST_STARS)) & looks.allowed
-    three_sigma: dict[str, float | None] = dict.fromkeys(BODY_AXES)
-    if enough.any():
-        to_body = build_mounting(scenario).inverse.as_matrix()
-        covariance = to_body @ np.linalg.inv(information[enough]).mean(axis=0) @ to_body.T
-        three = np.degrees(3.0 * np.sqrt(np.diag(covariance)))
-        three_sigma = {axis: float(v) for axis, v in zip(BODY_AXES, three, strict=True)}
-    return Point(
-        value=0.0,
-        magnitude_limit=min(sensitivity.magnitude_limit, known),
-        stars_mean=float(counts.mean()),
-        stars_min=int(counts.min()),
-        availability=float(enough.mean()),
-        three_sigma_deg=three_sigma,
-    )
+    def within(self, factors: Mapping[str, float], least_availability: float) -> bool:
+        """Whether every predicted error is within its limit after multiplication by its factor (1 if not given), and
+        the availability is sufficient."""
+        if self.impossible or self.availability is None or self.availability < least_availability:
+            return False
+        errors = [(name, entry) for name, entry in self.specification.items() if "specified_deg" in entry]
+        return all(
+            entry["value_deg"] is not None and entry["value_deg"] * factors.get(name, 1.0) <= entry["specified_deg"]
+            for name, entry in errors
+        )
 
 
 @dataclass(frozen=True)
@@ -202,8 +101,9 @@ class Trade:
     """Number of values in the table, at equal ratios, at least 2."""
     least_stars: int = 5
     """Minimum number of stars for an attitude to be available."""
-    least_availability: float = 0.999
-    """Required fraction of the sky (or of the time along the path) with this number, 0 to 1."""
+    least_availability: float | None = None
+    """Required fraction of the sky (or of the time along the path) with this number, 0 to 1; None: that of the
+    specification, otherwise `DEFAULT_AVAILABILITY`."""
     count: int = 5000
     """Attitudes."""
     path: bool = False
@@ -220,15 +120,132 @@ class Trade:
             raise InputError(f"--steps: must be at least 2, not {self.steps}")
         if self.least_stars < 1:
             raise InputError(f"--stars: must be at least 1, not {self.least_stars}")
-        if not 0.0 <= self.least_availability <= 1.0:
+        if self.least_availability is not None and not 0.0 <= self.least_availability <= 1.0:
             raise InputError(f"--availability: must be from 0 to 1, not {self.least_availability:g}")
 
 
-def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -> Design:
-    """Smallest value of a parameter that meets the specification and the availability.
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Trade-off of one parameter, as predicted."""
 
-    The limit is determined to 0.5 % by bisection between the first value of the table that meets the requirements and
-    the previous one.
+    name: str
+    """Of the scenario."""
+    parameter: str
+    """A key of `PARAMETERS`."""
+    over: str
+    """``sky`` or ``path``."""
+    attitudes: int
+    """Number of boresights."""
+    least_stars: int
+    """Minimum number of stars for an attitude."""
+    least_availability: float
+    """Required fraction of the attitudes with this number."""
+    requirements: tuple[Requirement, ...]
+    """What is specified."""
+    left_out: tuple[str, ...]
+    """What the scenario contains and the prediction does not."""
+    points: tuple[Point, ...]
+    """In ascending order of value."""
+    best: Point | None
+    """The smallest value predicted to meet the requirements; None if none does."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``design.json`` holds of the prediction."""
+        return {**asdict(self), "version": __version__}
+
+
+def changed(scenario: Scenario, parameter: str, value: float) -> Scenario:
+    """The scenario with another value of a parameter, checked as a file is; `InputError` if no such camera is
+    possible."""
+    try:
+        return scenario.changed(PARAMETERS[parameter][2](scenario, value))
+    except ValidationError as error:
+        reasons = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
+        raise InputError("; ".join(" ".join(text.split()) for text in reasons)) from error
+
+
+class Search:
+    """Predictions of one trade by value, each computed once.
+
+    Parameters
+    ----------
+    scenario, trade
+        As for `design`.
+    progress : callable, optional
+        Called after every new value.
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter or invalid values.
+    """
+
+    def __init__(self, scenario: Scenario, trade: Trade, progress: Progress | None = None) -> None:
+        trade.check()
+        self.scenario, self.trade, self.progress = scenario, trade, progress
+        self.specification = specification_of(scenario)
+        self.looks = _attitudes(scenario, trade, self.specification)
+        asked = self.specification.find(AVAILABILITY)
+        self.least_availability = (
+            trade.least_availability
+            if trade.least_availability is not None
+            else asked.limit
+            if asked
+            else DEFAULT_AVAILABILITY
+        )
+        self.grid = [float(f"{value:.6g}") for value in np.geomspace(trade.low, trade.high, trade.steps)]
+        self.points: dict[float, Point] = {}
+
+    def point(self, value: float) -> Point:
+        """Prediction of a value of the parameter."""
+        if value not in self.points:
+            self.points[value] = self._computed(value)
+            if self.progress:
+                self.progress(len(self.points))
+        return self.points[value]
+
+    def smallest(self, factors: Mapping[str, float] | None = None, above: float = 0.0) -> Point | None:
+        """Smallest value that meets the requirements, to 0.5 %; None if none of the grid does.
+
+        Parameters
+        ----------
+        factors : mapping, optional
+            Factors on the predicted errors by the name of their requirement.
+        above : float
+            Smaller values are not considered.
+        """
+        factors = factors or {}
+
+        def meets(value: float) -> bool:
+            return self.point(value).within(factors, self.least_availability)
+
+        grid = [above, *(value for value in self.grid if value > above)] if above else self.grid
+        met = [meets(value) for value in grid]
+        if not any(met):
+            return None
+        first = met.index(True)
+        best, fails = grid[first], grid[first - 1] if first else 0.0
+        while first and best - fails > _TOLERANCE * best:
+            middle = float(f"{math.sqrt(fails * best):.6g}")
+            best, fails = (middle, fails) if meets(middle) else (best, middle)
+        return self.point(best)
+
+    def _computed(self, value: float) -> Point:
+        try:
+            chosen = changed(self.scenario, self.trade.parameter, value)
+        except InputError as error:
+            return Point(value, impossible=str(error))
+        return _point(value, predict(chosen, self.looks, self.trade.least_stars), self.least_availability)
+
+
+def design(
+    scenario: Scenario, trade: Trade, progress: Progress | None = None, *, search: Search | None = None
+) -> Design:
+    """Smallest value of a parameter that is predicted to meet the specification and the availability.
+
+    The error of each attitude is normal with its predicted covariance; the percentiles are those of the mixture over
+    all attitudes. The limit is determined to 0.5 % by bisection between the first value of the table that meets the
+    requirements and the previous one.
 
     Parameters
     ----------
@@ -238,117 +255,55 @@ def design(scenario: Scenario, trade: Trade, progress: Progress | None = None) -
         Parameter, range and conditions.
     progress : callable, optional
         Called after every value.
+    search : Search, optional
+        Predictions already computed for this scenario and trade, to which those computed here are added.
 
     Raises
     ------
     InputError
-        For an unknown parameter or invalid values.
+        For an unknown parameter or invalid values, or if the scenario does not turn at the specified rate.
     """
-    trade.check()
-    looks = along_path(scenario, trade.count) if trade.path else whole_sky(trade.count)
-    specification = {axis: float(getattr(scenario.specification, f"{axis}_deg")) for axis in BODY_AXES}
-    points: dict[float, Point] = {}
-
-    def computed(value: float) -> Point:
-        if value not in points:
-            points[value] = _point(scenario, trade, value, looks, specification)
-            if progress:
-                progress(len(points))
-        return points[value]
-
-    grid = [float(f"{value:.6g}") for value in np.geomspace(trade.low, trade.high, trade.steps)]
-    met = [computed(value).met for value in grid]
-    best = None
-    if any(met):
-        first = met.index(True)
-        best = points[grid[first]]
-        if first > 0:
-            fails = grid[first - 1]
-            while best.value - fails > _TOLERANCE * best.value:
-                middle = float(f"{math.sqrt(fails * best.value):.6g}")
-                point = computed(middle)
-                best, fails = (point, fails) if point.met else (best, middle)
+    search = search or Search(scenario, trade, progress)
+    for value in search.grid:
+        search.point(value)
+    best = search.smallest()
     return Design(
         name=scenario.name,
         parameter=trade.parameter,
-        over=looks.kind,
-        attitudes=len(looks),
+        over=search.looks.kind,
+        attitudes=len(search.looks),
         least_stars=trade.least_stars,
-        least_availability=trade.least_availability,
-        specification_deg=specification,
-        points=tuple(points[value] for value in sorted(points)),
+        least_availability=search.least_availability,
+        requirements=search.specification.requirements,
+        left_out=left_out(scenario),
+        points=tuple(search.points[value] for value in sorted(search.points)),
         best=best,
     )
 
 
-def verify(scenario: Scenario, result: Design, trials: int, workers: int = 1) -> Verification:
-    """Run trials for the resulting value, over the whole sky or along the path as in the prediction.
+def _attitudes(scenario: Scenario, trade: Trade, specification: Specification) -> Boresights:
+    """Attitudes of a trade; those within the specified exclusion angles do not count."""
+    excluded = Exclusion(**{f"{body}_deg": angle for body, angle in specification.exclusion_deg})
+    if trade.path:
+        return along_path(scenario, trade.count, excluded)
+    return whole_sky(trade.count, scenario=scenario, exclusion=excluded)
 
-    Raises
-    ------
-    InputError
-        If no value was found, or for fewer than one trial.
-    """
-    if result.best is None:
-        raise InputError("--verify: no value meets the specification, so there is nothing to verify")
-    chosen = changed(scenario, result.parameter, result.best.value)
-    if result.over == "sky":
-        chosen = _with(chosen, {"study.sampling": "sky", "pointing.target": None})
-    summary = run(chosen, trials, workers=workers).summary
-    return Verification(
-        trials=trials,
-        solved=summary["solved"],
-        wrong=summary["wrong"],
-        three_sigma_deg={axis: summary["errors_deg"][axis]["three_sigma"] for axis in BODY_AXES},
-        predicted_deg=dict(result.best.three_sigma_deg),
-        p997_deg={axis: summary["errors_deg"][axis]["p997"] for axis in BODY_AXES},
-        contradictions=tuple(_contradictions(summary, result)),
+
+def _point(value: float, prediction: Prediction, least_availability: float) -> Point:
+    evidence = prediction.evidence
+    if evidence.untested:
+        raise InputError(evidence.untested[0])
+    judged = judge(evidence.specification, evidence)
+    enough = len(evidence.covariance_rad2)
+    availability = enough / evidence.attitudes
+    met = all(verdict.verdict == MET for verdict in judged.verdicts if not verdict.estimate.unknown)
+    return Point(
+        value=value,
+        magnitude_limit=prediction.magnitude_limit,
+        stars_mean=float(prediction.counts.mean()),
+        stars_min=int(prediction.counts.min()),
+        availability=availability,
+        three_sigma_deg={axis: 3.0 * evidence.rms_deg(axis) if enough else None for axis in BODY_AXES},
+        specification=judged.by_name(),
+        met=met and availability >= least_availability,
     )
-
-
-def _contradictions(summary: Mapping[str, Any], result: Design) -> Iterator[str]:
-    """Statistically significant contradictions between a run and the requirements.
-
-    An axis contradicts if its verdict is "not met", or if three times its rms exceeds the specification by more than in
-    99.9 % of runs that just meet it. For normal errors of equal σ, n (rms / σ)² has a χ² distribution of n degrees of
-    freedom; a third of n is used, because fields differ and the poorest dominate (a kurtosis of 7; Box 1953).
-    """
-    n = summary["solved"]
-    if summary["wrong"]:
-        yield f"{summary['wrong']} of {n} accepted attitudes are wrong"
-    low, high = summary["availability_interval95"]
-    if high < result.least_availability:
-        yield (
-            f"{100 * summary['availability']:.2f} % of the frames were solved (95 % interval {100 * low:.2f} to "
-            f"{100 * high:.2f} %), but {100 * result.least_availability:g} % are required"
-        )
-    freedom = max(n / 3.0, 1.0)
-    excess = math.sqrt(2.0 * gammaincinv(freedom / 2.0, 0.999) / freedom)
-    for axis, limit in result.specification_deg.items():
-        three_sigma = summary["errors_deg"][axis]["three_sigma"]
-        not_met = summary["specification"][axis]["verdict"] == NOT_MET
-        if not_met or (three_sigma is not None and three_sigma > excess * limit):
-            yield f"3σ {axis} is {deg_text(three_sigma)} , but {deg_text(limit)} is specified"
-
-
-def _point(scenario: Scenario, trade: Trade, value: float, looks: Boresights, specification: dict[str, float]) -> Point:
-    try:
-        chosen = changed(scenario, trade.parameter, value)
-    except InputError as error:
-        return Point(value, impossible=str(error))
-    point = predict(chosen, looks, trade.least_stars)
-    accurate = all(
-        (reached := point.three_sigma_deg.get(axis)) is not None and reached <= limit
-        for axis, limit in specification.items()
-    )
-    met = accurate and point.availability is not None and point.availability >= trade.least_availability
-    return replace(point, value=value, met=met)
-
-
-def _with(scenario: Scenario, keys: dict[str, Any]) -> Scenario:
-    """The scenario with other values of keys, checked as a file is: `InputError` if no such camera is possible."""
-    try:
-        return scenario.changed(keys)
-    except ValidationError as error:
-        reasons = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
-        raise InputError("; ".join(" ".join(text.split()) for text in reasons)) from error

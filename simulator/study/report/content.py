@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.html_page import Table, provenance
+from simulator.study.html_page import Table, provenance, verdict_table
 from simulator.study.intervals import wilson_interval
+from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
-from simulator.study.verdict import FEWEST_TO_MEET, MET, NOT_MET, UNDECIDED, Verdict, advice, overall_verdict
+from simulator.study.texts import percent_text
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
@@ -70,11 +72,12 @@ def content_of(
     budget : mapping, optional
         As in ``budget.json``, if ``boresight study budget`` has been run.
     """
+    judged = judge_frames(scenario, columns)
     notes = [f"Unphysical value permitted by the scenario: {reason}" for reason in summary["unphysical"]]
     if summary["interrupted"]:
         notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are included.")
     return Content(
-        answer=_answer(summary, columns, budget),
+        answer=_answer(judged, summary, columns, budget),
         accuracy=_accuracy(summary),
         outliers=_outliers(summary, columns),
         budget=_budget(budget),
@@ -103,76 +106,33 @@ def interval_text(interval: Any, text: Callable[[float | None], str] = angle_tex
     return f"{low[:-1] if low[-1] == high[-1] == '″' else low} to {high}"
 
 
-def percent_text(share: float | None) -> str:
-    """A fraction in per cent, with enough digits to distinguish it from 0 and 100."""
-    if share is None:
-        return "–"
-    away = min(share, 1.0 - share)
-    digits = 2 if away == 0.0 or away >= 1e-4 else min(6, math.ceil(-math.log10(100 * away) - 1e-9))
-    return f"{100 * share:.{digits}f} %"
-
-
-def _answer(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None) -> Answer:
+def _answer(
+    judged: Judgement, summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None
+) -> Answer:
     n, solved, wrong = summary["trials"], summary["solved"], summary["wrong"]
-    rows, factors, verdicts = [], {}, {}
-    for axis in BODY_AXES:
-        found = verdict_on(summary, axis)
-        verdicts[axis] = found.verdict
-        factors[axis] = found.specified_deg / found.p997_deg if found.p997_deg else None
-        rows.append((
-            axis,
-            angle_text(found.p997_deg),
-            interval_text(found.interval95_deg) or "–",
-            angle_text(found.specified_deg),
-            f"{factors[axis]:.3g} ×" if factors[axis] else "–",
-            found.verdict,
-        ))  # fmt: skip
-    missed, open_axes = ([a for a in BODY_AXES if verdicts[a] == state] for state in (NOT_MET, UNDECIDED))
-    state = overall_verdict(verdicts.values(), wrong)
-    if missed:
-        verdict = f"No: the specification is not met about {_listed(missed)}."
-    elif wrong:
-        within = "within their specification" if state == MET or not open_axes else "not beyond their specification"
-        verdict = f"No: the axes are {within}, but {wrong} accepted attitude{'s are' if wrong > 1 else ' is'} wrong."
-    elif state == UNDECIDED:
-        verdict = f"Undecided: the specification may or may not be met about {_listed(open_axes)}; {advice(solved)}."
-    else:
-        verdict = "Yes: the specification is met about all three axes."
-    known = {axis: factor for axis, factor in factors.items() if factor}
-    margin = "No frame was solved."
-    if known:
-        tight = min(known, key=lambda axis: known[axis])
-        margin = (
-            f"Tightest axis: {tight}, margin {known[tight]:.3g}× at the 99.7th percentile of the error."
-            if known[tight] >= 1
-            else f"Worst axis: {tight}, the 99.7th percentile of the error is {1 / known[tight]:.3g}× the limit."
-        )
-    right = solved - wrong
     rates = []
-    for name, count in (("available (solved)", solved), ("correctly identified", right), ("wrong", wrong)):
+    for name, count in (("available (solved)", solved), ("correctly identified", solved - wrong), ("wrong", wrong)):
         between = interval_text(wilson_interval(count, n), percent_text)
         rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
     return Answer(
-        state=state,
-        verdict=verdict,
-        margin=margin,
-        axes=Table(
-            ("axis", "99.7th percentile", "95 % interval", "specified", "margin", "verdict"),
-            tuple(rows),
-            note="The specification is met if the whole interval of the 99.7th percentile is within it, and not met "
-            "if all of it is outside; otherwise more trials are needed. A limit shown as – is beyond the largest "
-            f"error: the upper limit needs {FEWEST_TO_MEET} trials.",
-        ),
+        state=judged.state,
+        verdict=f"{judged.text}.",
+        margin=_margin(judged),
+        axes=verdict_table(judged),
         rates=Table(("rate", "frames", "fraction", "95 % interval"), tuple(rates)),
         limits=_limits(summary, columns, budget),
     )
 
 
-def verdict_on(summary: Mapping[str, Any], axis: str) -> Verdict:
-    """Verdict on an axis, from its errors in ``summary.json``."""
-    interval = interval_of(summary, axis, "p997") or [None, None]
-    specified_deg = summary["specification"][axis]["specified_deg"]
-    return Verdict(axis, summary["errors_deg"][axis]["p997"], interval, specified_deg)
+def _margin(judged: Judgement) -> str:
+    """Sentence on the requirement with the smallest margin."""
+    known = [(verdict.margin, verdict.requirement.title) for verdict in judged.verdicts if verdict.margin]
+    if not known:
+        return "No frame was solved."
+    margin, title = min(known)
+    if margin >= 1:
+        return f"Smallest margin: {title}, {margin:.3g}×."
+    return f"Largest excess: {title}, {1 / margin:.3g}× the limit."
 
 
 def interval_of(summary: Mapping[str, Any], axis: str, key: str) -> list[float | None] | None:
@@ -284,6 +244,7 @@ def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
     sampling = {
         "mission_year": "at times distributed over a year of the mission",
         "orbit": "distributed over one rotation" if scenario.pointing.spin.rate_deg_s else "distributed over one orbit",
+        "span": "at times distributed over the span of the ephemeris",
         "sky": "at random attitudes over the whole sky",
     }[scenario.study.sampling]
     many = summary["workers"] > 1
@@ -299,10 +260,6 @@ def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
 
 def _ratio_text(ratio: float | None) -> str:
     return "–" if ratio is None else f"{ratio:.3f}"
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _budget(budget: Mapping[str, Any] | None) -> Table:

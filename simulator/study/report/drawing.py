@@ -14,7 +14,7 @@ from startracker.errors import BoresightError
 __all__ = ["drawn_apart"]
 
 Content = TypeVar("Content")
-Page = TypeVar("Page", str, bytes)
+Page = TypeVar("Page")
 
 
 def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:

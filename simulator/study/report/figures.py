@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, Binned, error_against
+from simulator.study.specification.requirements import Specification
+from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:
@@ -56,11 +57,12 @@ class Panels:
     wide: list[Panel]
 
 
-def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarCatalog) -> Panels:
+def panels(columns: Columns, specification: Specification, catalog: StarCatalog) -> Panels:
     """All panels for the columns; columns missing in older runs are skipped."""
+    limits = {each.axis: each.limit for each in reversed(specification.errors)}
     solved = np.asarray(columns["status"]) == "solved"
     errors = [
-        Panel(name.capitalize(), about, functools.partial(draw_histogram, columns, axis, specification_deg.get(axis)))
+        Panel(name.capitalize(), about, functools.partial(draw_histogram, columns, axis, limits.get(axis)))
         for axis, (name, about) in TITLES.items()
     ]
     found = []
@@ -91,8 +93,8 @@ def panels(columns: Columns, specification_deg: dict[str, float], catalog: StarC
     wide = [
         Panel(
             "Error over time",
-            "Largest error about a body axis relative to its specification (1: at the limit).",
-            functools.partial(draw_time_line, columns, specification_deg),
+            "Largest error relative to its specification (1: at the limit).",
+            functools.partial(draw_time_line, columns, specification),
             height_in=2.6,
             wide=True,
         ),
@@ -242,17 +244,14 @@ def draw_nees(columns: Columns, ax: Axes) -> None:
     ax.legend(loc="upper right")
 
 
-def draw_time_line(columns: Columns, specification_deg: dict[str, float], ax: Axes) -> None:
-    """Largest error about a body axis relative to its specification, over time; unsolved trials along the top."""
+def draw_time_line(columns: Columns, specification: Specification, ax: Axes) -> None:
+    """Largest error relative to its specification, over time; unsolved trials along the top."""
     t_s = np.asarray(columns["t_s"], dtype=float)
     span = float(np.ptp(t_s)) if len(t_s) else 0.0
     unit, name = (
         (86400.0, "days") if span > 3 * 86400 else ((3600.0, "hours") if span > 3 * 3600 else (60.0, "minutes"))
     )
-    share = np.max(
-        [np.abs(np.asarray(columns[f"error_{axis}_deg"], dtype=float)) / specification_deg[axis] for axis in BODY_AXES],
-        axis=0,
-    )
+    share = specification.worst_share({axis: columns[f"error_{axis}_deg"] for axis in AXES})
     solved = (np.asarray(columns["status"]) == "solved") & np.isfinite(share)
     wrong = np.asarray(columns["wrong"], dtype=bool)
     good = solved & ~wrong

@@ -11,30 +11,25 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.pictures import draw_solution, shades_of
-from simulator.study.statistics import BODY_AXES
+from simulator.study.specification.requirements import Specification
+from simulator.study.statistics import AXES
 from simulator.study.style import Panel
 from simulator.study.trials.trial import TrialRunner, solve_frame
 
 Columns = Mapping[str, NDArray[Any]]
 
 
-def chosen_trials(columns: Columns, specification_deg: Mapping[str, float]) -> list[tuple[str, int]]:
+def chosen_trials(columns: Columns, specification: Specification) -> list[tuple[str, int]]:
     """Selected trials, as (description, index).
 
-    The best, the median and the worst by the largest error about a body axis relative to its specification, and the
+    The best, the median and the worst by the largest error relative to its specification, and the
     first unsolved one.
     """
     index = np.asarray(columns["index"])
     solved = np.asarray(columns["status"]) == "solved"
     found = []
     if solved.any():
-        share = np.max(
-            [
-                np.abs(np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved]) / specification_deg[axis]
-                for axis in BODY_AXES
-            ],
-            axis=0,
-        )
+        share = specification.worst_share({axis: columns[f"error_{axis}_deg"][solved] for axis in AXES})
         order = index[solved][np.argsort(share, kind="stable")]
         found = [("best", int(order[0])), ("median", int(order[(len(order) - 1) // 2])), ("worst", int(order[-1]))]
     if not solved.all():
@@ -43,7 +38,7 @@ def chosen_trials(columns: Columns, specification_deg: Mapping[str, float]) -> l
 
 
 def frame_panels(
-    scenario: Scenario, columns: Columns, specification_deg: Mapping[str, float], runner: TrialRunner | None = None
+    scenario: Scenario, columns: Columns, specification: Specification, runner: TrialRunner | None = None
 ) -> list[tuple[Panel, int]]:
     """Panels of the selected trials with their indices; each frame is rendered and solved again, as in the run.
 
@@ -54,7 +49,7 @@ def frame_panels(
     """
     runner = runner or TrialRunner(scenario)
     made: dict[int, Panel] = {}
-    for what, index in chosen_trials(columns, specification_deg):
+    for what, index in chosen_trials(columns, specification):
         if index in made:  # a frame may be selected twice if there are few trials
             continue
         frame = runner.renderer.frame(index)[0]  # the truth, a floating-point image, is released at once

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.html_page import drawn, render_page
+from simulator.study.html_page import TONES, drawn, render_page
 from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
 from simulator.study.report.frames import frame_panels
-from simulator.study.statistics import BODY_AXES
+from simulator.study.specification.requirements import specification_of
 from simulator.study.style import Panel
-from simulator.study.verdict import MET, NOT_MET, UNDECIDED
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ def build_report(
     budget : mapping, optional
         As in ``budget.json``.
     """
-    specification = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+    specification = specification_of(scenario)
     return Report(
         scenario,
         summary,
@@ -79,7 +78,7 @@ def html_of(report: Report) -> str:
         scenario=report.scenario,
         summary=report.summary,
         content=report.content,
-        tone={MET: "good", NOT_MET: "bad", UNDECIDED: "open"}[report.content.answer.state],
+        tone=TONES[report.content.answer.state],
         errors=[drawn(panel, f"e{i}") for i, panel in enumerate(report.panels.errors)],
         trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
         wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],

@@ -44,7 +44,7 @@ def pdf_of(report: Report) -> bytes:
         style(),
         PdfPages(stream, metadata={"Title": f"{scenario.name}: boresight study", "CreationDate": None}) as pages,
     ):
-        paper = _Paper(pages, content.provenance)
+        paper = Paper(pages, content.provenance)
         paper.text(scenario.name, 18, weight="bold")
         paper.text(scenario.description, 9, colour=SOFT)
         paper.text(content.provenance, 8, colour=SOFT)
@@ -85,7 +85,7 @@ def pdf_of(report: Report) -> bytes:
     return stream.getvalue()
 
 
-class _Paper:
+class Paper:
     """Pages filled from top to bottom; a new page is started for items that do not fit."""
 
     def __init__(self, pages: PdfPages, footer: str) -> None:
@@ -97,6 +97,7 @@ class _Paper:
 
     @property
     def room_in(self) -> float:
+        """Height left on the page, inches."""
         return HEIGHT_IN - MARGIN_IN - self.top_in
 
     def _need(self, height_in: float) -> Figure:

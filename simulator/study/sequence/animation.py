@@ -6,6 +6,7 @@ GIF by Pillow; MP4 by ffmpeg if it is installed.
 from __future__ import annotations
 
 import io
+import math
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -195,9 +196,11 @@ def _marks(draw: ImageDraw.ImageDraw, view: FrameView, corner: tuple[int, int]) 
     for xy in view.window_xy:
         x, y = position(xy)
         draw.rectangle((x - half, y - half, x + half, y + half), outline=_WINDOW)
+    around = len(view.window_xy) and half < 8.0  # a circle about as large as the square would merge with it
+    ring = 1.0 + math.sqrt(2.0) * half if around else 6.0
     for xy in view.matched_xy:
         x, y = position(xy)
-        draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=_MATCHED)
+        draw.ellipse((x - ring, y - ring, x + ring, y + ring), outline=_MATCHED)
 
 
 def _plot(columns: Columns, width: int) -> tuple[Image.Image, tuple[float, float, float]]:

@@ -21,6 +21,7 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.operation import OperatedCamera
+from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import (
@@ -87,7 +88,7 @@ class SequenceRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
-        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+        self.specification = specification_of(scenario)
         section = scenario.sequence
         self._pointing = scenario.pointing
         self.start = self._start()
@@ -203,10 +204,10 @@ class SequenceRunner:
                 "saturation_dn": frame.saturation_dn,
                 "gain_e_per_dn": frame.gain_e_per_dn,
             }
-            solution = session.update(image, since_s, gyro_rad_s=gyro, **known)
+            solution = session.update(image, since_s + truth.time_tag_error_s, gyro_rad_s=gyro, **known)
             tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
-            row = self._row(k, state, truth.attitude, session, solution, *times)
+            row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
             row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
             if self.single:
@@ -282,7 +283,7 @@ class SequenceRunner:
         nees = math.nan
         if estimate is not None and covariance is not None:
             errors = attitude_errors_deg(true, estimate, mounting)
-            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification_deg)
+            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
             camera = covariance[:3, :3]
             to_body = mounting.inverse.as_matrix()
             sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))
@@ -355,7 +356,7 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import base64
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario import Scenario
-from simulator.study.html_page import Table, drawn, provenance, render_page
+from simulator.study.html_page import TONES, Table, drawn, provenance, render_page, verdict_table
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.plots import MODE_TITLES, panels
-from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from simulator.study.statistics import AXES
+from simulator.study.texts import deg_text
+
+if TYPE_CHECKING:
+    from simulator.study.sequence.run import Sequence
 
 _LARGEST_GIF_BYTES = 12_000_000
 """A larger animation remains a separate file."""
@@ -21,36 +24,31 @@ _MOST_UNSOLVED = 20
 """Maximum number of unsolved frames that the page lists."""
 
 
-def sequence_html(
-    scenario: Scenario, summary: dict[str, Any], columns: dict[str, NDArray[Any]], gif: bytes | None = None
-) -> str:
+def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
     """Complete page without scripts or external links.
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario.
-    summary, columns : dict
-        As in ``sequence.json`` and ``sequence.parquet``.
+    sequence : Sequence
+        Its scenario, frames and summary.
     gif : bytes, optional
         The animation.
     """
+    scenario, summary, columns = sequence.scenario, sequence.summary, sequence.columns
+    judged = sequence.judgement
     groups = [
         (heading, [drawn(panel, f"s{i}-{k}") for k, panel in enumerate(group)])
         for i, (heading, group) in enumerate(panels(columns).items())
     ]
-    limits = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
-    p997 = {axis: summary["errors_deg"][axis]["p997"] for axis in BODY_AXES}
-    # no interval: the errors of successive frames are not independent
-    met = summary["wrong"] == 0 and all(p997[axis] is not None and p997[axis] <= limits[axis] for axis in BODY_AXES)
     embedded = gif is not None and len(gif) <= _LARGEST_GIF_BYTES
     return render_page(
         "sequence/sequence.html.j2",
         scenario=scenario,
         summary=summary,
         provenance=provenance(summary, scenario.fingerprint()),
-        tone="good" if met else "bad",
-        verdicts=[(axis, p997[axis], limits[axis]) for axis in BODY_AXES],
+        tone=TONES[judged.state],
+        verdict=judged.text,
+        requirements=verdict_table(judged),
         accuracy=_accuracy(summary),
         modes=Table(("mode", "time"), tuple((MODE_TITLES[m], f"{summary['time_in_mode_s'][m]:g} s") for m in MODES)),
         groups=groups,
@@ -58,7 +56,6 @@ def sequence_html(
         animation="data:image/gif;base64," + base64.b64encode(gif).decode("ascii") if embedded and gif else None,
         beside=gif is not None and not embedded,
         resolved=scenario.to_yaml(),
-        deg=deg_text,
     )
 
 
@@ -69,7 +66,7 @@ def _accuracy(summary: dict[str, Any]) -> Table:
         errors = summary["errors_deg"][axis]
         row = [
             axis.replace("_", " "),
-            *(deg_text(errors[name]) for name in ("mean", "std", "rms", "three_sigma", "max")),
+            *(deg_text(errors[name]) for name in ("mean", "std", "rms", "p997", "max")),
         ]
         if single:
             gain = single["gain"][axis]
@@ -78,7 +75,15 @@ def _accuracy(summary: dict[str, Any]) -> Table:
     note = "The error is the rotation vector from the true to the estimated attitude, over the solved frames"
     if single:
         note += f"; single frames: {single['solved']} frames solved one by one without prediction"
-    headings = ("axis", "mean", "std", "rms", "3σ", "max", *(("rms, single frames", "gain") if single else ()))
+    headings = (
+        "axis",
+        "mean",
+        "std",
+        "rms",
+        "99.7th percentile",
+        "max",
+        *(("rms, single frames", "gain") if single else ()),
+    )
     return Table(headings, tuple(rows), note=f"{note}.")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
+from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import median
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
@@ -60,6 +63,11 @@ class Sequence(Rows):
         solved = int(np.count_nonzero(self.frames["status"].to_numpy(zero_copy_only=False) == "solved"))
         counts = f"{self.frames.num_rows} frames, {solved} solved"
         return described("Sequence", self.scenario.name, counts, str(self.folder or ""))
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """Verdicts on the scenario's specification, with the effective number of independent frames."""
+        return judge_frames(self.scenario, self.columns, self.scenario.sequence.step_s)
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -170,7 +178,7 @@ def _run(
         identity=_identity(scenario, single, done).to_dict(),
         requested=requested,
         interrupted=done < requested,
-        **summarise_sequence(columns, scenario.sequence.step_s),
+        **summarise_sequence(columns, scenario.sequence.step_s, sequence.judgement),
         unphysical=list(scenario.unphysical),
         elapsed_s=elapsed_s,
         median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
@@ -192,7 +200,7 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[st
         "scenario.resolved.yaml": f"# boresight {__version__}\n{sequence.scenario.to_yaml()}",
     }
     gif = gif_bytes(views, sequence.columns, sequence.scenario.name) if views else None
-    files["sequence.html"] = sequence_html(sequence.scenario, sequence.summary, sequence.columns, gif)
+    files["sequence.html"] = sequence_html(sequence, gif)
     if gif is not None:
         files["sequence.gif"] = gif
         program = find_ffmpeg()

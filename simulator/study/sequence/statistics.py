@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
 from scipy.special import chdtri
 
+from simulator.study.intervals import effective_number
 from simulator.study.sequence.frames import MODES
+from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, axis_statistics
 
-__all__ = ["effective_number", "longest_run", "nees_test", "summarise_sequence"]
+__all__ = ["longest_run", "nees_test", "summarise_sequence"]
 
 Columns = dict[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
 
 
-def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
+def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) -> dict[str, Any]:
     """Numbers of ``sequence.json`` from the columns of ``sequence.parquet``.
 
     A frame represents the step that begins with it: times in modes and outages are numbers of frames times the step.
@@ -26,8 +27,9 @@ def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
     tracking) use the frames solved both ways.
     """
     n = len(columns["index"])
+    error_deg = {axis: np.asarray(columns[f"error_{axis}_deg"], dtype=float) for axis in AXES}
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
-    errors = {axis: np.asarray(columns[f"error_{axis}_deg"], dtype=float) for axis in AXES}
+    errors = {axis: axis_statistics(values[solved]) for axis, values in error_deg.items()}
     first = int(np.argmax(solved)) if solved.any() else None
     statuses, counts = np.unique(np.asarray(columns["status"][~solved], dtype=str), return_counts=True)
     summary: dict[str, Any] = {
@@ -47,7 +49,9 @@ def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
         "stars_misidentified": int(np.sum(columns["stars_misidentified"])),
         "restarts": int(np.sum(columns["restarted"])),
         "stars_matched_mean": float(np.mean(columns["stars_matched"][solved])) if solved.any() else None,
-        "errors_deg": {axis: axis_statistics(errors[axis][solved]) for axis in AXES},
+        "errors_deg": errors,
+        "specification": judgement.by_name({axis: errors[axis]["three_sigma"] for axis in AXES}),
+        "verdict": judgement.to_dict(),
         "rate_rms_deg_s": {
             axis: _rms((columns[f"rate_{axis}_deg_s"] - columns[f"true_rate_{axis}_deg_s"])[solved]) for axis in "xyz"
         },
@@ -63,7 +67,7 @@ def summarise_sequence(columns: Columns, step_s: float) -> dict[str, Any]:
         single = {axis: np.asarray(columns[f"single_error_{axis}_deg"], dtype=float) for axis in AXES}
         gain = {}
         for axis in AXES:
-            rms, rms_alone = _rms(errors[axis][both]), _rms(single[axis][both])
+            rms, rms_alone = _rms(error_deg[axis][both]), _rms(single[axis][both])
             gain[axis] = rms_alone / rms if rms and rms_alone is not None else None
         summary["single"] = {
             "solved": int(alone.sum()),
@@ -79,28 +83,6 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
     """Length of the longest run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
-
-
-def effective_number(values: FloatArray) -> float:
-    """Effective number of independent values of a correlated series, for its mean.
-
-    N / (1 + 2 Σ ρ_k), the sum over lags while pairs of autocorrelations stay positive (Geyer 1992, Statistical Science
-    7, 473: the initial positive sequence); between 1 and N.
-    """
-    n = len(values)
-    centred = values - values.mean() if n else values
-    power = float(centred @ centred)
-    if n < 4 or power <= 1e-24 * float(values @ values):  # a constant, to rounding
-        return float(n)
-    spectrum = rfft(centred, 2 * n)
-    correlation = irfft(np.abs(spectrum) ** 2, 2 * n)[:n] / power
-    total = 1.0
-    for k in range(1, n - 1, 2):
-        pair = float(correlation[k] + correlation[k + 1])
-        if pair <= 0.0:
-            break
-        total += 2.0 * pair
-    return float(np.clip(n / total, 1.0, n))
 
 
 def nees_test(nees: FloatArray) -> dict[str, Any]:

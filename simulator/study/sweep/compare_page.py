@@ -112,7 +112,8 @@ def _draw(comparison: Comparison, name: str, ax: Axes) -> None:
         ax.axvline(value[0], color=SOFT, linewidth=0.8, linestyle=":")
     ax.set_xlabel({"rate": "[%]", "stars": ""}.get(name, "rms [arcsec]"))
     if name == "rate":
-        ax.set_xlim(right=102.0)
+        ax.set_xlim(right=102.0)  # room for the marker at 100 %
+        ax.set_xticks([tick for tick in ax.get_xticks() if ax.get_xlim()[0] <= tick <= 100.0])
     elif np.any(np.isfinite(value)):
         ax.set_xlim(0.0, 1.05 * float(np.nanmax([value, high])) or 1.0)
     ax.set_yticks(y, [str(n + 1) for n in y])

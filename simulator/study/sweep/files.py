@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simulator.paths import make_folder, open_atomically, write_atomically
+from simulator.scenario import Scenario
 from simulator.scenario.output import yaml_value
 from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.specification.measured import JUDGED_COLUMNS, judge_frames
 from simulator.study.trials.columns import Columns
 
 RESULT_FILES = ("sweep.parquet", "points.csv", "sweep.json", "sweep.html", "plots")
@@ -28,7 +31,14 @@ def point_files(folder: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept: Path, folder: Path) -> None:
+def write_results(
+    table: dict[str, Any],
+    paths: list[str],
+    rows: list[Row],
+    kept: Path,
+    folder: Path,
+    scenarios: Mapping[int, Scenario],
+) -> None:
     """Write all files of a sweep atomically; the statistics of the points are added to `table`.
 
     Parameters
@@ -43,6 +53,8 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
         Folder of the finished points.
     folder : Path
         Folder of the results.
+    scenarios : mapping
+        Scenario of each possible point by its number; its specification is judged.
     """
     from simulator.study.sweep.page import sweep_page
     from simulator.study.sweep.plots import sweep_figures
@@ -56,8 +68,9 @@ def write_results(table: dict[str, Any], paths: list[str], rows: list[Row], kept
         if refused is not None:
             point |= {"status": "refused", "reason": refused}
         elif index in files:
-            columns = Columns(pq.read_table(files[index], columns=list(TRIAL_COLUMNS)))
-            point["statistics"] = point_statistics(columns, table["seed"])
+            columns = Columns(pq.read_table(files[index], columns=[*TRIAL_COLUMNS, *JUDGED_COLUMNS]))
+            judged = judge_frames(scenarios[index], columns)
+            point |= {"statistics": point_statistics(columns, table["seed"], judged), "verdict": judged.to_dict()}
         else:
             point["status"] = "not run"
         table["points"].append(point)

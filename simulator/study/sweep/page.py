@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from simulator.study.html_page import Table, drawn, provenance, render_page
-from simulator.study.statistics import AXES, BODY_AXES, deg_text
+from simulator.study.html_page import TONES, Table, drawn, provenance, render_page
+from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED
+from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.sweep.plots import SweepFigure, key_label
-from simulator.study.verdict import FEWEST_TO_MEET
+from simulator.study.texts import deg_text
 
 
 def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
@@ -22,17 +23,16 @@ def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
     """
     done = [point for point in table["points"] if "statistics" in point]
     refused = [point for point in table["points"] if point["status"] == "refused"]
-    meeting = sum(meets(point["statistics"], table["specification_deg"]) for point in done)
+    states = [point["statistics"].get("verdict") for point in done]
+    counts = {state: states.count(state) for state in (MET, NOT_MET, UNDECIDED)}
     swept = [axis["path"] for axis in table["swept"]]
     keys = tuple(key_label(axis) for axis in table["swept"])
     return render_page(
         "sweep/sweep.html.j2",
         sweep=table,
         provenance=provenance(table, table["identity"]["sha256"]),
-        tone="good" if meeting else "bad",
-        meeting=meeting,
-        done=len(done),
-        fewest=FEWEST_TO_MEET,
+        verdicts=[(TONES[state], state, count) for state, count in counts.items() if count],
+        specified=", ".join(f"{name} {deg_text(limit)}" for name, limit in table["specification_deg"].items()),
         not_run=sum(point["status"] == "not run" for point in table["points"]),
         best=_best(done, keys, swept),
         figures=[
@@ -50,17 +50,7 @@ def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> str:
             tuple((str(point["point"]), *_values(point, swept), point["reason"]) for point in refused),
             (len(keys) + 1,),
         ),
-        deg=deg_text,
     )
-
-
-def meets(statistics: dict[str, Any], specification_deg: dict[str, float]) -> bool:
-    """Whether 99.7 % of the errors about every body axis are within the specification, and nothing is wrong.
-
-    Based on the sample alone, as a point has too few trials for an interval of this percentile.
-    """
-    found = [(statistics[f"{axis}_p997_deg"], specification_deg[axis]) for axis in BODY_AXES]
-    return statistics["wrong"] == 0 and all(p997 is not None and p997 <= limit for p997, limit in found)
 
 
 def interval_text(statistics: dict[str, Any], axis: str) -> str:
@@ -116,10 +106,11 @@ def _points(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str])
             percent_text(s),
             *(interval_text(s, axis) for axis in BODY_AXES),
             number_text(s["stars_matched_mean"]),
+            s.get("verdict", "–"),
         ))  # fmt: skip
     names = (f"rms {axis} (95 %)" for axis in BODY_AXES)
     return Table(
-        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "stars"),
+        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "stars", "verdict"),
         tuple(rows),
         note="All statistics are in points.csv and sweep.json, all trials in sweep.parquet.",
     )

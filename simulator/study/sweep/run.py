@@ -38,7 +38,8 @@ from simulator.study.results_folder import (
     standing,
     unfinished_identity,
 )
-from simulator.study.statistics import BODY_AXES
+from simulator.study.specification.requirements import specification_of
+from simulator.study.specification.verdicts import frames_needed
 from simulator.study.sweep.files import cell, point_files, write_results
 from simulator.study.trials.checked_files import fault_of, set_aside, write_checked
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
@@ -265,7 +266,7 @@ def _run_sweep(
             f"interrupted: {len(state.whole)} points are finished and kept for the next run; {folder} still contains "
             f"the results of the earlier sweep of {points_standing} points"
         )
-    specification = plan.scenario.specification
+    specification = specification_of(plan.scenario)
     table = {
         "name": plan.scenario.name,
         "scenario_file": plan.scenario.source_name,
@@ -276,7 +277,8 @@ def _run_sweep(
         "kind": plan.kind,
         "interrupted": state.interrupted,
         "swept": [_describe(axis) for axis in plan.swept],
-        "specification_deg": {axis: getattr(specification, f"{axis}_deg") for axis in BODY_AXES},
+        "specification_deg": {each.name: each.limit for each in specification.errors},
+        "trials_needed": max(map(frames_needed, specification.requirements), default=0),
         "identity": plan.identity(reached).to_dict(),
         "workers": where.workers,
         "elapsed_s": clock() - started,
@@ -284,7 +286,8 @@ def _run_sweep(
         "scenario": plan.scenario.resolved(),
     }
     rows = [(point.index, point.values, state.refused.get(point.index)) for point in plan.points]
-    write_results(table, [axis.path for axis in plan.swept], rows, kept, folder)
+    scenarios = {point.index: point.scenario for point in plan.points if point.scenario is not None}
+    write_results(table, [axis.path for axis in plan.swept], rows, kept, folder, scenarios)
     if not state.interrupted:
         shutil.rmtree(kept, ignore_errors=True)
     return Sweep(table, folder, tuple(state.notes))

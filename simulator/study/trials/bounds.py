@@ -141,6 +141,8 @@ def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directi
     paths, weights = star_paths(
         plane.true_camera, directions, truth.rate_camera_rad_s, renderer.exposure_s, plane.psfs.feature_px
     )
+    if not plane.displacement.is_off:  # the same displacement at every moment
+        paths = paths + (sources.xy[stars] - plane.true_camera.project(directions))[:, None, :]
     streak_px = _widest(paths)
     for members, psf in plane.psfs.groups(sources.b_v[stars], sources.xy[stars]):
         wide = math.ceil(_HALF_WIDTHS * max(psf.sigma_px, psf.sigma_y_px) + 0.5 * streak_px)
@@ -307,6 +309,12 @@ def mean_dark_e(detector: DetectorParameters, exposure_s: float) -> float:
     """Mean dark electrons of a normal pixel over the exposure."""
     factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
     return detector.dark_current_e_s * exposure_s * factor
+
+
+def mean_displacement_e(detector: DetectorParameters, exposure_s: float) -> float:
+    """Mean electrons of displacement damage in a pixel over the exposure."""
+    factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
+    return detector.displacement.mean_e_s * exposure_s * factor
 
 
 def _wells(pattern: FixedPattern, detector: DetectorParameters, exposure_s: float) -> Wells:

@@ -47,7 +47,7 @@ class WorkerPool:
     def submit(self, scenario: Scenario, key: str, block: range) -> Future[Result]:
         """Submit a block to the next free process; `key` identifies the scenario."""
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=_start_worker)
+            self._executor = ProcessPoolExecutor(self.workers, get_context("spawn"), initializer=start_worker)
         return self._executor.submit(_run_block, scenario, key, block)
 
     def close(self) -> None:
@@ -107,7 +107,8 @@ def run_in_pool(
                 future.cancel()
 
 
-def _start_worker() -> None:
+def start_worker() -> None:
+    """Prepare a worker process: Ctrl-C is the parent's affair, and the worker ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth, TrueSources
+from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.background import GALACTIC
+from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
+from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from startracker.attitude import Attitude
 from startracker.camera import Camera
+from startracker.catalog import load_catalog
+from startracker.catalog.stars import StarCatalog
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
@@ -37,9 +42,13 @@ _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
 def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
     """Star tracker of a scenario's ``tracker`` section for a camera."""
     section = scenario.tracker
+    catalog: str | StarCatalog = section.catalog
+    if section.catalogue_errors != CatalogueErrors():
+        streamed = stream(scenario.seed, "catalogue errors")
+        catalog = with_errors(load_catalog(section.catalog), section.catalogue_errors, streamed)
     return StarTracker(
         camera,
-        catalog=section.catalog,
+        catalog=catalog,
         magnitude_limit=section.magnitude_limit,
         detector=section.detector,
         centroider=section.centroider,
@@ -53,14 +62,7 @@ def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
 
 def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
     """Solve a frame with all data known on board."""
-    return tracker.solve(
-        frame.image,
-        prior=frame.prior,
-        prior_deg=frame.prior_deg,
-        observer=frame.observer,
-        saturation_dn=frame.saturation_dn,
-        gain_e_per_dn=frame.gain_e_per_dn,
-    )
+    return tracker.solve(frame)
 
 
 def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
@@ -112,7 +114,7 @@ class TrialRunner:
         self.renderer = Renderer(scenario)
         self.tracker = build_tracker(scenario, self.renderer.camera)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
-        self.specification_deg = {axis: getattr(scenario.specification, f"{axis}_deg") for axis in BODY_AXES}
+        self.specification = specification_of(scenario)
 
     def run(self, index: int) -> dict[str, Any]:
         """Row of trial `index`."""
@@ -130,6 +132,7 @@ class TrialRunner:
 
     def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
         scenario, sources, instant = self.scenario, truth.sources, self.renderer.scenes.instant(index)
+        true = truth.attitude_at_tag
         row: dict[str, Any] = {
             "index": index,
             "t_s": truth.t_s,
@@ -138,13 +141,13 @@ class TrialRunner:
             "reason": solution.reason,
             "wrong": False,
             "beyond_specification": False,
-            "true_ra_deg": truth.attitude.ra_deg,
-            "true_dec_deg": truth.attitude.dec_deg,
-            "true_roll_deg": truth.attitude.roll_deg,
+            "true_ra_deg": true.ra_deg,
+            "true_dec_deg": true.dec_deg,
+            "true_roll_deg": true.roll_deg,
         }
-        row |= zip(_TRUE_QUATERNION, truth.attitude.quat.tolist(), strict=True)
+        row |= zip(_TRUE_QUATERNION, true.quat.tolist(), strict=True)
         row |= {
-            "galactic_latitude_deg": galactic_latitude_deg(truth.attitude),
+            "galactic_latitude_deg": galactic_latitude_deg(true),
             "orbit_argument_deg": instant.orbit_argument_deg,
             "latitude_deg": instant.latitude_deg,
             "longitude_deg": instant.longitude_deg,
@@ -155,8 +158,8 @@ class TrialRunner:
         sigma, estimate = [math.nan] * 3, [math.nan] * 4
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
-            row["beyond_specification"] = beyond_specification(errors, self.specification_deg)
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting)
+            row["beyond_specification"] = beyond_specification(errors, self.specification)
             estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:

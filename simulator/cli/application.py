@@ -1,0 +1,170 @@
+"""The application ``boresight``: its commands and options. The commands only call the library.
+
+Each command's module is imported when the command is called, which keeps ``--help`` fast.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from simulator.cli.export_request import ExportRequest
+from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
+from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
+from simulator.cli.run_requests import DatasheetRequest, RenderRequest, RunRequest, SweepRequest
+from simulator.cli.study_command import study_app
+from simulator.cli.suggesting import SuggestingGroup, usage_error_line
+from startracker._version import __version__
+from startracker.errors import BoresightError, InputWarning
+
+# Arrow's own allocator keeps some 10 to 20 MB of what it had once; workers get the variable with the environment
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+
+app = typer.Typer(
+    name="boresight",
+    cls=SuggestingGroup,
+    help="A simulator of a star camera in orbit, and a star tracker that solves its frames and photographs of the sky.",
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"boresight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        from simulator.cli.welcome import welcome_text
+
+        typer.echo(welcome_text())
+
+
+def report_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Results folder of `boresight run`.", show_default=False)
+    ],
+    pdf: Annotated[bool, switch("--pdf", "Also write report.pdf.")] = False,
+    budget: Annotated[
+        Path | None, option("--budget", "FILE", "Error budget to include, from `boresight study budget`.")
+    ] = None,
+) -> None:
+    """Write the report of a finished run again from its files: report.html and, with --pdf, report.pdf."""
+    from simulator.cli.report_command import report_of_folder
+
+    raise typer.Exit(report_of_folder(folder, pdf, budget))
+
+
+def compare_command(
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN_DIR...",
+            help="Results folders of boresight run, or of boresight sweep (all points; DIR:3 for one).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, option("--out", "PAGE.html", "Page to write.")] = Path("comparison.html"),
+) -> None:
+    """Compare runs: differences of their scenarios, errors with intervals, rates and times."""
+    from simulator.cli.sweep_command import compare_runs
+
+    raise typer.Exit(compare_runs(runs, out))
+
+
+def validate_command(scenarios: ScenarioFiles) -> None:
+    """Check scenarios, and report every error with file, line and key."""
+    from simulator.cli.scenario_commands import validate
+
+    raise typer.Exit(validate(scenarios))
+
+
+def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
+    """Print a scenario with all defaults."""
+    from simulator.cli.scenario_commands import show
+
+    raise typer.Exit(show(scenario, set_values or []))
+
+
+def schema_command() -> None:
+    """Print the JSON schema of scenarios, for editors."""
+    from simulator.cli.scenario_commands import schema
+
+    raise typer.Exit(schema())
+
+
+_SIMULATE, _SOLVE, _RESULTS = "Simulate", "Solve frames and photographs", "Results"
+_SCENARIOS, _FLIGHT = "Scenarios", "Flight software"
+_COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
+    ("run", as_command(RunRequest, "run_command"), _SIMULATE, "boresight run cubesat --trials 200"),
+    ("render", as_command(RenderRequest, "render_command"), _SIMULATE, "boresight render moon --preview moon.png"),
+    ("sweep", as_command(SweepRequest, "sweep_command"), _SIMULATE,
+     "boresight sweep cubesat --over optics.aperture_mm=6:24:7"),
+    ("datasheet", as_command(DatasheetRequest, "datasheet_command"), _SIMULATE, "boresight datasheet cubesat --quick"),
+    ("solve", as_command(SolveRequest, "solve_command"), _SOLVE, "boresight solve photo.jpg --annotate solved.png"),
+    ("calibrate", as_command(CalibrateRequest, "calibrate_command"), _SOLVE,
+     "boresight calibrate *.tiff --out camera.yaml --plot fit.png"),
+    ("report", report_command, _RESULTS, "boresight report out/cubesat --pdf"),
+    ("compare", compare_command, _RESULTS, "boresight compare out/a out/b"),
+    ("validate", validate_command, _SCENARIOS, "boresight validate my.yaml"),
+    ("show", show_command, _SCENARIOS, "boresight show cubesat > my.yaml"),
+    ("schema", schema_command, _SCENARIOS, "boresight schema > schema.json"),
+    ("export-c", as_command(ExportRequest, "c_source"), _FLIGHT, "boresight export-c tracker/"),
+)  # fmt: skip
+"""Name, function, group and example of each command."""
+for _name, _function, _group, _example in _COMMANDS:
+    app.command(_name, rich_help_panel=_group, epilog=f"Example: {_example}")(_function)
+app.add_typer(study_app, name="study", rich_help_panel=_SIMULATE)
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """What has no effect in a user's input, one line each on standard error."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, InputWarning):
+                print(f"warning: {message}", file=sys.stderr)
+            else:
+                others(message, category, *where, **more)
+
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
+
+
+@_warnings_in_one_line()
+def run_application(arguments: list[str]) -> int:
+    """Run a command and return its exit status; a user's mistake is one line on standard error and status 2."""
+    try:
+        code: Any = app(args=arguments, prog_name="boresight", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except typer.TyperException as error:  # a wrong option or argument
+        print(usage_error_line(error), file=sys.stderr)
+        return 2
+    except BoresightError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except typer.Abort:  # an interrupt that no command handled
+        raise KeyboardInterrupt from None
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141

@@ -1,0 +1,106 @@
+"""Random telegraph pixels: their dark current switches at random times between two levels.
+
+The levels have exponentially distributed durations with means τ_low and τ_high. Such a process is the same as one in
+which, at the events of a Poisson process of rate 1/τ_low + 1/τ_high, the level is drawn again, the upper one with the
+probability τ_high / (τ_low + τ_high): the rates of leaving the levels are then 1/τ_low and 1/τ_high (uniformisation of
+a Markov chain; Ross 2014, *Introduction to Probability Models*, section 6.7). The level at an instant is therefore that
+of the last event before it, and is found without the history of the device: time is divided into cells, each with its
+own random stream, and the cells are searched backwards. Frames of a sequence are correlated as they should be, in any
+order and on any number of workers.
+
+Valid for exposures much shorter than the durations: the level at mid-exposure holds for the exposure.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.detector.parameters import DetectorParameters, RandomTelegraph
+from simulator.randomness import stream
+
+FloatArray = NDArray[np.float64]
+
+_FIRST_CELL = 2**40
+"""Cell of the epoch: the index of a random stream cannot be negative, and times before the epoch have cells too."""
+
+
+@dataclass(frozen=True, eq=False)
+class TelegraphPixels:
+    """Random telegraph pixels of one device at one temperature."""
+
+    pixels: NDArray[np.int64]
+    """(N,): Flat indices."""
+    amplitude_e_s: FloatArray
+    """(N,): Upper minus lower level."""
+    process: RandomTelegraph
+    seed: int
+
+    def is_high(self, t_s: float) -> NDArray[np.bool_]:
+        """(N,): Pixels in the upper level at a time, seconds after the epoch."""
+        process = self.process
+        rate = 1.0 / process.low_s + 1.0 / process.high_s
+        cell_s = 1.0 / rate
+        cell = math.floor(t_s / cell_s)
+        within = t_s / cell_s - cell
+        high = np.zeros(len(self.pixels), dtype=bool)
+        open_ = np.arange(len(self.pixels))
+        while open_.size:
+            rng = stream(self.seed, "telegraph_cell", _FIRST_CELL + cell)
+            events = rng.poisson(1.0, size=len(self.pixels))
+            last, level = _last_events(events, rng, process.high_share, within)
+            found = last[open_]
+            high[open_[found]] = level[open_[found]]
+            open_ = open_[~found]
+            cell, within = cell - 1, 1.0
+        return high
+
+    def without(self, dead: NDArray[np.bool_]) -> TelegraphPixels:
+        """The same with dead pixels (H, W), which collect no dark current, switched off."""
+        return replace(self, amplitude_e_s=np.where(dead.flat[self.pixels], 0.0, self.amplitude_e_s))
+
+    def add_to(self, mean_e: FloatArray, exposure_s: float, t_s: float) -> FloatArray:
+        """Add the mean dark electrons of the pixels in the upper level, in place."""
+        mean_e.flat[self.pixels] += exposure_s * self.amplitude_e_s * self.is_high(t_s)
+        return mean_e
+
+
+def telegraph_pixels(detector: DetectorParameters, dark_factor: float, seed: int) -> TelegraphPixels | None:
+    """Random telegraph pixels of a device; None without any.
+
+    Parameters
+    ----------
+    detector : DetectorParameters
+        The detector.
+    dark_factor : float
+        Dark current relative to that at the reference temperature.
+    seed : int
+        Seed of the run; stream ``telegraph`` of the device, and ``telegraph_cell`` of cells of time.
+    """
+    process = detector.telegraph
+    if not (process.pixel_fraction > 0 and process.dark_e_s > 0):
+        return None
+    rng, size = stream(seed, "telegraph"), detector.width * detector.height
+    chosen = rng.choice(size, size=rng.binomial(size, process.pixel_fraction), replace=False)
+    chosen.sort()
+    return TelegraphPixels(chosen, rng.exponential(process.dark_e_s * dark_factor, len(chosen)), process, seed)
+
+
+def _last_events(
+    events: NDArray[np.int64], rng: np.random.Generator, high_share: float, within: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each pixel has an event in the first part `within` of a cell, and the level of the last of these."""
+    owner = np.repeat(np.arange(len(events)), events)
+    times, levels = rng.random(owner.size), rng.random(owner.size) < high_share
+    kept = times < within
+    owner, times, levels = owner[kept], times[kept], levels[kept]
+    order = np.lexsort((times, owner))
+    owner, levels = owner[order], levels[order]
+    final = np.append(owner[1:] != owner[:-1], True) if owner.size else np.zeros(0, dtype=bool)
+    has, level = np.zeros(len(events), dtype=bool), np.zeros(len(events), dtype=bool)
+    has[owner[final]] = True
+    level[owner[final]] = levels[final]
+    return has, level

@@ -1,0 +1,102 @@
+"""Faint stars beyond the catalogue: a statistical sky, always the same for one seed.
+
+The sphere is divided into cells of about 4° × 4° in bands of declination. Each has a Poisson number of stars from its
+own random stream, uniformly distributed, with the magnitudes of the whole sky (`star_counts`) and the density of its
+centre (`background.star_contrast`). They are point sources without names: part of the background, not of the truth.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.randomness import stream
+from simulator.sky.background import star_contrast
+from simulator.sky.star_counts import count_between, draw_magnitudes
+from startracker.attitude import radec_to_direction
+from startracker.constants import ARCSEC_RAD
+
+__all__ = ["FaintSky", "StarField"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_BAND_DEG = 4.0
+_CELL_REACH_RAD = math.radians(4.5)
+"""Upper limit of the distance of a star from the centre of its cell: cells at the poles are thirds of a cap of 4°."""
+_CELLS_KEPT = 256
+
+
+class StarField(NamedTuple):
+    """Stars by direction."""
+
+    direction: FloatArray
+    """(N, 3): Unit vectors, ICRS, without aberration."""
+    v_mag: FloatArray
+    """(N,): Magnitudes."""
+
+
+class FaintSky:
+    """Stars between two magnitudes.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the run.
+    brightest, faintest : float
+        Stars with `brightest` < V ≤ `faintest`, up to `star_counts.FAINTEST_V`.
+    """
+
+    def __init__(self, seed: int, brightest: float, faintest: float) -> None:
+        self.seed, self.brightest, self.faintest = seed, brightest, faintest
+        self._edges = _cells()
+        middle = 0.5 * (self._edges[:, [0, 2]] + self._edges[:, [1, 3]])
+        self._centres = radec_to_direction(middle[:, 0], np.arcsin(middle[:, 1]))
+        density = count_between(brightest, faintest) * star_contrast(self._centres)
+        self._mean_count = density * _square_degrees(self._edges)
+        self.cell = functools.lru_cache(maxsize=_CELLS_KEPT)(self._drawn)
+
+    def near(self, direction: ArrayLike, radius_rad: float, shift_rad: float = 30.0 * ARCSEC_RAD) -> StarField:
+        """Stars within a radius of an apparent direction (3,), and some that aberration, up to `shift_rad`, may bring
+        there."""
+        centre = np.asarray(direction, dtype=float)
+        cosine = self._centres @ centre
+        cells = np.flatnonzero(cosine >= math.cos(min(radius_rad + _CELL_REACH_RAD, math.pi)))
+        fields = [self.cell(int(number)) for number in cells]
+        found, v_mag = (np.concatenate(column) for column in zip(*fields, strict=True))
+        rows = np.flatnonzero(found @ centre >= math.cos(min(radius_rad + shift_rad, math.pi)))
+        return StarField(found[rows], v_mag[rows])
+
+    def _drawn(self, number: int) -> StarField:
+        """Stars of one cell."""
+        rng = stream(self.seed, "faint stars", number)
+        count = int(rng.poisson(self._mean_count[number]))
+        share = rng.random((3, count))
+        west, east, south, north = self._edges[number].tolist()
+        direction = radec_to_direction(west + share[0] * (east - west), np.arcsin(south + share[1] * (north - south)))
+        return StarField(direction, draw_magnitudes(share[2], self.brightest, self.faintest))
+
+
+@functools.cache
+def _cells() -> FloatArray:
+    """Western and eastern right ascension, and sine of the southern and northern declination, of all cells (C, 4)."""
+    declination = np.radians(np.arange(-90.0, 90.0 + _BAND_DEG / 2.0, _BAND_DEG))
+    cells = []
+    for south, north in pairwise(declination.tolist()):
+        widest = max(math.cos(south), math.cos(north))
+        count = max(3, round(360.0 * widest / _BAND_DEG))
+        ra = np.linspace(0.0, 2.0 * math.pi, count + 1)
+        sines = np.broadcast_to([math.sin(south), math.sin(north)], (count, 2))
+        cells.append(np.column_stack([ra[:-1], ra[1:], sines]))
+    return np.concatenate(cells)
+
+
+def _square_degrees(edges: FloatArray) -> FloatArray:
+    """Areas (C,) of cells (C, 4)."""
+    steradians = (edges[:, 1] - edges[:, 0]) * (edges[:, 3] - edges[:, 2])
+    return np.asarray(steradians / math.radians(1.0) ** 2)

@@ -1,0 +1,98 @@
+"""``boresight datasheet`` with few frames: files, intervals, and the same bytes however it was computed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from simulator import Scenario
+from simulator.study.datasheet import run
+from simulator.study.datasheet.plan import Amounts
+from simulator.study.datasheet.run import RESULT_FILES, datasheet
+from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, TaskRunner
+
+TINY = Amounts(5, 24, 8, 5, 1, 5, 12, 4, 400)
+REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    small = {"detector.width": 256, "detector.height": 256, "optics.focal_length_mm": 8.0, "optics.aperture_mm": 8.0}
+    return Scenario.load("scenarios/cubesat.yaml", small)
+
+
+@pytest.fixture(scope="module")
+def written(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("datasheet")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "QUICK", TINY)
+        datasheet(scenario, end_of_life=_aged(scenario), quick=True, workers=2, out=folder)
+    return folder
+
+
+def _aged(scenario: Scenario) -> Scenario:
+    return scenario.changed({"detector.temperature_c": 35.0})
+
+
+def test_all_files_and_no_parts(written: Path) -> None:
+    assert sorted(path.name for path in written.iterdir() if path.is_file() and path.name[0] != ".") == sorted(
+        RESULT_FILES
+    )
+    assert not (written / PARTS_FOLDER).exists()
+    assert (written / "datasheet.pdf").read_bytes()[:5] == b"%PDF-"
+    page = (written / "datasheet.html").read_text()
+    for word in ("FOV spatial error", "Pixel spatial error", "Temporal noise", "ECSS-E-ST-60-20C", "EOL"):
+        assert word in page
+
+
+def test_every_value_has_an_interval_or_says_that_it_is_open(written: Path) -> None:
+    sheet = json.loads((written / "datasheet.json").read_text())
+    assert [column["life"] for column in sheet["columns"]] == ["BOL", "EOL"]
+    for column in sheet["columns"]:
+        values = [value for section in column["sections"].values() for value in section]
+        assert len(values) > 80
+        for value in values:
+            assert value["method"]
+            assert value["confidence"] == 0.95
+            low, high = value["interval"]
+            if value["value"] is not None and low is not None and high is not None:
+                assert low - 1e-12 <= value["value"] <= high + 1e-12 or "noise" in value["name"], value
+        errors = [value for value in values if value.get("level")]
+        assert {value["level"] for value in errors} == {68.0, 95.0, 99.7}
+        assert {value["interpretation"] for value in errors} == {"mixed", "temporal"}
+        names = {value["name"] for value in values}
+        assert names >= {"bias_mean", "thermo_elastic_mean", "fov_spatial", "pixel_spatial", "temporal_noise"}
+        assert names >= {"measurement_error", "aberration_residual_rms", "greatest_rate", "greatest_acceleration"}
+        assert names >= {"acquisition_probability_lost_in_space", "recovery_time", "update_rate", "coverage_sky_3"}
+        assert names >= {"smallest_angle_sun", "smallest_angle_moon", "smallest_angle_earth", "aberration_residual"}
+
+
+def test_the_same_bytes_after_an_interruption_and_on_one_worker(
+    scenario: Scenario, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "QUICK", TINY)
+    kept = TaskRunner._keep
+    finished: list[str] = []
+
+    def stop_after_ten(self: TaskRunner, key: str, columns: dict[str, object]) -> None:
+        kept(self, key, columns)  # type: ignore[arg-type]
+        finished.append(key)
+        if len(finished) == 10:
+            raise Interrupted("interrupted")
+
+    monkeypatch.setattr(TaskRunner, "_keep", stop_after_ten)
+    with pytest.raises(Interrupted):
+        datasheet(scenario, end_of_life=_aged(scenario), quick=True, out=tmp_path)
+    assert len(list((tmp_path / PARTS_FOLDER).iterdir())) == 10
+    finished.append("more")
+    datasheet(scenario, end_of_life=_aged(scenario), quick=True, out=tmp_path)
+    assert len(set(finished)) == len(finished), "a finished task ran again"
+    for name in REPRODUCED:
+        assert (tmp_path / name).read_bytes() == (written / name).read_bytes(), name
+
+
+def test_another_scenario_does_not_replace_a_datasheet(scenario: Scenario, written: Path) -> None:
+    with pytest.raises(Exception, match="datasheet"):
+        datasheet(scenario.with_values(seed=99), quick=True, out=written)

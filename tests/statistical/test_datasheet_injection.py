@@ -1,0 +1,134 @@
+"""Classes of a datasheet on rendered frames: one cause of errors alone is found in its own class.
+
+Each scenario has a single cause. The rms of all frames is then the injected error, and the class must contain it within
+its interval; the others are limited by the statistics of cross-spectra (`FIELDS` fields of 45 frames).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simulator import Scenario
+from simulator.study.datasheet.classes import Separated, separate
+from simulator.study.datasheet.frames import DatasheetFrames
+from simulator.study.datasheet.scan import scan_geometry
+
+FIELDS = 24
+QUIET: dict[str, Any] = {
+    "detector.width": 384,
+    "detector.height": 384,
+    "optics.focal_length_mm": 12.5,
+    "optics.aperture_mm": 12.5,
+    "detector.shot_noise": False,
+    "detector.read_noise_e": 0.0,
+    "detector.adc_bits": None,
+    "detector.gain_e_per_dn": 1.0,
+    "detector.prnu": 0.0,
+    "detector.dsnu": 0.0,
+    "detector.hot_pixel_fraction": 0.0,
+    "detector.dark_current_e_s": 0.0,
+    "sky.background": False,
+    "sky.magnitude_limit": 6.0,
+    "sky.light_deflection": False,
+    "tracker.magnitude_limit": 6.0,
+    "environment.trapped": "none",
+    "optics.calibration_residual.rms_px": 0.0,
+    "optics.lateral_colour.corner_px": 0.0,
+    "optics.thermal.expansion_ppm_k": 0.0,
+    "optics.thermal.decentring_um_k": (0.0, 0.0),
+}
+GEOMETRY = scan_geometry(384, 384)
+
+
+@functools.lru_cache(maxsize=2)
+def scanned(**changes: Any) -> tuple[Separated, np.ndarray]:
+    """Classes in arcseconds, and the Cramér–Rao bound of the noise, arcseconds (frames, 3)."""
+    values = QUIET | {name.replace("__", "."): value for name, value in changes.items()}
+    frames = DatasheetFrames(Scenario.load("scenarios/cubesat.yaml").changed(values))
+    scans = [frames.scan(field, GEOMETRY) for field in range(FIELDS)]
+    passes = np.stack([scan["error_deg"] for scan in scans], axis=1) * 3600.0
+    bound = np.concatenate([scan["noise_bound_deg"] for scan in scans]) * 3600.0
+    return separate(passes, GEOMETRY.step_px, GEOMETRY.cut_period_px), bound[np.isfinite(bound).all(axis=1)]
+
+
+def leaks(found: Separated, name: str, axis: int) -> dict[str, float]:
+    """Rms of every other class over the total."""
+    total = found.figures["total"][axis].value
+    assert total
+    others = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
+    return {other: abs(found.figures[other][axis].value or 0.0) / total for other in others if other != name}
+
+
+def contains_total(found: Separated, name: str, axis: int) -> None:
+    total, figure = found.figures["total"][axis].value, found.figures[name][axis]
+    assert figure.low is not None
+    assert figure.high is not None
+    assert total is not None
+    assert figure.low <= total <= figure.high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_noise_alone(axis: int) -> None:
+    """Within 5 % of the Cramér–Rao bound. The standard deviation of the ratio is 1/√(2 · 24 · 45) = 2.2 %: 5 % and two
+    of these."""
+    found, bound = scanned(detector__shot_noise=True, detector__read_noise_e=13.0)
+    contains_total(found, "temporal_noise", axis)
+    noise = found.figures["temporal_noise"][axis].value
+    assert noise == pytest.approx(math.sqrt(np.mean(bound[:, axis] ** 2)), rel=0.05 + 0.044)
+    for other in ("fov_spatial", "pixel_spatial"):
+        low = found.figures[other][axis].low
+        assert low is not None
+        assert low < 0.1 * (noise or 0.0)
+        # the power of cross-spectra of M frames scatters by about 1.5/√M of that of the noise
+        assert leaks(found, "temporal_noise", axis)[other] ** 2 < 3.0 * 1.5 / math.sqrt(FIELDS * GEOMETRY.frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_uneven_pixels_alone(axis: int) -> None:
+    found, _ = scanned(detector__prnu=0.03)
+    contains_total(found, "pixel_spatial", axis)
+    leak = leaks(found, "pixel_spatial", axis)
+    assert leak["temporal_noise"] < 1e-6
+    assert leak["bias"] < 0.1
+    # the low band has at most 40 % of the power, in some 7 independent values a field
+    assert leak["fov_spatial"] ** 2 < 3.0 * 0.4 / math.sqrt(7.0 * FIELDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_interpolation_error_alone(axis: int) -> None:
+    """A narrow image and moments: the error has the period of a pixel, and is the same behind other pixels."""
+    found, _ = scanned(optics__psf__sigma_px=0.35, tracker__centroider="moment")
+    contains_total(found, "pixel_spatial", axis)
+    leak = leaks(found, "pixel_spatial", axis)
+    assert leak["temporal_noise"] < 1e-6
+    assert leak["fov_spatial"] < 0.1 + 3.0 / math.sqrt(FIELDS * GEOMETRY.frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_calibration_residual_alone(axis: int) -> None:
+    found, _ = scanned(optics__calibration_residual__rms_px=0.5)
+    contains_total(found, "fov_spatial", axis)
+    leak = leaks(found, "fov_spatial", axis)
+    assert leak["temporal_noise"] < 1e-6
+    assert leak["pixel_spatial"] < 0.1
+    # the mean over the fields of a random error of each field
+    assert leak["bias"] < 3.0 / math.sqrt(FIELDS)
+
+
+@pytest.mark.slow
+def test_decentring_alone_is_thermo_elastic_bias() -> None:
+    """A shift of the lens by s turns the boresight by s / f: 0.5 µm/K × 10 K over 12.5 mm is 82.5″ about y."""
+    found, _ = scanned(optics__thermal__decentring_um_k=(0.5, 0.0), optics__thermal__temperature_c=30.0)
+    expected = math.degrees(math.atan(5.0 / 12_500.0)) * 3600.0
+    assert abs(found.figures["bias"][1].value or 0.0) == pytest.approx(expected, rel=0.01)
+    for other in ("fov_spatial", "pixel_spatial", "temporal_noise"):
+        assert leaks(found, "bias", 1)[other] < 0.1

@@ -1,0 +1,156 @@
+"""Parts of the datasheet without frames: estimates, limits, sequences, residuals of the sky's model, texts."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from simulator import Scenario
+from simulator.build import sequence_motion
+from simulator.mission.motion import rate_profile
+from simulator.study.datasheet import frames
+from simulator.study.datasheet.accuracy import normal_factor
+from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
+from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_needed, recovery_frames, swinging
+from simulator.study.datasheet.run import stages_of
+from simulator.study.datasheet.sheet import Quantity, select
+from simulator.study.datasheet.tables import estimate_text
+from startracker.attitude import Attitude
+
+SCENARIO = Scenario.load("scenarios/sunsat.yaml")
+
+
+def test_estimates_of_normal_errors_contain_the_truth() -> None:
+    errors = np.random.default_rng(4).normal(0.5, 2.0, 4000)
+    errors[7] = math.nan
+    rms, mean = rms_of(errors), mean_of(errors)
+    assert rms.low is not None
+    assert rms.high is not None
+    assert mean.low is not None
+    assert mean.high is not None
+    assert rms.low < math.hypot(0.5, 2.0) < rms.high
+    assert mean.low < 0.5 < mean.high
+    assert rms.value == pytest.approx(math.sqrt(np.nanmean(errors**2)), rel=1e-12)
+    limit = upper_limit(errors - 0.5, 95.0)
+    assert limit.low is not None
+    assert limit.high is not None
+    assert limit.low < 2.0 * stats.norm.ppf(0.975) < limit.high
+
+
+def test_estimates_without_enough_errors_are_open() -> None:
+    assert rms_of([1.0, math.nan]) == (None, None, None)
+    assert upper_limit([math.nan], 95.0) == (None, None, None)
+    few = upper_limit(np.arange(100.0), 99.7)
+    assert few.value == 99.0
+    assert few.high is None
+    assert Estimate(1.0, None, 3.0).times(2.0) == (2.0, None, 6.0)
+    assert Estimate(1.0, math.nan, math.inf).plain() == (1.0, None, None)
+
+
+def test_a_proportion_has_the_interval_of_wilson() -> None:
+    found = stats.binomtest(8, 10).proportion_ci(0.95, method="wilson")
+    assert proportion([True] * 8 + [False] * 2) == pytest.approx((0.8, found.low, found.high))
+
+
+def test_levels_of_a_normal_distribution() -> None:
+    for level in (68.0, 95.0, 99.7):
+        assert normal_factor(level) == pytest.approx(stats.norm.interval(level / 100.0)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("limit", [0.013, 1.7, 2.0, 40.0])
+def test_a_bracket_contains_the_limit(limit: float) -> None:
+    found = bracket(lambda value: value <= limit, 2.0, 4, 90.0)
+    assert found.passed is not None
+    assert found.failed is not None
+    assert found.passed <= limit < found.failed
+    assert found.failed / found.passed == pytest.approx(2.0 ** (1 / 16))
+
+
+def test_a_bracket_is_open_where_nothing_fails_or_passes() -> None:
+    assert bracket(lambda value: True, 2.0, 4, 90.0) == (64.0, None)
+    assert bracket(lambda value: False, 2.0, 4, 90.0)[0] is None
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.9, 0.99, 0.9969])
+def test_frames_of_an_acquisition(share: float) -> None:
+    count = frames_needed(share)
+    assert count is not None
+    assert 1.0 - (1.0 - share) ** count >= ACQUIRED > 1.0 - (1.0 - share) ** (count - 1.0)
+    assert (frames_needed(1.0), frames_needed(0.0), frames_needed(None)) == (1.0, None, None)
+
+
+def test_recovery_after_an_interruption() -> None:
+    status = np.array(["solved"] * 3 + ["no_frame"] * 2 + ["unsolved", "solved", "solved", "no_frame"])
+    found = {"status": status, "wrong": np.zeros(9, dtype=bool), "elapsed_s": 0.5 * np.arange(9)}
+    assert recovery_frames(found, 1.5, 0.5) == 2
+    assert recovery_frames(found, 4.0, 0.5) is None
+    found["wrong"] = np.arange(9) == 6
+    assert recovery_frames(found, 1.5, 0.5) == 3
+
+
+def test_a_swinging_rate_has_its_acceleration_and_amplitude() -> None:
+    shaken = swinging(SCENARIO, 0.4, 0.3, 20)
+    profile = rate_profile(shaken.pointing, sequence_motion(shaken.sequence))
+    times = np.linspace(0.0, 20 * shaken.sequence.step_s, 4001)
+    rates = np.degrees([profile.at(t) for t in times])
+    moving = rates[:, np.ptp(rates, axis=0).argmax()]
+    assert np.abs(moving).max() == pytest.approx(0.3, abs=1e-3)
+    slope = np.abs(np.diff(moving)) / np.diff(times)
+    assert np.median(slope) == pytest.approx(0.4, rel=1e-6)
+
+
+def test_the_rotation_of_displaced_stars() -> None:
+    """Against the exact rotation of directions by an attitude; second order in the angle."""
+    vectors = np.random.default_rng(1).normal(size=(12, 3)) * 0.1 + np.array([0.0, 0.0, 1.0])
+    assumed = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    turn = np.array([2e-6, -1e-6, 3e-5])
+    seen = Attitude.from_rotation_vector(turn, "camera", "camera").apply(assumed)
+    assert frames._rotation(seen, assumed - seen) == pytest.approx(turn, abs=1e-9)
+
+
+def test_values_in_json_have_intervals() -> None:
+    quantity = Quantity("a", "A", Estimate(1.0, 0.5, None), "arcsec", "cross_x", 99.7, "mixed", "counted")
+    found = json.loads(json.dumps(quantity.to_dict()))
+    assert found["interval"] == [0.5, None]
+    assert found["confidence"] == 0.95
+    assert found["level"] == 99.7
+    assert "axis" not in Quantity("b", "B", Estimate(None)).to_dict()
+    assert select([quantity], "a", "cross_x", 99.7) is quantity
+    assert select([quantity], "a", "cross_x") is None
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "percent", "text"),
+    [
+        (Estimate(0.1234, 0.1, 0.2), "arcsec", False, "0.123″ (0.100 to 0.200)"),
+        (Estimate(1234.0, None, None), "s", False, "1234 s"),
+        (Estimate(1.0, 0.97, 1.0), "", True, "100 % (97.0 to 100)"),
+        (Estimate(5.0, 4.0, None), "deg/s", False, "5.00°/s (4.00 to open)"),
+        (Estimate(0.0, 0.0, 0.0), "arcsec", False, "0″ (exact)"),
+        (Estimate(None), "s", False, "not determined"),
+    ],
+)
+def test_texts_of_estimates(size: Estimate, unit: str, percent: bool, text: str) -> None:
+    assert estimate_text(size, unit, percent) == text
+
+
+def test_stages_of_life() -> None:
+    assert [life for life, _ in stages_of(SCENARIO)] == ["BOL"]
+    warm = SCENARIO.changed({"detector.temperature_c": 40.0})
+    assert [life for life, _ in stages_of(SCENARIO, warm)] == ["BOL", "EOL"]
+    aged = SCENARIO.changed({"environment.age_years": 5.0, "environment.solar_proton_events": 1.0})
+    stages = stages_of(aged)
+    assert [(life, stage.environment.age_years) for life, stage in stages] == [("BOL", 0.0), ("EOL", 5.0)]
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, 35.0, 90.0, 170.0])
+def test_a_boresight_at_an_angle_from_a_body(angle_deg: float) -> None:
+    direction = np.array([0.6, -0.48, 0.64])
+    around = [frames._at_angle(direction, math.radians(angle_deg), azimuth) for azimuth in (0.0, 2.0, 4.0)]
+    cosines = np.array(around) @ direction
+    assert cosines == pytest.approx(np.full(3, math.cos(math.radians(angle_deg))), abs=1e-12)
+    assert np.linalg.norm(np.mean(around, axis=0)) < 1.0 - 1e-6

@@ -1,0 +1,182 @@
+"""Separation of error series into classes: each class alone, at exactly known power, and all of them together.
+
+Leakage is the rms found in another class over the injected rms. Tolerances: the two tapers have less than 0.1 % of
+their power outside the bandwidth (3 % of the rms); statistical limits are stated at each test.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from simulator.study.datasheet.classes import CLASSES, Separated, separate
+from simulator.study.datasheet.scan import STEP_PX, scan_attitudes, scan_geometry
+from startracker.attitude import Attitude
+from startracker.camera import Camera
+
+GEOMETRY = scan_geometry(1024, 1024)
+FIELDS = 60
+MANY_FIELDS = 1500
+RNG_SEED = 20
+SHAPE = (3, FIELDS, GEOMETRY.frames, 1)
+
+
+def separated(passes: np.ndarray) -> Separated:
+    return separate(np.asarray(passes), GEOMETRY.step_px, GEOMETRY.cut_period_px)
+
+
+def repeated(series: np.ndarray) -> np.ndarray:
+    """The same errors in all three passes."""
+    return np.broadcast_to(series, SHAPE)
+
+
+def sine(cycles_per_frame: float, rng: np.random.Generator) -> np.ndarray:
+    """Unit rms, with a random phase in each field."""
+    phase = rng.random((FIELDS, 1, 1))
+    steps = np.arange(GEOMETRY.frames)[None, :, None]
+    return math.sqrt(2.0) * np.sin(2.0 * math.pi * (cycles_per_frame * steps + phase))
+
+
+def uneven_pixels(rng: np.random.Generator, fields: int = FIELDS, sigma_px: float = 0.9) -> np.ndarray:
+    """Centroid error across the direction of motion by random gains: Σ g(u) u δ along the scan, unit rms."""
+    half, frames = 5, GEOMETRY.frames
+    out = np.empty((frames, fields))
+    gain = rng.normal(size=(fields, 40, 70)).astype(np.float32)
+    for k in range(frames):
+        x, y = 7.0 + k * STEP_PX[0], 7.0 + k * STEP_PX[1]
+        rows, columns = np.mgrid[int(y) - half : int(y) + half + 2, int(x) - half : int(x) + half + 2]
+        weight = np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2.0 * sigma_px**2)) * (rows - y)
+        out[k] = gain[:, rows, columns].reshape(fields, -1) @ weight.ravel()
+    # of independent gains: the sum of the squared weights, over all positions in a pixel
+    return out.T[:, :, None] / math.sqrt(math.pi * sigma_px**4 / 2.0)
+
+
+def alone(found: Separated, name: str) -> None:
+    """The class has the injected rms of one, within its interval; every other one less than a tenth of it."""
+    figure = found.figures[name][0]
+    assert figure.low <= 1.0 <= figure.high
+    for other in set(CLASSES) - {name}:
+        assert abs(found.figures[other][0].value) < 0.1, other
+
+
+def test_a_constant_error_is_bias() -> None:
+    found = separated(np.full(SHAPE, -2.0))
+    assert found.figures["bias"][0] == pytest.approx((-2.0, -2.0, -2.0))
+    for name in ("fov_spatial", "pixel_spatial", "temporal_noise"):
+        assert found.figures[name][0].value == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("multiple", [1, 2, 3, 4])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_interpolation_error_is_pixel_spatial(axis: int, multiple: int) -> None:
+    series = sine(multiple * STEP_PX[axis], np.random.default_rng(RNG_SEED))
+    found = separated(repeated(series))
+    # the tapers do not weigh the frames evenly: half a cycle more or less is 1/100 of the power
+    assert found.figures["pixel_spatial"][0].value == pytest.approx(1.0, abs=0.01)
+    # third harmonics are aliased to within the bandwidth of the cut-off: a tenth is the requirement
+    for name in ("bias", "fov_spatial", "temporal_noise"):
+        assert abs(found.figures[name][0].value) < (0.03 if multiple <= 2 else 0.1)
+
+
+@pytest.mark.parametrize("period_px", [40.0, 100.0, 400.0, 1000.0])
+def test_an_error_of_long_period_is_fov_spatial(period_px: float) -> None:
+    series = sine(GEOMETRY.step_px / period_px, np.random.default_rng(RNG_SEED))
+    found = separated(repeated(series))
+    figure = found.figures["fov_spatial"][0]
+    # over 60 random phases the mean square of the fields scatters by √(1/2)/√60; four of these, on the rms
+    assert figure.value == pytest.approx(1.0, abs=4.0 * math.sqrt(0.5 / FIELDS) / 2.0)
+    assert found.figures["pixel_spatial"][0].value < 0.03
+    assert found.figures["temporal_noise"][0].value < 1e-9
+    # the mean over the fields: 1/√60 for a period longer than the scan, within four standard deviations
+    assert abs(found.figures["bias"][0].value) < 4.0 / math.sqrt(FIELDS)
+
+
+def test_noise_is_temporal_noise() -> None:
+    """The cross-spectral powers scatter about zero by 1.5/√M over M frames: 0.06² for 1,500 fields."""
+    found = separated(np.random.default_rng(RNG_SEED).normal(size=(3, MANY_FIELDS, *SHAPE[2:])))
+    alone(found, "temporal_noise")
+    count = MANY_FIELDS * GEOMETRY.frames
+    assert found.figures["temporal_noise"][0].value == pytest.approx(1.0, abs=4.0 / math.sqrt(2.0 * count))
+    assert found.differences.size == count
+
+
+def test_uneven_pixels_are_pixel_spatial() -> None:
+    """Also at low spatial frequencies, where a spectrum alone would call them FOV spatial. The low band has 38 % of the
+    power in some 7 independent values a field, so that its cross-spectral power scatters by 0.06² for 1,500 fields."""
+    rng = np.random.default_rng(RNG_SEED)
+    own, others = uneven_pixels(rng, MANY_FIELDS), uneven_pixels(rng, MANY_FIELDS)
+    found = separated(np.stack([own, own, others]))
+    alone(found, "pixel_spatial")
+    without_the_third = separated(np.stack([own, own, own]))
+    assert without_the_third.figures["fov_spatial"][0].value > 0.5
+
+
+def test_all_classes_together_are_separated_and_add_up() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    noise = 0.8 * rng.normal(size=SHAPE)
+    own, others = 0.5 * uneven_pixels(rng), 0.5 * uneven_pixels(rng)
+    smooth = 2.0 * rng.normal(size=(FIELDS, 1, 1)) + 0.5 * sine(GEOMETRY.step_px / 60.0, rng)
+    periodic = 0.4 * sine(STEP_PX[0], rng)
+    found = separated(np.stack([own, own, others]) + smooth + periodic + noise + 1.5)
+    true = {
+        "bias": 1.5,
+        "fov_spatial": math.hypot(2.0, 0.5),
+        "pixel_spatial": math.hypot(0.5, 0.4),
+        "temporal_noise": 0.8,
+    }
+    for name, value in true.items():
+        figure = found.figures[name][0]
+        assert figure.low < value < figure.high, name
+    total = found.figures["total"][0]
+    added = math.sqrt(sum(found.figures[name][0].value ** 2 for name in CLASSES))
+    assert total.low < added < total.high
+
+
+def test_spectra_integrate_to_the_powers() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    found = separated(rng.normal(size=SHAPE))
+    spectra = found.spectra
+    width = spectra.cycles_per_px[1]
+    count = FIELDS * GEOMETRY.frames
+    assert float(spectra.noise.sum() * width) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 * 1.5 / count))
+    assert spectra.cycles_per_px[-1] == pytest.approx(0.5 / GEOMETRY.step_px, abs=width)
+
+
+def test_missing_frames_are_bridged_and_poor_fields_left_out() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    passes = np.array(repeated(sine(GEOMETRY.step_px / 200.0, rng))) + 0.1 * rng.normal(size=SHAPE)
+    passes[0, 0, 5] = np.nan
+    passes[1, 1, : GEOMETRY.frames // 2] = np.nan
+    found = separated(passes)
+    assert (found.fields, found.left_out) == (FIELDS - 1, 1)
+    assert found.figures["temporal_noise"][0].value == pytest.approx(0.1, rel=0.05)
+    passes[:] = np.nan
+    with pytest.raises(ValueError, match="fewer than two fields"):
+        separated(passes)
+
+
+def test_a_short_scan_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot separate"):
+        separate(np.zeros((3, 8, 20, 1)), GEOMETRY.step_px, GEOMETRY.cut_period_px)
+
+
+def test_a_scan_moves_stars_by_its_steps() -> None:
+    """Against the projection of a camera: the image of a star in the middle of the field moves by `STEP_PX`; second
+    order in the angle: (40 px)² / (2 · 4500 px) over the scan."""
+    camera = Camera.from_fov(fov_deg=13.0, width=1024, height=1024)
+    centre = Attitude.from_radec_roll(30.0, 40.0, 70.0)
+    star = centre.inverse.apply(np.array([[0.0, 0.0, 1.0]]))
+    looks = scan_attitudes(centre, GEOMETRY, (1.0 / camera.fx, 1.0 / camera.fy))
+    xy = np.array([camera.project(look.apply(star))[0] for look in looks])
+    assert np.diff(xy, axis=0) == pytest.approx(np.tile(STEP_PX, (GEOMETRY.frames - 1, 1)), abs=1e-3)
+    middle = 0.5 * (xy[0] + xy[-1])
+    assert middle == pytest.approx([camera.cx, camera.cy], abs=1e-3)
+    assert GEOMETRY.length_px == pytest.approx(3.4 * 16.0, abs=GEOMETRY.step_px)
+
+
+def test_a_scan_remains_in_a_small_field() -> None:
+    small = scan_geometry(192, 80)
+    assert small.length_px <= 0.4 * 80 + small.step_px
+    assert small.cut_period_px == pytest.approx(0.4 * 80 / 3.4)
