@@ -176,9 +176,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
     _at_least_one("boresights", count)
     sampling = scenario.study.sampling
     if sampling == "sky" and scenario.pointing.target is None:
-        raise InputError(
-            "study.sampling: sky has no boresight path; omit --path, or set it to mission_year, orbit or span"
-        )
+        raise InputError("study.sampling: sky has no boresight path; omit --path, or use mission_year, orbit or span")
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
     t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, orbit.span_s)

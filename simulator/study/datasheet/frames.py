@@ -54,6 +54,9 @@ _SCAN_INDEX, _RATE_INDEX, _BODY_INDEX = 10_000_000, 20_000_000, 30_000_000
 _MOST_FRAMES = 1000
 """Frames of a pass, for the indices."""
 
+SAME_STAR_RAD = math.radians(1.0 / 60.0)
+"""Maximum distance between the positions of a star in the catalogues of the sky and of the tracker."""
+
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 _TRIAL_COLUMNS = (
@@ -196,7 +199,8 @@ class DatasheetFrames:
 
         The rotation by which the displacements of the stars from their catalogue positions (aberration, parallax, light
         deflection) that the tracker computes from the observer's state differ from those of the simulated sky, as the
-        least-squares fit to the stars in the field. Errors of the catalogue and merged doubles do not contribute.
+        least-squares fit to the stars in the field. Errors of the catalogue's positions and merged doubles do not
+        contribute.
         """
         error_deg = np.full((count, 3), np.nan)
         for k in range(count):
@@ -204,13 +208,13 @@ class DatasheetFrames:
             epoch, camera = scene.observer.epoch_jyear, scene.pointing.camera
             guide = self.runner.tracker.guide.seen_by(scene.observer)
             index, _, _ = guide.in_field(camera.as_matrix())
-            _, true, known = np.intersect1d(scene.stars.id, guide.catalog.id[index], return_indices=True)
-            if len(true) >= 2:
-                rows = index[known]
-                moved = scene.star_directions[true] - scene.stars.directions(epoch)[true]
-                assumed = guide.directions[rows] - guide.catalog.directions(epoch)[rows]
-                seen = camera.apply(scene.star_directions[true])
-                error_deg[k] = np.degrees(_rotation(seen, camera.apply(assumed - moved)))
+            fixed, known = scene.stars.directions(epoch), guide.catalog.directions(epoch)[index]
+            nearest = np.argmax(known @ fixed.T, axis=1)
+            moved = scene.star_directions[nearest] - fixed[nearest]
+            same = np.linalg.norm(fixed[nearest] - known, axis=1) < SAME_STAR_RAD
+            if same.sum() >= 2:
+                seen, apart = scene.star_directions[nearest], guide.directions[index] - known - moved
+                error_deg[k] = np.degrees(_rotation(camera.apply(seen[same]), camera.apply(apart[same])))
         return {"error_deg": error_deg}
 
     def _measured(self, frame: Frame, truth: FrameTruth) -> tuple[FloatArray, NDArray[np.int64], bool]:

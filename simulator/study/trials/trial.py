@@ -154,6 +154,7 @@ class TrialRunner:
             "longitude_deg": instant.longitude_deg,
             "sunlit": instant.sunlit,
             "temperature_c": scenario.detector.temperature_c,
+            "particles_cm2_s": truth.particles_cm2_s,
         }
         errors = dict.fromkeys(_ERRORS, math.nan)
         sigma, estimate = [math.nan] * 3, [math.nan] * 4
