@@ -21,7 +21,7 @@ with contextlib.suppress(ImportError):
     import fcntl
 
 from numba import njit, types
-from numba.core import event, targetconfig
+from numba.core import event
 
 from startracker.compilation import expected_kernels, progress
 
@@ -99,7 +99,7 @@ def _held(folder: Path, name: str) -> Iterator[None]:
             fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
 
 
-def _wait_for_lock(file: IO[bytes], byte: int) -> None:
+def _wait_for_lock(file: int, byte: int) -> None:
     """Lock a byte; waiting for the process that compiles the kernel counts as compiling."""
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
@@ -127,20 +127,6 @@ def clock() -> float:
 def processor_clock() -> float:
     """Seconds as from `time.process_time`, without the time spent compiling kernels."""
     return time.process_time() - progress.processor_s
-
-
-def _option_values(options: Any) -> dict[str, Any]:
-    """All options of a compilation, as `numba.core.targetconfig.TargetConfig.values`.
-
-    numba compares them 100,000 times in the compilation of a run, and reads each of the 23 through a property.
-    """
-    if type(options) not in _defaults:
-        _defaults[type(options)] = {name: option.default for name, option in options.options.items()}
-    values: dict[str, Any] = _defaults[type(options)] | options._values
-    return values
-
-
-_defaults: dict[type, dict[str, Any]] = {}
 
 
 class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
@@ -199,4 +185,3 @@ def _on_disk(names: Iterable[str]) -> list[str]:
 
 
 event.register("numba:compile", _Listener())
-targetconfig.TargetConfig.values = _option_values
