@@ -24,8 +24,8 @@ LOOKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"))
 
 SPECTRUM_NOTE = (
     "Against the spatial frequency of the motion. What other pixels repeat is the FOV spatial error, and at the "
-    "harmonics of the pixel period (dotted: the first ones, aliased) the interpolation error; what only the same pixels "
-    "repeat is the error by their unevenness."
+    "harmonics of the pixel period (dotted: the first ones, aliased) the interpolation error; what only the same "
+    "pixels repeat is the error by their unevenness."
 )
 
 Points = Sequence[dict[str, Any]]
