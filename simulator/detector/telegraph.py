@@ -3,7 +3,7 @@
 The levels have exponentially distributed durations with means τ_low and τ_high. Such a process is the same as one in
 which, at the events of a Poisson process of rate 1/τ_low + 1/τ_high, the level is drawn again, the upper one with the
 probability τ_high / (τ_low + τ_high): the rates of leaving the levels are then 1/τ_low and 1/τ_high (uniformisation of
-a Markov chain; Ross 2014, *Introduction to Probability Models*, section 6.7). The level at an instant is therefore that
+a Markov chain; Ross 2014, *Introduction to Probability Models*, chapter 6). The level at an instant is therefore that
 of the last event before it, and is found without the history of the device: time is divided into cells, each with its
 own random stream, and the cells are searched backwards. Frames of a sequence are correlated as they should be, in any
 order and on any number of workers.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,11 @@ import pytest
 
 from simulator import Scenario
 from simulator.study.datasheet.classes import Separated, separate
+from simulator.study.datasheet.dependence import residuals
 from simulator.study.datasheet.frames import DatasheetFrames
+from simulator.study.datasheet.plan import QUICK
 from simulator.study.datasheet.scan import scan_geometry
+from simulator.study.datasheet.tasks import TaskRunner
 
 FIELDS = 24
 QUIET: dict[str, Any] = {
@@ -132,3 +136,23 @@ def test_decentring_alone_is_thermo_elastic_bias() -> None:
     assert abs(found.figures["bias"][1].value or 0.0) == pytest.approx(expected, rel=0.01)
     for other in ("fov_spatial", "pixel_spatial", "temporal_noise"):
         assert leaks(found, "bias", 1)[other] < 0.1
+
+
+def test_decentring_is_thermo_elastic() -> None:
+    """The same closed form, for a step of 10 K: 5 µm over 12.5 mm. Stars move by 0.9 pixels, which changes the
+    interpolation error of the centroids, without noise below 0.01 pixels."""
+    values = QUIET | {"optics.thermal.decentring_um_k": (0.5, 0.0)}
+    scenario = Scenario.load("scenarios/cubesat.yaml").changed(values)
+    found = residuals(scenario, TaskRunner(), replace(QUICK, per_point=8))
+    named = {(q.name, q.axis): q.estimate.value for q in found}
+    assert abs(named["thermo_elastic_mean", "cross_y"] or 0.0) == pytest.approx(82.5, abs=0.1)
+    assert abs(named["thermo_elastic_mean", "cross_x"] or 0.0) < 0.5
+
+
+def test_time_tag_is_a_rate_error() -> None:
+    """An error of the time by dt turns a camera at the rate ω by ω dt: 0.5°/s and 1 ms are 1.8″ about its axis."""
+    scenario = Scenario.load("scenarios/cubesat.yaml").changed(QUIET | {"detector.time_tag.offset_s": 1e-3})
+    made = DatasheetFrames(scenario).at_rate(0, 8, 0.5)
+    assert made["right"].all()
+    assert np.abs(made["along_deg"] * 3600.0) == pytest.approx(np.full(8, 1.8), abs=0.1)
+    assert np.abs(made["across_deg"] * 3600.0).max() < 0.1
