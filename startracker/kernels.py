@@ -99,7 +99,7 @@ def _held(folder: Path, name: str) -> Iterator[None]:
             fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
 
 
-def _wait_for_lock(file: IO[bytes], byte: int) -> None:
+def _wait_for_lock(file: int, byte: int) -> None:
     """Lock a byte; waiting for the process that compiles the kernel counts as compiling."""
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)

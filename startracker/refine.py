@@ -35,6 +35,7 @@ from startracker.estimation.pose import (
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
+from startracker.kernels import kernel
 from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
