@@ -179,6 +179,24 @@ def test_oem_at_its_own_states(tmp_path):
         assert np.abs(found - np.round(states(T_S), 9)).max() < 1e-9 + 1e-8 * 9.0
 
 
+@pytest.mark.parametrize("form", ["kvn", "xml", "crlf"])
+def test_accelerations_and_covariances_are_read_over(form, tmp_path):
+    """A message of 9 columns with a covariance after each segment gives the states of one without."""
+    path = tmp_path / "craft.oem"
+    rows = np.concatenate([states(T_S), np.zeros((len(T_S), 3))], axis=1)
+    covariance = "\n".join(" ".join(["1.0e-6"] * k) for k in range(1, 7))
+    block = f"COVARIANCE_START\nEPOCH = {CLOCK.isot(0.0)}\n{covariance}\nCOVARIANCE_STOP\n"
+    text = oem_text(T_S, rows) + block
+    path.write_text(text)
+    if form == "xml":
+        oem_package.OrbitEphemerisMessage.open(str(path)).save_as(str(path), file_format="xml")
+        assert "covarianceMatrix" in path.read_text()
+    elif form == "crlf":
+        path.write_bytes(text.replace("\n", "\r\n").encode())
+    found = np.concatenate(read_oem(path, CLOCK, None).state(T_S), axis=1)
+    assert np.abs(found - np.round(states(T_S), 9)).max() < 1e-9 + 1e-8 * 9.0
+
+
 @pytest.mark.parametrize(("method", "nodes", "order"), [("hermite", 4, 8), ("hermite", 3, 6), ("lagrange", 6, 6)])
 def test_interpolation_converges_at_its_order(method, nodes, order):
     errors = []
