@@ -105,12 +105,11 @@ def _points(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str])
             str(s["wrong"]),
             percent_text(s),
             *(interval_text(s, axis) for axis in BODY_AXES),
-            number_text(s["stars_matched_mean"]),
             s.get("verdict", "–"),
         ))  # fmt: skip
     names = (f"rms {axis} (95 %)" for axis in BODY_AXES)
     return Table(
-        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "stars", "verdict"),
+        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "verdict"),
         tuple(rows),
         note="All statistics are in points.csv and sweep.json, all trials in sweep.parquet.",
     )
