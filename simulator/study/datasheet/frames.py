@@ -227,7 +227,7 @@ class DatasheetFrames:
         matched = matched_sources(truth, solution.stars.fitted.xy)
         if solution.attitude is None:
             return np.full(3, np.nan), matched, False
-        errors = attitude_errors_deg(truth.attitude, solution.attitude, truth.mounting)
+        errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         wrong_stars = misidentified(truth, solution) if self.runner.same_catalog else 0
         # by the stars, not by the stated covariance: errors that it does not contain are what is measured
